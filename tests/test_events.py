@@ -27,6 +27,7 @@ from nsmodel import (
 from nsmodel.hypotheses.region import region_of
 from nsmodel.pieces import modes
 from nsmodel.pieces.course import Course
+from nsmodel.pieces.roots import Roots
 from nsmodel.run import piece_rows
 from nsmodel.run.options import Options
 from nsmodel.simulate import arranged
@@ -263,6 +264,10 @@ def test_a_wrong_mode_is_told_by_the_residual(monkeypatch):
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     assert not [text for text in run.metadata["warnings"] if "the law is missed" in text]
     monkeypatch.setattr(modes, "_wrong", of_open)
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
+    assert abs(run.x[-1, 0] - 1) <= 1e-8, "a row that is wrong ends its piece at once"
+    first = Roots.first
+    monkeypatch.setattr(Roots, "first", lambda *given: found if (found := first(*given))[1] else (None, given[4]))
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     assert abs(run.x[-1, 0] - 2 / 3) <= 1e-8
     assert any("the law is missed by 0.2" in text and "the run is no solution there" in text for text in run.metadata["warnings"])

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from nsmodel.codegen.expression import number
-from nsmodel.pieces.jets import Jets, Line
+from nsmodel.pieces.jets import Jets, Line, plain
 
 if TYPE_CHECKING:
     from nsmodel.codegen.piece_jets import Printer
@@ -30,6 +30,7 @@ class Discs:
         self.looked: dict[int, int] = {}
         self.outputs: dict[str, list[int]] = {}
         self.counts: dict[str, int] = {}
+        self.plain: dict[int, bool] = {}
         self.switches: dict[str, int] = {}
         for printer in printers:
             self._add(printer)
@@ -55,7 +56,9 @@ class Discs:
                 here[line.y] = self.lines.setdefault(key, self.rows)
         self.looked |= {i: here[branch.row] for i, branch in enumerate(jets.branches, printer.offset)}
         self.outputs[printer.part] = [here[row] for row in jets.outputs]
-        self.counts[printer.part], self.switches[printer.part] = len(self.lines), len(jets.branches)
+        self.counts[printer.part] = len(self.lines)
+        self.switches[printer.part] = len(jets.branches)
+        self.plain |= dict(enumerate(plain(jets), printer.offset))
 
     def kinds(self) -> str:
         """The operations, as an enum of C."""
@@ -71,14 +74,17 @@ class Discs:
         given = [value for (which, entry), row in self.row.items() if which == GIVEN for value in (row, entry)]
         sizes = {
             "DISC_LINES": len(self.lines), "LINES_OF_F": self.counts["f"], "DISC_ROWS": self.rows,
-            "SWITCHES_OF_F": self.switches["f"], "NUMBERS_ON_DISC": len(self.numbers), "GIVEN_ON_DISC": len(given) // 2,
+            "SWITCHES_OF_H": self.switches.get("h", 0), "NUMBERS_ON_DISC": len(self.numbers), "GIVEN_ON_DISC": len(given) // 2,
         }  # fmt: skip
         text = f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};\n"
         text += _table("lines", [_line(key, row) for key, row in self.lines.items()] or ["{0, -1, 0, 0, 0, 0}"], "disc_line")
         text += _table("number_rows", list(self.numbers.values())) + _table("given", given)
         text += _table("numbers", [number(value).text for value in self.numbers], "double")
         text += "".join(_table(name, rows) for name, rows in self.outputs.items())
-        return text + (_table("looked", [self.looked[i] for i in range(len(self.looked))]) if self.looked else "")
+        if not self.looked:
+            return text
+        text += _table("looked", [self.looked[i] for i in range(len(self.looked))])
+        return text + _table("plain", [int(self.plain[i]) for i in range(len(self.plain))])
 
 
 def _table(name: str, values: Sequence[Any], kind: str = "int") -> str:

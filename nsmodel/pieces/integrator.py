@@ -292,11 +292,13 @@ class Integrator:
             raise self._accumulates(hit)
 
     def _is_free(self, switch: Switch) -> bool:
-        """Whether no l acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""
+        """Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""
         kind, i = switch
         if kind != ROW:
-            return kind == "f"
+            return self.system.plain[switch]
         B, D, C = self.system.slopes()
+        if self.system.jets["h"].branches:
+            return False
         return math.isfinite(self.system.lower[i] + self.system.upper[i]) and not (D[i].any() or (C[i] @ B).any())
 
     def _note(self, hit: Condition, found: Isolated, before: list[float]) -> None:

@@ -1,36 +1,38 @@
 """Roots that Newton's method does not settle: of high multiplicity, in clusters, and dips that may or may not come to 0.
 
-A condition c >= 0 is known about a place as a form (see `discs`), |c(s) - sum c_k s^k| <= e on [0, R]: e holds what is cut off, the
-rounding of its operations, and what rounding has left in the states. Up to the first s with c(s) - e = 0 it is proved positive;
-expanded anew from there, on a shorter disc, it is the sum of less, and e is smaller. Where that stands still, the other side is
-looked for: the first R with c(R) + e < 0 is beyond a crossing, one with c(R) - e > 0 beyond a touch, or a dip that is not decided.
+A condition c >= 0 is known about a place as a form (see `discs`), |c(s) - sum c_k s^k| <= e on [0, R]: e holds what is cut off,
+the rounding of its operations, and what rounding has left in the states. Up to the first s with c(s) - e = 0 it is proved to be
+positive; expanded anew from there, on a shorter disc, it is the sum of less, and e is smaller. Where that stands still, the other
+side is looked for: the first R with c(R) + e < 0 is beyond a crossing, one with c(R) - e > 0 beyond a touch, or beyond a dip that
+is not decided.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.pieces.bernstein import first_root, value, values
+from nsmodel.pieces.bernstein import about, first_root, value, values
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.discs import EPS, Form, form_of
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import Solve
-from nsmodel.pieces.switches import Condition, conditions, looked_at, same, tie
+from nsmodel.pieces.switches import Condition, conditions, is_its_own, looked_at, same, tie
 from nsmodel.pieces.system import System
 
 ALMOST = 0.999  # Of the way to where a sign is no longer proved.
 CLOSER, WIDER = 8.0, 1.5  # By which discs shrink towards a root, and grow beyond it.
-MOST_DISCS = 400
+MOST_DISCS, MOST_MULTIPLE = 400, 8
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
 ULP = 2.0**-52  # Of the time: shorter than this no disc is.
 
 
 class Isolated(NamedTuple):
-    """Where the place stands now, how it is expanded there, and the condition; whether that ends there, or is positive up to there.
+    """Where the place stands now: how it is expanded there, the condition, and whether that ends there.
 
     ``width``: of the time in which its sign is not known, at the crossing or in the longest dip, which is ``at`` that time;
     ``touches``: dips that were passed.
@@ -53,7 +55,8 @@ class Isolation:
     def width(self, place: Place, own: Condition, share: float) -> float:
         """The time about a crossing, whose expansion stands, in which the sign is not known where states are known to a share."""
         system = self._system
-        c, e = own.coefficients(), tie(system, own, share)
+        of_disc, _ = self._about(place, own, own.orders, NEAR * place.tau)
+        c, e = [a / NEAR**k for k, a in enumerate(of_disc.tolist())], tie(system, own, share)
         before = [-a if k % 2 else a for k, a in enumerate(c)]
         return (_until([-a for a in c], e) + _until(before, e)) * place.tau
 
@@ -96,12 +99,15 @@ class Isolation:
         return Isolated(how, None, width, touches, False, at)
 
     def _beyond(self, place: Place, own: Condition, orders: int, end: float) -> tuple[float, float | None] | None:
-        """How far on the sign is known again, and where on the way it changes, None where it does not; None: not up to the end."""
+        """How far on the sign is known again, and where on the way it changes, None where it does not.
+
+        None: not up to the end.
+        """
         R = ULP * abs(place.t) or ULP * place.tau
         while R < end - place.t:
             c, e = self._about(place, own, orders, R)
             if abs(v := float(c.sum())) > e:
-                return R, None if v > 0 else R * min(first_root(c.tolist()), 1.0) if c[0] > 0 else 0.0
+                return R, None if v > 0 else R * _crossing(c.tolist(), e)
             R *= WIDER
         return None
 
@@ -114,7 +120,7 @@ class Isolation:
     def _about(self, place: Place, own: Condition, orders: int, R: float) -> tuple[np.ndarray, float]:
         """The coefficients on the disc |s| <= R, R a time, of the condition, in s/R, and e."""
         system, R, degree = self._system, R / place.tau, max(orders, DEGREE)
-        if own.acts in ("l", "inside"):
+        if is_its_own(system, own):
             f = form_of(own.row[: own.orders + 1], R, own.orders)
         else:
             x, l = ([form_of(row[: orders + 1], R, degree) for row in rows] for rows in (system.x, system.push))
@@ -129,6 +135,20 @@ class Isolation:
 def own_condition(system: System, place: Place, how: Solve, hit: Condition, orders: int) -> Condition | None:
     """The condition that watches the same end as ``hit``, as it stands now."""
     return next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
+
+
+def _crossing(c: list[float], e: float) -> float:
+    """Where in [0, 1] a condition known to e, c(1) < -e, is 0.
+
+    A root of order 3, 5, ... of one that is known to e alone is told best by the derivative that has a simple root there.
+    """
+    for order in range(min(len(c) - 2, MOST_MULTIPLE) // 2 * 2, 0, -2):
+        d = [math.perm(k, order) * a for k, a in enumerate(c)][order:]
+        if d[0] * sum(d) < 0:
+            root = first_root(d if d[0] > 0 else [-a for a in d])
+            if max(map(abs, about(c, root)[:order])) <= e:
+                return root
+    return min(first_root(c), 1.0) if c[0] > 0 else 0.0
 
 
 def _until(c: list[float], level: float) -> float:

@@ -64,6 +64,15 @@ class Jets:
     outputs: tuple[int, ...]
 
 
+def plain(jets: Jets) -> list[bool]:
+    """Of each branch whether what it looks at is the same on all sides of the others, and moves with no l."""
+    moved = {row for (which, _), row in jets.inputs.items() if which == 2}
+    for line in jets.lines:
+        if line.branch >= 0 or any(row in moved for row in (*line.args, *line.of)):
+            moved.add(line.y)
+    return [branch.row not in moved for branch in jets.branches]
+
+
 def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str, *, rounded: bool = True) -> Jets:
     """Return the recurrences of an expression in the entries of ``inputs``; ``rounded``: operations on numbers become numbers.
 

@@ -216,6 +216,16 @@ def leading(c: list[float], least: float, share: float) -> int | None:
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
 
+def lowest(c: list[float], least: float) -> int | None:
+    """The same by rounding alone: the first order above ``least`` in a unit of time in which later ones are no larger."""
+    size = list(map(abs, c[: ORDERS + 1]))
+    for k, a in enumerate(size):
+        share = min([(a / b) ** (1 / (j - k)) for j, b in enumerate(size[k + 1 :], k + 1) if b > a], default=1.0)
+        if a * share**k > least:
+            return k
+    return None
+
+
 def _pivot(system: System, place: Place) -> Solve | None:
     seen, one_at_a_time = set(), False
     for iteration in range(PIVOTS):

@@ -11,8 +11,8 @@ from nsmodel.pieces.jets import Branch, Jets, Line
 class Dialect(NamedTuple):
     """How a language writes a row by its number, a number, a choice, and what its operators are called.
 
-    ``kept`` is what is stored of a value at order 0; ``either(condition, a, b)`` is a if the condition holds, else b; ``choose`` is
-    a statement that makes choice i by ``choices``.
+    ``kept`` is what is stored of a value at order 0; ``either(condition, a, b)`` is a if the condition holds, else b;
+    ``choose`` is a statement that makes choice i by ``choices``.
     """
 
     row: Callable[[int], str]

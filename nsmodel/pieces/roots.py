@@ -12,7 +12,7 @@ from nsmodel.pieces.bernstein import about, first_root, slope, value
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.isolation import NEAR, ULP, Isolated, Isolation, own_condition
 from nsmodel.pieces.lengths import unit
-from nsmodel.pieces.modes import ORDERS, Place, leading, pace
+from nsmodel.pieces.modes import ORDERS, Place, leading, lowest, pace
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, size, tie
 from nsmodel.pieces.system import System
@@ -47,11 +47,11 @@ class Roots:
     ) -> tuple[Condition | None, float]:
         """The condition that ends first, and when; (None, s) where none ends before s.
 
-        A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged by;
-        where that sign is wrong all the same, it ends at once. What is rounding all along is none. One that comes to less than its
-        margin and goes back ends there too: expanded anew there, it has a smaller one.
-        ``but``: a condition whose switch is left out. A root where the last coefficients are not small beside the others is one of what was cut off, where nothing bounds that: half
-        of the way to it is gone.
+        A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged
+        by; where that sign is wrong all the same, it ends at once. What is rounding all along is none. One that comes to less
+        than its margin and goes back ends there too: expanded anew there, it has a smaller one. ``but``: a condition whose
+        switch is left out. A root where the last coefficients are not small beside the others is one of what was cut off, where
+        nothing bounds that: half of the way to it is gone.
         """
         system, hit, share, powers, whole = self._system, None, None, _powers(s, orders), s
         for condition in conditions(system, place.codes, how, orders):
@@ -75,11 +75,13 @@ class Roots:
                 first = leading(germ, least, share) if opened else leading(germ, 0.0, share)
                 if opened and first != 1:
                     least = tie(system, condition)
-                    first = leading(germ, least, share)
+                    first = lowest(germ, least) if least else leading(germ, least, share)
                 c = c[ORDERS + 1 if first is None else first :]
                 if max(map(abs, c)) <= least:
                     continue
-                c[0] = max(c[0], 0.0)
+                if c[0] < 0:
+                    s, hit, powers = 0.0, condition, _powers(0.0, orders)
+                    continue
             part = _seen(c)
             c = list(map(mul, c, _powers(part, len(c) - 1)))
             root = _where(c, margin)

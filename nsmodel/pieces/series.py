@@ -49,7 +49,7 @@ def along(factor: Row, a: Row, k: int) -> float:
         total = a[1] * factor[k - 1]
     else:
         total = sum(map(mul, map(mul, range(1, k + 1), a[1 : k + 1]), factor[k - 1 :: -1]))
-    if total != total:
+    if isinstance(total, float) and total != total:
         total = sum(j * a[j] * factor[k - j] for j in range(1, k + 1) if factor[k - j])
     return total / k
 
@@ -67,7 +67,10 @@ def angle(y: Row, a: Row, b: Row, size: Row, k: int) -> float:
 
 def divided(a: float, b: float) -> float:
     """a / b, infinite where b = 0 alone."""
-    return a / b if b or not a else math.copysign(math.inf, a) * math.copysign(1.0, b)
+    try:
+        return a / b
+    except ZeroDivisionError:
+        return math.copysign(math.inf, a) * math.copysign(1.0, b) if a else math.nan
 
 
 def _number(function: Callable[..., float]) -> Callable[..., float]:

@@ -61,6 +61,11 @@ def switches(system: System) -> set[Switch]:
     return {(ROW, system.blocks.rows_of(i)[0]) for i in range(system.m)} | set(system.branches)
 
 
+def is_its_own(system: System, condition: Condition) -> bool:
+    """Whether a condition's row is made of l, or of a block, and is no row of h or of a branch."""
+    return condition.acts in ("l", "inside") or (condition.of[0] == ROW and condition.of[1] in system.blocks.of)
+
+
 def looked_at(system: System, condition: Condition, found: Found) -> Any:
     """What a condition of a row of h, or of a branch, looks at on a disc."""
     kind, i = condition.of
@@ -73,9 +78,10 @@ def tie(system: System, condition: Condition, share: float = TIE) -> float:
     With TIE it is rounding: that of its own operations, of the time, and what has been left in states.
     """
     largest = share * size(system, condition)
-    if condition.acts in ("l", "inside") or (condition.of[0] == ROW and condition.of[1] in system.blocks.of):
+    if is_its_own(system, condition):
         return largest
-    x = [Ball(row[0], share * so_far) for row, so_far in zip(system.x, system.sizes.x, strict=True)]
+    sizes = zip(system.sizes.x, system.pushed(), strict=True)
+    x = [Ball(row[0], share * (so_far + RESTS * push)) for row, (so_far, push) in zip(system.x, sizes, strict=True)]
     l = [Ball(row[0], share * so_far) for row, so_far in zip(system.push, system.sizes.l, strict=True)]
     found = looked_at(system, condition, system.rounded(Ball(system.t[0], EPS * abs(system.t[0])), x, l))
     return min(found.r if isinstance(found, Ball) else 0.0, largest)

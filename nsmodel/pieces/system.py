@@ -23,7 +23,7 @@ import numpy as np
 
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.expansion import scale
-from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.jets import jets_of, plain
 from nsmodel.pieces.multipliers import Solve, is_monotone, is_p, solve_of
 from nsmodel.pieces.orders import Orders
 from nsmodel.pieces.release import Release
@@ -94,6 +94,11 @@ class System(Orders):
     def branches(self) -> list[tuple[str, int]]:
         """(part, its branch) of every switch in f, g and h."""
         return [(name, i) for name, jets in self.jets.items() for i in range(len(jets.branches))]
+
+    @cached_property
+    def plain(self) -> dict[tuple[str, int], bool]:
+        """Of each switch in f, g and h whether neither l nor another switch moves what it looks at."""
+        return {(name, i): own for name, jets in self.jets.items() for i, own in enumerate(plain(jets))}
 
     @cached_property
     def feedthrough(self) -> np.ndarray:

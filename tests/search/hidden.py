@@ -3,9 +3,10 @@
     python -m tests.search.hidden --count 2000 --json FILE   random scenes, each interpreted or in C
 
 Pulses (Gauss, rational, compact C^infinity, a narrow tanh) on states that rest or move, in f, g, h, in walls, in blocks with
-memory, under dry friction and under stiff modes; powers; conditions that are flat where a run begins; poles; roots of high order,
-clusters of roots and shallow dips; hills in space; saturating functions in many spellings. Truth is a closed form, or SciPy's quadrature with points placed by hand at what is hidden. An error above 10 rtol of the largest value, times what
-the scene magnifies errors by, without a word is WRONG.
+memory, under dry friction and under stiff modes; powers; conditions that are flat where a run begins; poles; roots of high
+order, clusters of roots, shallow dips; hills in space; saturating functions in many spellings. Truth is a closed form, or SciPy's
+quadrature with points placed by hand at what is hidden. An error above 10 rtol of the largest value, times what the scene
+magnifies errors by, without a word is WRONG.
 """
 
 from __future__ import annotations
@@ -168,6 +169,9 @@ def of_a_hill_in_space(r: random.Random) -> Scene:
     c, w, b = r.uniform(2, 6), 10 ** r.uniform(-2, 0), r.uniform(0.2, 0.9)
     u, t_end = (X[1] - c) / w, c + r.uniform(1, 3)
     model = first_order([b / w * u * ca.exp(-(u**2)), X[0]], [1, 0], t_end, X)
+
+    def lost(s: float) -> float:
+        return (1 - b * math.exp(-(((s - c) / w) ** 2))) ** -0.5 - 1
 
     def later(distance: float) -> float:
         ends = sorted({0.0, *(min(max(c + k * w, 0.0), distance) for k in (-7, -2, -1, 0, 1, 2, 7)), distance})

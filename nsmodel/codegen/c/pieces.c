@@ -629,14 +629,16 @@ static double moves_of_event(const model_pieces *s, const double *before)
     return most;
 }
 
-/* Whether no l acts on what a switch looks at, nor on the rate of a row, whose l has two ends. */
+/* Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends. */
 static int is_free(const model_pieces *s, int i)
 {
+#if SWITCHED
     if (i >= M)
-        return i - M < SWITCHES_OF_F;
+        return disc_plain[i - M];
+#endif
 #if LAW
     double moved[N], unit[M];
-    if (!is_finite(lower[i]) || !is_finite(upper[i]))
+    if (SWITCHES_OF_H || !is_finite(lower[i]) || !is_finite(upper[i]))
         return 0;
     for (int j = 0; j < M; j++) {
         memset(moved, 0, sizeof moved);
@@ -648,6 +650,7 @@ static int is_free(const model_pieces *s, int i)
     }
 #else
     UNUSED(s);
+    UNUSED(i);
 #endif
     return 1;
 }

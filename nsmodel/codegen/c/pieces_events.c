@@ -175,6 +175,22 @@ static int leading(int n, const double *c, double least, double share)
     return -1;
 }
 
+/* The same by rounding alone: the first order that is more than least in a unit of time in which later ones are no larger. */
+static int lowest(int n, const double *c, double least)
+{
+    const int decide = n < ORDERS + 1 ? n : ORDERS + 1;
+    for (int k = 0; k < decide; k++) {
+        const double a = fabs(c[k]);
+        double share = 1;
+        for (int j = k + 1; j < decide; j++)
+            if (fabs(c[j]) > a)
+                share = min_of(share, pow(a/fabs(c[j]), 1.0/(j - k)));
+        if (a*pow(share, k) > least)
+            return k;
+    }
+    return -1;
+}
+
 /* The value of a polynomial of n coefficients. */
 static double value_of(int n, const double *c, double s)
 {
@@ -339,7 +355,7 @@ static int has_numbers(const model_pieces *s)
 {
     for (int k = 0; k <= ORDERS; k++)
         for (int i = 0; i < N; i++)
-            if (s->c[k][i] != s->c[k][i])
+            if (s->c[k][i] != s->c[k][i] || (k == 1 && !is_finite(s->c[k][i])))
                 return 0;
     return 1;
 }

@@ -37,12 +37,13 @@ static double tie_of(model_pieces *s, const condition *of, double share)
     const double largest = share*size_of(s, of);
     if (of->acts == OF_L)
         return largest;
-    double y[2] = {0};
+    double y[2] = {0}, pushed[N];
+    pushes(s, pushed);
     DISC_T[0] = s->at.t;
     DISC_T[1] = EPS*fabs(s->at.t);
     for (int i = 0; i < N; i++) {
         DISC_X(i)[0] = s->c[0][i];
-        DISC_X(i)[1] = share*s->at.size_x[i];
+        DISC_X(i)[1] = share*(s->at.size_x[i] + RESTS*pushed[i]);
     }
     for (int i = 0; i < M; i++) {
         DISC_L(i)[0] = s->c[0][L + i];
@@ -83,6 +84,15 @@ static double seen_of(int n, const double *c)
     return 1;
 }
 
+/* The coefficients about another point. */
+static void recentre(int n, const double *c, double by, double *out)
+{
+    memcpy(out, c, n*sizeof *c);
+    for (int first = 0; first < n - 1; first++)
+        for (int k = n - 2; k >= first; k--)
+            out[k] += by*out[k + 1];
+}
+
 /* The first root in (0, 1] of c, known to rounding and a margin, of its last order, at 1; NONE where it is above these. Where it
    comes so near to 0 long before its root, or has none, that. */
 static double where(model_pieces *s, int n, const double *c, double margin)
@@ -101,10 +111,7 @@ static double where(model_pieces *s, int n, const double *c, double margin)
     const double root = first_root(s, n, c);
     if (root > 1)
         return near;
-    memcpy(about, c, n*sizeof *c);
-    for (int first = 0; first < n - 1; first++)
-        for (int k = n - 2; k >= first; k--)
-            about[k] += root*about[k + 1];
+    recentre(n, c, root, about);
     return falls(n, about, root - near) ? root : near;
 }
 
@@ -144,12 +151,17 @@ static int first_event(model_pieces *s, double *length, condition *hit, const do
             if (c[0] <= (s->at.open[of] ? least : 0)) {
                 share = share > 0 ? share : pace(s);
                 first = leading(n, germ, s->at.open[of] ? least : 0, share);
-                if (s->at.open[of] && first != 1)
-                    first = leading(n, germ, least = tie_of(s, one, TIE), share);
+                if (s->at.open[of] && first != 1 && (least = tie_of(s, one, TIE)) > 0)
+                    first = lowest(n, germ, least);
                 first = first < 0 ? ORDERS + 1 : first;
                 if (first >= n || largest_of(n - first, c + first) <= least)
                     continue;
-                c[first] = max_of(c[first], 0.0);
+                if (c[first] < 0) { /* at once */
+                    *length = 0;
+                    *hit = *one;
+                    found = 1;
+                    continue;
+                }
             }
             double *const d = c + first;
             const int left = n - first;
@@ -201,7 +213,7 @@ typedef struct {
 static int about_place(model_pieces *s, const condition *of, double R, double *c, double *e)
 {
     const int p = of->acts == OF_L ? of->orders : s->order > DEGREE ? s->order : DEGREE;
-    double power[DEGREES], sum = 0, y[DEGREES];
+    double power[DEGREES], sum = 0, y[DEGREES] = {0};
     power[0] = 1;
     for (int k = 0; k < p; k++)
         power[k + 1] = power[k]*R;
@@ -240,6 +252,30 @@ static double positive_until(model_pieces *s, int n, const double *c, double e)
     return row[0] > 0 ? first_root(s, n, row) : 0;
 }
 
+/* Where in [0, 1] a condition known to e, c(1) < -e, is 0. A root of order 3, 5, ... of one that is known to e alone is told best by
+   the derivative that has a simple root there. */
+static double crossing_in(model_pieces *s, int n, const double *c, double e)
+{
+    for (int order = (n - 2 < MOST_MULTIPLE ? n - 2 : MOST_MULTIPLE)/2*2; order > 0; order -= 2) {
+        double d[DEGREES], here[DEGREES], sum = 0;
+        for (int k = order; k < n; k++) {
+            d[k - order] = c[k];
+            for (int j = 0; j < order; j++)
+                d[k - order] *= k - j;
+            sum += d[k - order];
+        }
+        if (!(d[0]*sum < 0))
+            continue;
+        for (int k = n - order - 1; k >= 0; k--)
+            d[k] = d[0] < 0 ? -d[k] : d[k];
+        const double root = first_root(s, n - order, d);
+        recentre(n, c, root, here);
+        if (largest_of(order, here) <= e)
+            return root;
+    }
+    return c[0] > 0 ? min_of(first_root(s, n, c), 1) : 0;
+}
+
 /* How far on the sign is known again; *root: where on the way it changes, NONE where it does not. 0: not up to the end. */
 static double beyond_root(model_pieces *s, const condition *of, double end, double *root)
 {
@@ -248,7 +284,7 @@ static double beyond_root(model_pieces *s, const condition *of, double end, doub
         const int n = about_place(s, of, R/s->at.tau, c, &e);
         const double v = value_of(n, c, 1);
         if (fabs(v) > e) {
-            *root = v > 0 ? NONE : c[0] > 0 ? R*min_of(first_root(s, n, c), 1) : 0;
+            *root = v > 0 ? NONE : R*crossing_in(s, n, c, e);
             return R;
         }
     }
@@ -316,10 +352,12 @@ static double until(int n, const double *c, double level, double sign)
 /* The time about a crossing, whose expansion stands, in which the sign is not known where states are known to a share. */
 static double width_of(model_pieces *s, const condition *own, double share)
 {
-    double c[MOST_ORDERS + 1];
-    const double e = tie_of(s, own, share);
-    coefficients(s, own, c);
-    return (until(own->orders + 1, c, e, -1) + until(own->orders + 1, c, e, 1))*s->at.tau;
+    double c[MOST_ORDERS + 1], e, power = 1;
+    const int n = about_place(s, own, NEAR, c, &e);
+    for (int k = 0; k < n; k++, power *= NEAR)
+        c[k] /= power;
+    e = tie_of(s, own, share);
+    return (until(n, c, e, -1) + until(n, c, e, 1))*s->at.tau;
 }
 
 /* The share of the unit of time in which c[1] is the largest, where that is more than rounding there; else 1. */
