@@ -131,6 +131,19 @@ def test_edges_of_a_smooth_pulse(centre, compiled):
 
 
 @ways
+@pytest.mark.parametrize("compact", [True, False])
+def test_a_smooth_hill_in_space_is_passed(compact, compiled):
+    """s' = 1, x' = a pulse of s: its edges are where a state is, known to rounding."""
+    v = 1 - ((X[0] - 2.3) / 0.7) ** 2
+    f = ca.if_else(v > 0, ca.exp(1 - 1 / v), 0) if compact else ca.exp(-(((X[0] - 2.3) / 0.7) ** 2))
+    model = FirstOrderSystem(x=X, f=[1, f], x0=[0.1, 0], t_end=4, step=1e-2)
+    exact = 0.7 * (1.2069003224378755 if compact else math.sqrt(math.pi) / 2 * (math.erf(1.8 / 0.7) + math.erf(2.2 / 0.7)))
+    for rtol in (1e-4, 1e-8):
+        run = simulate(model, rtol=rtol, method="event-driven", compiled=compiled)
+        assert run.x[-1, 1] == pytest.approx(exact, rel=rtol)
+
+
+@ways
 def test_a_wall_that_is_just_touched(compiled):
     """q >= w(t), w'' = -1 at its top, which q rests on: q does not leave when w has a root of order 4 on top."""
     wall = q + (t - 1) ** 4

@@ -20,7 +20,7 @@ from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
 from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
-from nsmodel.pieces.modes import ORDERS, Place, jump, select, take_sides, turn, uniqueness
+from nsmodel.pieces.modes import ORDERS, Place, creep, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import UNDECIDED, few, name
@@ -37,7 +37,7 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 LEAST_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
 NONE = Known()
-BEFORE = 4  # Doubles before an event, at which the mode before it may have a number.
+BEFORE = 4  # Places before an event, each by rounding, at which the mode before it may have a number.
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
@@ -101,7 +101,14 @@ class Integrator:
         if self._still >= MOST_STILL:
             raise self.bound.refused(self.place)
         system, place = self.system, self.place
-        how = self._series()
+        tau = place.tau
+        try:
+            how = self._series()
+        except StepError:
+            place.tau = tau
+            if not self._past_switches():
+                raise
+            how = self._series()
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._in_longer_unit(how, s)
@@ -228,6 +235,19 @@ class Integrator:
             or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
         )
 
+    def _past_switches(self) -> bool:
+        """Turn the switches that rounding has left on the wrong side, where their side has no number; whether there are any."""
+        system, place, turned = self.system, self.place, False
+        for part, i in system.branches:
+            branch, choice = system.jets[part].branches[i], system.parts[part].choice[i]
+            if branch.kind == "side" and choice * system.parts[part].rows[branch.row][0] < 0:
+                place.open.add((part, i))
+                turn(system, place, (part, i), -choice)
+                turned = True
+        if turned:
+            self._go_on("after a switch")
+        return turned
+
     # -- events
 
     def _arrive(self) -> Solve:
@@ -237,7 +257,8 @@ class Integrator:
             try:
                 return self._expand(AROUND)
             except StepError:
-                place.t, place.tau = math.nextafter(place.t, -math.inf), tau
+                place.tau = tau
+                creep(self.system, place, -1.0)
         return self._expand(AROUND)
 
     def _event(self, hit: Condition, known: float, until: float) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from nsmodel.pieces.bernstein import about, first_root, value, values
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.discs import EPS, Form, form_of
-from nsmodel.pieces.modes import Place
+from nsmodel.pieces.modes import ULP, Place
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.switches import Condition, conditions, is_its_own, looked_at, same, tie
 from nsmodel.pieces.system import System
@@ -28,7 +28,6 @@ CLOSER, WIDER = 8.0, 1.5  # By which discs shrink towards a root, and grow beyon
 MOST_DISCS, MOST_MULTIPLE = 400, 8
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
-ULP = 2.0**-52  # Of the time: shorter than this no disc is.
 
 
 class Isolated(NamedTuple):

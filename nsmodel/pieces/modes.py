@@ -28,7 +28,8 @@ PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decide
 APART = 1e-7  # Of their size: coefficients of two modes that differ.
 INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
 CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
-LATER = 4  # Doubles, at which a mode is looked for.
+LATER = 4  # Places, each by rounding later, at which a mode is looked for.
+ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
 
 
@@ -53,16 +54,25 @@ def select(system: System, place: Place) -> Solve | None:
     Where the mode that is taken up has no number at the place (exp(-1/u), where rounding has left u < 0), it is looked for a
     little later, as well as time is known.
     """
-    before, t = _state(system, place), place.t
+    before, t, x = _state(system, place), place.t, list(place.x)
     for _ in range(LATER):
         if (how := _selected(system, place)) is not None:
             return how
         _restore(system, place, before)
         if not system.branches or _expand(system, place) is not None:
             break
-        place.t = math.nextafter(place.t, math.inf)
-    place.t = t
+        creep(system, place, 1.0)
+    place.t, place.x = t, x
     return None
+
+
+def creep(system: System, place: Place, sign: float) -> None:
+    """Move the place on or back by what rounding leaves open of the time, or of the state that moves fastest beside its size."""
+    rates = [row[1] / place.tau if math.isfinite(row[1]) else 0.0 for row in system.x]
+    fastest = min((abs(x / rate) for x, rate in zip(place.x, rates, strict=True) if x and rate), default=0.0)
+    time = sign * ULP * max(abs(place.t), fastest)
+    place.t += time
+    place.x = [x + rate * time for x, rate in zip(place.x, rates, strict=True)]
 
 
 def _selected(system: System, place: Place) -> Solve | None:

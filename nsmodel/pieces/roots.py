@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from nsmodel.pieces.bernstein import about, first_root, slope, value
 from nsmodel.pieces.disc_equations import EquationsOnDisc
-from nsmodel.pieces.isolation import NEAR, ULP, Isolated, Isolation, own_condition
+from nsmodel.pieces.isolation import NEAR, Isolated, Isolation, own_condition
 from nsmodel.pieces.lengths import unit
-from nsmodel.pieces.modes import ORDERS, Place, leading, lowest, pace
+from nsmodel.pieces.modes import ORDERS, ULP, Place, leading, lowest, pace
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, size, tie
 from nsmodel.pieces.system import System

@@ -617,21 +617,40 @@ static int settle_mode(model_pieces *s)
     return 0;
 }
 
+/* Move the place on or back by what rounding leaves open of the time, or of the state that moves fastest beside its size. */
+static void creep(model_pieces *s, double sign)
+{
+    double rates[N], fastest = INFINITY;
+    for (int i = 0; i < N; i++) {
+        rates[i] = is_finite(s->c[1][i]) ? s->c[1][i]/s->at.tau : 0;
+        if (rates[i] != 0 && s->at.x[i] != 0)
+            fastest = min_of(fastest, fabs(s->at.x[i]/rates[i]));
+    }
+    const double time = sign*ULP*max_of(fabs(s->at.t), fastest < INFINITY ? fastest : 0);
+    s->at.t += time;
+    for (int i = 0; i < N; i++)
+        s->at.x[i] += rates[i]*time;
+}
+
 /* The same; where the mode that is taken up has no number at the place, a little later, as well as time is known. */
 static int choose_mode(model_pieces *s)
 {
     if (!CHOICES)
         return settle_mode(s);
     const model_place begun = s->at;
-    double t = begun.t;
+    double t = begun.t, x[N];
+    memcpy(x, begun.x, sizeof x);
     for (int i = 0; i < LATER; i++) {
         if (settle_mode(s))
             return 1;
         s->at = begun;
         s->at.t = t;
+        memcpy(s->at.x, x, sizeof x);
         if (expand(s, ORDERS) && has_numbers(s))
             break;
-        s->at.t = t = nextafter(t, INFINITY);
+        creep(s, 1);
+        t = s->at.t;
+        memcpy(x, s->at.x, sizeof x);
     }
     s->at = begun;
     return 0;

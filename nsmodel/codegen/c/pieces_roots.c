@@ -376,8 +376,8 @@ static int arrive(model_pieces *s)
     const double tau = s->at.tau;
     int status = expand_finite(s, AROUND);
     for (int i = 0; i < BEFORE && status; i++) {
-        s->at.t = nextafter(s->at.t, -INFINITY);
         s->at.tau = tau;
+        creep(s, -1);
         status = expand_finite(s, AROUND);
     }
     return status;
