@@ -86,6 +86,16 @@ def test_what_rounding_hides_is_told(compiled):
     assert "switches twice" in told(deep)[0]
 
 
+def test_no_certificate_where_an_event_is_not_known():
+    h, powers = 0, [-1, 7, -21, 35, -35, 21, -7, 1]
+    for a in reversed(powers):
+        h = h * t + a
+    for y, proved in ((h, False), ((t - 1) ** 7, True)):
+        about = run_of(y, 1e-8, None, certify="interval").metadata["certificate"]
+        assert (about["proved"] == about["pieces"]) == proved
+        assert proved or "'l' switches" in about["failures"][0]
+
+
 @ways
 def test_where_states_are_known_to_rtol_so_is_the_event(compiled):
     """x_0 = (t - 1)^3 by integration: a root is known to rtol^(1/3)."""

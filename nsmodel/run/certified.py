@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.pieces.bounds import Stored
-from nsmodel.pieces.certificate import SHOWN, Allowed, Certificate, certify, values
+from nsmodel.pieces.certificate import SHOWN, Allowed, Certificate, Failure, certify, values
 from nsmodel.pieces.integrator import Integrator
+from nsmodel.pieces.names import undecided
 from nsmodel.pieces.piece import Piece
 from nsmodel.proof.interval_number import Interval, exactly
 from nsmodel.run.global_error import GlobalError, NoBound, global_error
@@ -73,7 +74,7 @@ def certified(integrator: Integrator, pieces: list[Piece], T: float, rtol: float
     stored = _stored(pieces, T)
     terms = np.array([system.size_y(i) for i in range(system.m)])
     allowed = Allowed.of(rtol, np.array(integrator.atol), np.array(sizes.x), terms)
-    certificate = certify(problem, stored, np.array(ca.DM(problem.x0)).ravel(), allowed)
+    certificate = _with_undecided(certify(problem, stored, np.array(ca.DM(problem.x0)).ravel(), allowed), stored, integrator)
     try:
         if any(any(piece.event or ()) for piece in pieces):
             raise NoBound("the run starts with an impulse, of which nothing is proved")
@@ -81,6 +82,20 @@ def certified(integrator: Integrator, pieces: list[Piece], T: float, rtol: float
     except NoBound as reason:
         error = reason
     return Certified(stored, certificate, error)
+
+
+def _with_undecided(certificate: Certificate, stored: Stored, integrator: Integrator) -> Certificate:
+    """Without the piece of the first event or dip that the run does not know well enough for rtol."""
+    system, record = integrator.system, integrator.undecided
+    about = undecided(record, integrator.problem.rows, [part for part, _ in system.branches])
+    if not about["count"]:
+        return certificate
+    piece = max(int(np.searchsorted(stored.start, about["t"])) - 1, 0)
+    what = f"when '{about['of']}' switches, or whether it does, is known to {about['width']:.2g} of time alone"
+    failure = Failure(piece, float(stored.start[piece]), float(stored.end[piece]), what)
+    proved = certificate.proved.copy()
+    proved[piece] = False
+    return replace(certificate, proved=proved, failures=(*certificate.failures, failure))
 
 
 def _stored(pieces: list[Piece], T: float) -> Stored:
