@@ -91,7 +91,7 @@ def test_no_certificate_where_an_event_is_not_known():
     for a in reversed(powers):
         h = h * t + a
     for y, proved in ((h, False), ((t - 1) ** 7, True)):
-        about = run_of(y, 1e-8, None, certify="interval").metadata["certificate"]
+        about = run_of(y, 1e-8, False, certify="interval").metadata["certificate"]
         assert (about["proved"] == about["pieces"]) == proved
         assert proved or "'l' switches" in about["failures"][0]
 

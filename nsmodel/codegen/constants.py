@@ -37,7 +37,7 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.ending": "SHORTENINGS CAUTION",
     "pieces.known": "SAME_TIME",
     "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
-    "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER LATER ULP FEW APART",
+    "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER LATER ULP MOST_CREEP FEW APART",
     "pieces.moves": "PROJECTIONS",
     "pieces.switches": "TIE",
     "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",

@@ -119,9 +119,9 @@ class Integrator:
             hit, s, error, proved = ending(self.bound, self.roots, place, how, self.order, s, self.rtol, self.atol)
             tau, last, until = place.tau, values(system.x, s), min(place.t + place.tau * proved, known)
         else:
-            until = known
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
             tau, s, error, last, hit = found
+            until = min(place.t + tau * s + longest, known)
         series, n, m = np.array([*system.x, *system.l, *system.y]), system.n, system.n + system.m
         piece = Piece(place.t, tau, s, series[:n], series[n:m], series[m:], tuple(place.codes), error, last, self._begun)
         self._begun = self._begun if s == 0 else None

@@ -122,9 +122,9 @@ class Roots:
                 found = self._isolation.isolate(
                     place, hit, many, expand, end, lambda how, s: self.first(place, how, many, s, but=hit)[1]
                 )
-                if found.crosses and found.own is not None:
-                    found = found._replace(width=max(found.width, self._isolation.width(place, found.own, rtol)))
-                    place.tau = unit(place.tau * _pace(found.own.coefficients(), tie(system, found.own)))
+                if found.crosses and (there := found.own) is not None:
+                    found = found._replace(width=max(found.width, self._isolation.width(place, there, rtol)))
+                    place.tau = unit(place.tau * _pace(there.coefficients(), tie(system, there)))
                 how = expand(orders)
                 return found._replace(how=how, own=own_condition(system, place, how, hit, orders))
             d = -c[0] / c[1]

@@ -815,7 +815,7 @@ static int next_piece(model_pieces *s)
     s->at.t += s->at.tau*length;
     s->still = length > 0 && s->at.t == s->before.t ? s->still + 1 : 0;
     memset(s->at.open, 0, sizeof s->at.open);
-    const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length, end = min_of(start + unit*tried, known);
+    const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length, end = min_of(collocated ? start + tau + longest : start + unit*tried, known);
     s->at.tau = collocated ? unit_of(ROOM*longest) : unit; /* that of series, and of germs, stays what a series takes */
     if (!found && !reaches(s->at.t, known)) {
 #if LAW

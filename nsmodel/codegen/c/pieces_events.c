@@ -626,7 +626,7 @@ static void creep(model_pieces *s, double sign)
         if (rates[i] != 0 && s->at.x[i] != 0)
             fastest = min_of(fastest, fabs(s->at.x[i]/rates[i]));
     }
-    const double time = sign*ULP*max_of(fabs(s->at.t), fastest < INFINITY ? fastest : 0);
+    const double t = fabs(s->at.t), time = sign*ULP*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
     s->at.t += time;
     for (int i = 0; i < N; i++)
         s->at.x[i] += rates[i]*time;
