@@ -142,7 +142,7 @@ class Integrator:
             elif self.accumulation.shrinks(tau * s, place.t, place.tau):
                 raise self._accumulates(hit)
             else:
-                self._event(hit, known, until)
+                self._event_or_past(hit, known, until)
         except StepError as why:
             self.stopped, self._final = str(why), why if isinstance(why, FinalError) else None
         off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
@@ -235,9 +235,24 @@ class Integrator:
             or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
         )
 
+    def _event_or_past(self, hit: Condition, known: float, until: float) -> None:
+        """The event; where the side before it has no number near it, at least the other side of the switches that it ended."""
+        system, place = self.system, self.place
+        before, codes = (place.t, list(place.x), place.tau), list(place.codes)
+        choices = {name: list(part.choice) for name, part in system.parts.items()}
+        try:
+            self._event(hit, known, until)
+        except StepError:
+            (place.t, place.x, place.tau), place.codes[:], place.open, place.crossed = before, codes, set(), set()
+            for name, sides in choices.items():
+                system.parts[name].choice[:] = sides
+            if not self._past_switches():
+                raise
+
     def _past_switches(self) -> bool:
         """Turn the switches that rounding has left on the wrong side, where their side has no number; whether there are any."""
         system, place, turned = self.system, self.place, False
+        system.expand(place.t, place.x, place.codes, place.tau, 0)
         for part, i in system.branches:
             branch, choice = system.jets[part].branches[i], system.parts[part].choice[i]
             if branch.kind == "side" and choice * system.parts[part].rows[branch.row][0] < 0:
