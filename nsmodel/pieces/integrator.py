@@ -331,7 +331,7 @@ class Integrator:
         """Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""
         kind, i = switch
         if kind != ROW:
-            return self.system.plain[switch]
+            return kind != "blocks" and self.system.plain[switch]
         B, D, C = self.system.slopes()
         if self.system.jets["h"].branches:
             return False
@@ -368,6 +368,7 @@ class Integrator:
             before = list(place.codes)
             if (how := select(system, place)) is not None:
                 if update(system, place):
+                    place.crossed = set()
                     continue
                 self._refuse_rivals()
                 self._left = how if system.linear_in_l and not system.blocks.all else None
@@ -377,7 +378,7 @@ class Integrator:
             if (p := jump(system, place)) is None:
                 break
             self._push(p)
-            place.open = switches(system)
+            place.open, place.crossed = switches(system), set()
         raise self._stuck(when)
 
     def _accumulates(self, hit: Condition) -> StepError:
