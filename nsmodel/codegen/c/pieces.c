@@ -630,7 +630,7 @@ static double moves_of_event(const model_pieces *s, const double *before)
 }
 
 /* Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends. */
-static int is_free(const model_pieces *s, int i)
+static int stands_alone(const model_pieces *s, int i)
 {
 #if SWITCHED
     if (i >= M)
@@ -701,7 +701,7 @@ static int pass_event(model_pieces *s, const condition *hit, double known, doubl
             turned[of] = ends || moves > least;
             after[of] = all[i].after;
         }
-    if (is_free(s, hit->of)) {
+    if (stands_alone(s, hit->of)) {
         s->at.open[hit->of] = CROSSED;
         after[hit->of] = hit->of < M ? -s->at.codes[hit->of] : after[hit->of];
     }
