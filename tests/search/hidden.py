@@ -165,13 +165,13 @@ def of_a_dip(r: random.Random) -> Scene:
 
 
 def of_a_hill_in_space(r: random.Random) -> Scene:
-    """x'' = a force near x = c alone: v^2 = 1 - b exp(-((x - c)/w)^2)."""
+    """x'' = a force near x = c alone: v^2 = 1 - b exp(-((x - c)/w)^2), less what that is at x = 0."""
     c, w, b = r.uniform(2, 6), 10 ** r.uniform(-2, 0), r.uniform(0.2, 0.9)
     u, t_end = (X[1] - c) / w, c + r.uniform(1, 3)
     model = first_order([b / w * u * ca.exp(-(u**2)), X[0]], [1, 0], t_end, X)
 
     def lost(s: float) -> float:
-        return (1 - b * math.exp(-(((s - c) / w) ** 2))) ** -0.5 - 1
+        return (1 - b * (math.exp(-(((s - c) / w) ** 2)) - math.exp(-((c / w) ** 2)))) ** -0.5 - 1
 
     def later(distance: float) -> float:
         ends = sorted({0.0, *(min(max(c + k * w, 0.0), distance) for k in (-7, -2, -1, 0, 1, 2, 7)), distance})
