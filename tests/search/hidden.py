@@ -175,9 +175,7 @@ def of_a_hill_in_space(r: random.Random) -> Scene:
 
     def later(distance: float) -> float:
         ends = sorted({0.0, *(min(max(c + k * w, 0.0), distance) for k in (-7, -2, -1, 0, 1, 2, 7)), distance})
-        slower = (
-            quad(lambda s: (1 - b * math.exp(-(((s - c) / w) ** 2))) ** -0.5 - 1, *ab)[0] for ab in itertools.pairwise(ends)
-        )
+        slower = (quad(lost, *ab)[0] for ab in itertools.pairwise(ends))
         return distance + sum(slower) - t_end
 
     last = root_scalar(later, bracket=(0.1, t_end + 1), xtol=1e-14).root
