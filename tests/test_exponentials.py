@@ -136,3 +136,20 @@ def test_in_conditions_and_in_output_rows(compiled: bool) -> None:
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=compiled)
     assert [event.t for event in run.events] == pytest.approx([3.0], abs=1e-9)
     assert run.x[-1, 0] == pytest.approx(1.0, abs=1e-7)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("written", "at"),
+    [
+        (ca.log(exp(x)), lambda v: v),
+        (ca.log(3 * exp(2 * x)), lambda v: math.log(3) + 2 * v),
+        (ca.log((exp(x) - 2) ** 2), lambda v: math.log((math.exp(v) - 2) ** 2)),
+        (1 / ca.sqrt((exp(x) + exp(-x) - 3 + x) ** 2), lambda v: 1 / abs(math.exp(v) + math.exp(-v) - 3 + v)),
+        (exp(x) / exp(x), lambda v: 1.0),
+    ],
+)
+def test_one_exponential_and_even_powers(written: ca.SX, at: Callable[[float], float]) -> None:
+    of = ca.Function("of", [x], [stable(written)])
+    for v in (-3.0, -0.2, 0.3, 0.9, 4.0):
+        assert float(of(v)) == pytest.approx(at(v), rel=1e-12)

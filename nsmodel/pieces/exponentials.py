@@ -163,8 +163,8 @@ class _Writer:
         return _of_terms(node, [Term(-r, s) for r, s in a.terms]) if _is_sum(a) else None
 
     def power(self, node: Node, a: Node, p: float) -> Node | None:
-        """Of a sum; of one term as one term."""
-        if not a.terms:
+        """Of a sum; of one term as one term. (S^2)^(1/2) is |S|, and not S."""
+        if not a.terms or (a.power != 1 and a.power == int(a.power) and p != int(p)):
             return None
         if p < 0:
             return self.quotient(node, self.number(1.0), self.power(node, a, -p))
@@ -196,7 +196,7 @@ class _Writer:
 
     def log(self, node: Node, a: Node) -> Node | None:
         """The exponent of the largest exponential, and the logarithm of what it leaves."""
-        if not a.terms:
+        if not a.terms or (a.power != 1 and a.power == int(a.power)):  # log S^2 is a number where S < 0.
             return None
 
         def side(p: int, here: ca.SX) -> ca.SX:
@@ -283,7 +283,7 @@ def _extremes(terms: Sequence[Term]) -> list[int]:
     if len(bases) > 1:
         return list(range(len(terms)))
     factors = [sum(factor for _, factor in s) for _, s in terms]
-    return [factors.index(min(factors)), factors.index(max(factors))]
+    return list(dict.fromkeys([factors.index(min(factors)), factors.index(max(factors))]))
 
 
 RULES: dict[int, Callable[..., Node | None]] = {
