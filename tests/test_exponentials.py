@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -71,6 +72,65 @@ def test_values_and_slopes_are_those_of_the_function(name: str) -> None:
 def test_expressions_without_such_quotients_stay_what_they_are() -> None:
     for expr in (exp(x), exp(x) - 1, x / (1 + x**2), 1 / (1 + x**4), ca.log(1 + x**2), exp(-x) * ca.sin(x), ca.tanh(1e6 * x)):
         assert ca.is_equal(stable(expr), expr, 30)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("below", "of"),
+    [
+        (ca.expm1(x), mpmath.expm1),
+        (exp(x) - 1, mpmath.expm1),
+        (1 - exp(-x), lambda v: -mpmath.expm1(-v)),
+        (exp(x / 2) - exp(-x / 2), lambda v: 2 * mpmath.sinh(v / 2)),
+        (ca.sinh(x), mpmath.sinh),
+    ],
+)
+def test_differences_do_not_cancel_near_0(below: ca.SX, of: Callable) -> None:
+    """x/(1 - e^-x), the rate of a channel (Hodgkin and Huxley 1952), and its like: about 1 at 0."""
+    at = ca.Function("at", [x], [stable(x / below)])
+    for v in (1e-9, -1e-6, 1e-3, 3.0, -5.0, 800.0, -800.0):
+        with mpmath.workdps(50):
+            exact = float(mpmath.mpf(v) / of(mpmath.mpf(v)))
+        assert float(at(v)) == pytest.approx(exact, rel=1e-14)
+
+
+@pytest.mark.fast
+def test_a_threshold_of_the_least_double_is_a_switch() -> None:
+    f = ca.if_else(x >= math.ulp(0.0), 1, 0)
+    assert is_switched(stable(f))
+
+
+@pytest.mark.fast
+def test_random_expressions_keep_their_values() -> None:
+    """Sums, quotients, powers, roots and logarithms of exponentials in each other: the same where the expression has a number."""
+    y, seen = ca.SX.sym("y"), 0
+
+    def exponent(r: random.Random) -> ca.SX:
+        return r.choice([x, y, x - y, y - x, 2 * x, -x, x / 3, x * y, 0.5 * x - 1, 1 - x])
+
+    def made(r: random.Random, depth: int) -> ca.SX:
+        if not depth:
+            u = exponent(r)
+            return r.choice([exp(u), exp(-u), ca.cosh(u), 2.0**u, ca.SX(r.choice([1, 2, -1, 0.5, -3])), u])
+        a, b = made(r, depth - 1), made(r, r.randint(0, depth - 1))
+        many = [a + b, a - b, a * b, a / b, -a, ca.sqrt(a), a**2, a**-0.5, a**-2, ca.log(a), ca.log1p(a), ca.atan(a), 1 / a]
+        return r.choice([*many, exp(exponent(r)) * a, a**1.5, ca.sqrt(a * a), ca.log(a**2)])
+
+    for seed in range(600):
+        r = random.Random(seed)
+        given = made(r, r.randint(1, 4))
+        written = stable(given)
+        if written is given:
+            continue
+        both = ca.Function("both", [x, y], [given, written])
+        for _ in range(4):
+            p, q = r.uniform(-3, 3), r.uniform(-3, 3)
+            near = [[float(v) for v in both(p * (1 + k * 1e-13), q * (1 - k * 1e-13))] for k in (-3, 0, 2)]
+            value, spread = near[1][0], max(abs(one - near[1][0]) for one, _ in near)
+            if all(map(math.isfinite, (one for one, _ in near))) and spread <= 1e-9 * abs(value):
+                seen += 1
+                assert near[1][1] == pytest.approx(value, rel=1e-7), (seed, p, q, str(given))
+    assert seen > 300
 
 
 @pytest.mark.fast

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.pieces.jets import LEAST
-from nsmodel.proof.graph import applied, fold, operations
+from nsmodel.proof.graph import applied, constants, fold, operations
 from nsmodel.scheme.continuous import ContinuousProblem
 
 MOST_TERMS = 4  # Of a sum; a longer one stays as it is written.
@@ -39,7 +39,8 @@ def without_overflow(problem: ContinuousProblem) -> ContinuousProblem:
 def stable(expr: ca.SX) -> ca.SX:
     """The same function (n, m), where no exponential overflows in a quotient whose value is a number; or ``expr`` itself."""
     there = operations(expr)
-    if not (there & GROWING and there & DIVIDING) or ca.OP_CALL in there:
+    marked = LEAST in constants(expr)
+    if (not (there & GROWING and there & DIVIDING) and not marked) or ca.OP_CALL in there:
         return expr
     writer = _Writer()
     nodes = fold(expr, writer.symbol, writer.number, writer.operation)
@@ -91,6 +92,8 @@ class _Writer:
         return self._node(symbol, ("symbol", symbol.element_hash()))
 
     def number(self, value: float) -> Node:
+        if value == LEAST:  # A user's own: twice that is no mark.
+            self.changed, value = True, 2 * LEAST
         return self._node(ca.SX(value), ("number", value), value=value)
 
     def operation(self, op: int, args: list[Node]) -> Node:
@@ -172,6 +175,11 @@ class _Writer:
             return _of_terms(node, [Term(a.terms[0].r ** p, _times(a.terms[0].s, p))])
         return replace(node, terms=a.terms, power=a.power * p)
 
+    def square(self, node: Node, a: Node) -> Node | None:
+        """As a sum, where it has few terms and none of them cancel."""
+        product = None if a.power == 1 and _is_difference(a.terms) else self.product(node, a, a)
+        return product or self.power(node, a, 2.0)
+
     # What is written anew.
 
     def quotient(self, node: Node, a: Node, b: Node | None) -> Node | None:
@@ -188,9 +196,8 @@ class _Writer:
             return None if made is None else replace(made, new=self._written(made.terms, (), None))
 
         def side(p: int, here: ca.SX) -> ca.SX:
-            largest = b.terms[p].s
-            above = self._written(a.sum, _times(largest, b.power), here)
-            return above / self._written(b.terms, largest, here) ** b.power
+            above = self._written(a.sum, _times(b.terms[p].s, b.power), here)
+            return above / self._over_largest(b.terms, p, here) ** b.power
 
         return replace(node, new=self._by_largest(b.terms, side))
 
@@ -202,7 +209,10 @@ class _Writer:
         def side(p: int, here: ca.SX) -> ca.SX:
             r, largest = a.terms[p]
             rest = self._written([term for i, term in enumerate(a.terms) if i != p], largest, here)
-            least = ca.log(r) + ca.log1p(rest / r) if r.is_constant() and float(r) > 0 else ca.log(r + rest)
+            if r.is_constant() and float(r) > 0 and not _is_difference(a.terms):
+                least = ca.log(r) + ca.log1p(rest / r)
+            else:
+                least = ca.log(self._over_largest(a.terms, p, here))
             return a.power * (self._exponent(largest) + least)
 
         return replace(node, new=self._by_largest(a.terms, side), terms=())
@@ -240,6 +250,13 @@ class _Writer:
                 taken[p] = ca.logic_or(taken[p], one)
         return sum((ca.if_else(here, side(p, here), 0) for p, here in taken.items()), ca.SX(0))
 
+    def _over_largest(self, terms: Sequence[Term], p: int, here: ca.SX) -> ca.SX:
+        """The sum of the terms over exp(s_p); 1 - e^d, which cancels for small d, is -expm1(d)."""
+        if not _is_difference(terms):
+            return self._written(terms, terms[p].s, here)
+        d = self._exponent(_plus(terms[1 - p].s, terms[p].s, -1.0))
+        return -terms[p].r * ca.expm1(ca.if_else(here, d, -1))
+
     def _written(self, terms: Sequence[Term], largest: Exponent, here: ca.SX | None) -> ca.SX:
         """The sum of the terms over exp(largest); exponents are 0 where another side is taken, that nothing overflows there."""
         total = ca.SX(0)
@@ -250,6 +267,11 @@ class _Writer:
 
     def _exponent(self, s: Exponent) -> ca.SX:
         return sum((factor * self._bases[base] for base, factor in s), ca.SX(0))
+
+
+def _is_difference(terms: Sequence[Term]) -> bool:
+    """Whether they are r (exp(s) - exp(s')), r a number."""
+    return len(terms) == 2 and all(r.is_constant() for r, _ in terms) and float(terms[0].r) == -float(terms[1].r)
 
 
 def _is_sum(a: Node) -> bool:
@@ -296,7 +318,7 @@ RULES: dict[int, Callable[..., Node | None]] = {
     ca.OP_NEG: _Writer.minus,
     ca.OP_TWICE: lambda w, node, a: w.sum(node, a, a),
     ca.OP_MUL: _Writer.product,
-    ca.OP_SQ: lambda w, node, a: w.product(node, a, a) or w.power(node, a, 2.0),
+    ca.OP_SQ: _Writer.square,
     ca.OP_POW: _Writer.exp_of_number,
     ca.OP_CONSTPOW: _Writer.exp_of_number,
     ca.OP_SQRT: lambda w, node, a: w.power(node, a, 0.5),
