@@ -39,12 +39,12 @@ def slopes(rows: Sequence[list[float]], s: float) -> list[float]:
     return [of(c, s) for c in rows]
 
 
-def about(c: Sequence[float], s: float) -> list[float]:
-    """The coefficients about s (Ruffini and Horner)."""
+def about(c: Sequence[Any], s: Any) -> list[Any]:
+    """The coefficients about s (Ruffini and Horner), of numbers or of what adds and multiplies like them."""
     c = list(c)
     for first in range(len(c) - 1):
         for k in range(len(c) - 2, first - 1, -1):
-            c[k] += s * c[k + 1]
+            c[k] = c[k] + c[k + 1] * s
     return c
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.enclosures import Coefficients, Parts, Series, around, parts_of, powers, series_of, shifted
+from nsmodel.pieces.bernstein import about
+from nsmodel.pieces.enclosures import Coefficients, Parts, Series, around, parts_of, powers, series_of
 from nsmodel.pieces.jets import Branch, Jets, jets_of
 from nsmodel.pieces.signs import EPS, least
 from nsmodel.pieces.switches import RANGES
@@ -133,9 +134,9 @@ def ranges(stored: Stored, count: int) -> tuple[Interval, Interval]:
     start, unit = exactly(stored.start[parts.piece]), exactly(stored.unit[parts.piece])
     s = exactly(parts.centre) + Interval(-parts.radius, parts.radius)
     c = [exactly(np.ascontiguousarray(stored.x[parts.piece, :, k].T)) for k in range(stored.x.shape[2])]
-    about = [a * b for a, b in zip(shifted(c, exactly(parts.centre)), powers(parts.radius, len(c) - 1), strict=True)]
-    spread = _size([ZERO, *about[1:]])
-    x = about[0] + Interval(-spread, spread)
+    local = [a * b for a, b in zip(about(c, exactly(parts.centre)), powers(parts.radius, len(c) - 1), strict=True)]
+    spread = _size([ZERO, *local[1:]])
+    x = local[0] + Interval(-spread, spread)
     return start + unit * s, Interval(x.lo.T, x.hi.T)
 
 
@@ -186,9 +187,9 @@ def _polynomials(jets: Jets, stored: Stored, parts: Parts) -> _Polynomials:
     n, m, N = stored.x.shape[1], stored.l.shape[1], stored.x.shape[2] - 1
     stacked = np.concatenate([stored.x, stored.l, stored.y], axis=1)[parts.piece]
     c = [exactly(np.ascontiguousarray(stacked[:, :, k].T)) for k in range(N + 1)]
-    about = shifted(c, exactly(parts.centre))
-    over = around(about, np.broadcast_to(parts.radius, stacked.shape[1::-1]))
-    at, whole = ([[Interval(a.lo[i], a.hi[i]) for a in rows] for i in range(stacked.shape[1])] for rows in (about, over))
+    local = about(c, exactly(parts.centre))
+    over = around(local, np.broadcast_to(parts.radius, stacked.shape[1::-1]))
+    at, whole = ([[Interval(a.lo[i], a.hi[i]) for a in rows] for i in range(stacked.shape[1])] for rows in (local, over))
     tau, r = exactly(stored.unit[parts.piece]), powers(parts.radius, N)
     low, high = _series(jets, stored, parts, (at, whole), n, m)
     f, branches = (

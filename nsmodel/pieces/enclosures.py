@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.pieces import series
+from nsmodel.pieces.bernstein import about
 from nsmodel.pieces.expansion import compiled
 from nsmodel.pieces.jets import Jets
 from nsmodel.pieces.printed import PYTHON
 from nsmodel.proof.interval_arithmetic import down, up
-from nsmodel.proof.interval_number import ZERO, Interval, Operand, exactly, function, of, where
+from nsmodel.proof.interval_number import ZERO, Interval, exactly, function, of, where
 
 Coefficients = list[Interval]  # Of a power series, order 0 first; each an array of intervals.
 
@@ -103,19 +104,10 @@ def series_of(jets: Jets, inputs: dict[tuple[int, int], Coefficients], orders: i
     return Series([rows[row] for row in jets.outputs], [rows[branch.row] for branch in jets.branches], choice)
 
 
-def shifted(c: Sequence[Interval], by: Operand) -> Coefficients:
-    """The coefficients about ``by`` of a polynomial (Ruffini and Horner)."""
-    c = list(c)
-    for first in range(len(c) - 1):
-        for k in range(len(c) - 2, first - 1, -1):
-            c[k] = c[k] + c[k + 1] * by
-    return c
-
-
 def around(c: Sequence[Interval], radius: np.ndarray) -> Coefficients:
     """The coefficients about all points of [-r, r], r = radius: c_k +- sum_(j > k) comb(j, k) |c_j| r^(j - k)."""
     sizes = [exactly(a.magnitude) for a in c]
-    moved = [(m - a).magnitude for m, a in zip(shifted(sizes, exactly(radius)), sizes, strict=True)]
+    moved = [(m - a).magnitude for m, a in zip(about(sizes, exactly(radius)), sizes, strict=True)]
     return [a + Interval(-m, m) for a, m in zip(c, moved, strict=True)]
 
 

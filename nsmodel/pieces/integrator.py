@@ -142,7 +142,7 @@ class Integrator:
             elif self.accumulation.shrinks(tau * s, place.t, place.tau):
                 raise self._accumulates(hit)
             else:
-                self._event_or_past(hit, known, until)
+                self._event(hit, known, until)
         except StepError as why:
             self.stopped, self._final = str(why), why if isinstance(why, FinalError) else None
         off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
@@ -235,20 +235,6 @@ class Integrator:
             or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
         )
 
-    def _event_or_past(self, hit: Condition, known: float, until: float) -> None:
-        """The event; where the side before it has no number near it, at least the other side of the switches that it ended."""
-        system, place = self.system, self.place
-        before, codes = (place.t, list(place.x), place.tau), list(place.codes)
-        choices = {name: list(part.choice) for name, part in system.parts.items()}
-        try:
-            self._event(hit, known, until)
-        except StepError:
-            (place.t, place.x, place.tau), place.codes[:], place.open, place.crossed = before, codes, set(), set()
-            for name, sides in choices.items():
-                system.parts[name].choice[:] = sides
-            if not self._past_switches():
-                raise
-
     def _past_switches(self) -> bool:
         """Turn the switches that rounding has left on the wrong side, where their side has no number; whether there are any."""
         system, place, turned = self.system, self.place, False
@@ -276,21 +262,32 @@ class Integrator:
                 creep(self.system, place, -1.0)
         return self._expand(AROUND)
 
+    def _approach(self, hit: Condition, until: float) -> tuple[Isolated, float, float]:
+        """Go to the event to round-off, or over what is none; how far a block that stops has to coast; the unit of time."""
+        system, place = self.system, self.place
+        how, tau = self._arrive(), place.tau
+        if project(system, place, how.active):  # Afterwards it would move the root that is polished.
+            how, tau = self._expand(AROUND), place.tau
+        if not hit.stops:
+            return self.roots.polish(place, hit, AROUND, how, self._expand, self.order, until, self.rtol / LOCAL), 0.0, tau
+        self._expand(1)  # No matter of digits; in a longer unit of time coefficients are beyond measure.
+        place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
+        return Isolated(self._expand(AROUND), None, 0.0, 0, True, place.t), left, tau
+
     def _event(self, hit: Condition, known: float, until: float) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it; or over what is none.
 
         ``until``: the time up to which the piece that has ended goes on.
         """
         system, place = self.system, self.place
-        before, how, left, tau = place.t, self._arrive(), 0.0, place.tau
-        if project(system, place, how.active):  # Afterwards it would move the root that is polished.
-            how, tau = self._expand(AROUND), place.tau
-        if hit.stops:  # No matter of digits; in a longer unit of time coefficients are beyond measure.
-            self._expand(1)
-            place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
-            found = Isolated(self._expand(AROUND), None, 0.0, 0, True, place.t)
-        else:
-            found = self.roots.polish(place, hit, AROUND, how, self._expand, self.order, until, self.rtol / LOCAL)
+        before = place.t, list(place.x), place.tau
+        try:
+            found, left, tau = self._approach(hit, until)
+        except StepError:
+            place.t, place.x, place.tau = before
+            if not self._past_switches():
+                raise
+            return
         how, self.touches = found.how, self.touches + found.touches
         rates = [row[1] / place.tau for row in system.x]
         if reaches(place.t, known):
@@ -298,7 +295,7 @@ class Integrator:
             place.x = [value(row[: AROUND + 1], to_known) for row in system.x]
             self._cross(known)
         if not found.crosses or reaches(place.t, known):
-            self._begun = None if not found.crosses and place.t > before else self._begun
+            self._begun = None if not found.crosses and place.t > before[0] else self._begun
             self._note(hit, found, [])
             return
         if self._is_free(hit.of):

@@ -229,12 +229,14 @@ def leading(c: list[float], least: float, share: float) -> int | None:
 
 def lowest(c: list[float], least: float) -> int | None:
     """The same by rounding alone: the first order above ``least`` in a unit of time in which later ones are no larger."""
-    size = list(map(abs, c[: ORDERS + 1]))
-    for k, a in enumerate(size):
-        share = min([(a / b) ** (1 / (j - k)) for j, b in enumerate(size[k + 1 :], k + 1) if b > a], default=1.0)
-        if a * share**k > least:
-            return k
-    return None
+    decide = c[: ORDERS + 1]
+    return next((k for k, a in enumerate(decide) if abs(a) * share_of(decide, k) ** k > least), None)
+
+
+def share_of(c: list[float], k: int) -> float:
+    """The share of the unit of time, 1 at most, in which no later coefficient is larger than that of order k."""
+    size = abs(c[k])
+    return min([(size / abs(b)) ** (1 / (j - k)) for j, b in enumerate(c[k + 1 :], k + 1) if abs(b) > size], default=1.0)
 
 
 def _pivot(system: System, place: Place) -> Solve | None:

@@ -12,7 +12,7 @@ from nsmodel.pieces.bernstein import about, first_root, slope, value
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.isolation import NEAR, Isolated, Isolation, own_condition
 from nsmodel.pieces.lengths import unit
-from nsmodel.pieces.modes import ORDERS, ULP, Place, leading, lowest, pace
+from nsmodel.pieces.modes import ORDERS, ULP, Place, leading, lowest, pace, share_of
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, size, tie
 from nsmodel.pieces.system import System
@@ -124,7 +124,9 @@ class Roots:
                 )
                 if found.crosses and (there := found.own) is not None:
                     found = found._replace(width=max(found.width, self._isolation.width(place, there, rtol)))
-                    place.tau = unit(place.tau * _pace(there.coefficients(), tie(system, there)))
+                    c = there.coefficients()
+                    share = share_of(c, 1)
+                    place.tau = unit(place.tau * share) if abs(c[1]) * share > tie(system, there) else place.tau
                 how = expand(orders)
                 return found._replace(how=how, own=own_condition(system, place, how, hit, orders))
             d = -c[0] / c[1]
@@ -176,12 +178,6 @@ def is_simple(c: list[float], tie: float, instant: float = 0.0) -> bool:
 def _falls(c: list[float], width: float) -> bool:
     """Whether the slope for |s| <= width is about c_1 < 0."""
     return c[1] < 0 and sum(k * abs(a) * width ** (k - 1) for k, a in enumerate(c[2:], 2)) <= STEEP * -c[1]
-
-
-def _pace(c: list[float], tie: float) -> float:
-    """The share of the unit of time in which c_1 is the largest, where that is more than rounding there; else 1."""
-    share = min([(abs(c[1] / a)) ** (1 / k) for k, a in enumerate(c[2:], 1) if a], default=1.0)
-    return share if share < 1 and abs(c[1]) * share > tie else 1.0
 
 
 def _powers(s: float, orders: int) -> list[float]:

@@ -12,7 +12,8 @@ from math import comb
 
 import numpy as np
 
-from nsmodel.pieces.enclosures import Coefficients, shifted
+from nsmodel.pieces.bernstein import about
+from nsmodel.pieces.enclosures import Coefficients
 from nsmodel.proof.interval_number import Interval
 
 HALVINGS, CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often.
@@ -29,8 +30,8 @@ def least(c: Coefficients, count: int) -> tuple[np.ndarray, np.ndarray]:
         return low, reach
     c = [Interval(a.lo[rest], a.hi[rest]) for a in c]
     for end in (0, 1):
-        about = shifted([-a if end and k % 2 else a for k, a in enumerate(c)], -1.0)
-        low[end, rest], reach[end, rest] = _towards_0(about)
+        local = about([-a if end and k % 2 else a for k, a in enumerate(c)], -1.0)
+        low[end, rest], reach[end, rest] = _towards_0(local)
     return low, reach
 
 

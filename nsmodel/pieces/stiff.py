@@ -53,13 +53,8 @@ class Stiff:
     def __init__(
         self, system: System, on: EquationsOnDisc, roots: Roots, order: int, rtol: float, atol: list[float], *, residuals: bool
     ) -> None:  # fmt: skip
-        self.system, self.roots, self.order, self.rtol, self.atol = (
-            system,
-            roots,
-            order,
-            INSIDE * rtol,
-            [INSIDE * a for a in atol],
-        )
+        self.system, self.roots, self.order = system, roots, order
+        self.rtol, self.atol = INSIDE * rtol, [INSIDE * a for a in atol]
         self.radau = Radau(system, on, order, residuals=residuals)
         self.pieces = 0
         self.restart()
@@ -122,6 +117,8 @@ class Stiff:
         """The piece up to its first event, made anew to end near it: inside it has the order s + 1, at its end 2 s - 1."""
         tau, s = self.radau.write(start, fit)
         hit, end = self.roots.first(place, how, self.order, s)
+        if hit is None and end < s:  # Beyond that a root may hide.
+            return Found(tau, end, INSIDE * fit.error, [value(row, end) for row in self.system.x], None)
         for _ in range(ENDINGS):
             if hit is None:
                 break

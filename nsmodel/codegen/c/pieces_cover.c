@@ -3,14 +3,6 @@
 #if STIFF
 #define SIDES MODEL_PIECES_SIDES
 
-/* A polynomial of n coefficients about another centre. */
-static void shift(double *c, int n, double by)
-{
-    for (int first = 0; first < n - 1; first++)
-        for (int k = n - 2; k >= first; k--)
-            c[k] += c[k + 1]*by;
-}
-
 /* The largest value on the real part of a disc. */
 static double on_real(const double *y, int m)
 {
@@ -25,7 +17,7 @@ static void about(const double *coefficients, int n, double centre, double *c)
 {
     for (int k = 0; k < n; k++)
         c[k] = coefficients[k*SIDES];
-    shift(c, n, centre - 0.5);
+    recentre(n, c, centre - 0.5);
 }
 
 #define DISC_F(i) ROW(DISC_ROWS + (i))

@@ -175,19 +175,24 @@ static int leading(int n, const double *c, double least, double share)
     return -1;
 }
 
-/* The same by rounding alone: the first order that is more than least in a unit of time in which later ones are no larger. */
+/* The share of the unit of time, 1 at most, in which no later coefficient is larger than that of order k. */
+static double share_of_order(int n, const double *c, int k)
+{
+    const double size = fabs(c[k]);
+    double share = 1;
+    for (int j = k + 1; j < n; j++)
+        if (fabs(c[j]) > size)
+            share = min_of(share, pow(size/fabs(c[j]), 1.0/(j - k)));
+    return share;
+}
+
+/* The same by rounding alone: the first order above least in a unit of time in which later ones are no larger. */
 static int lowest(int n, const double *c, double least)
 {
     const int decide = n < ORDERS + 1 ? n : ORDERS + 1;
-    for (int k = 0; k < decide; k++) {
-        const double a = fabs(c[k]);
-        double share = 1;
-        for (int j = k + 1; j < decide; j++)
-            if (fabs(c[j]) > a)
-                share = min_of(share, pow(a/fabs(c[j]), 1.0/(j - k)));
-        if (a*pow(share, k) > least)
+    for (int k = 0; k < decide; k++)
+        if (fabs(c[k])*pow(share_of_order(decide, c, k), k) > least)
             return k;
-    }
     return -1;
 }
 

@@ -84,13 +84,12 @@ static double seen_of(int n, const double *c)
     return 1;
 }
 
-/* The coefficients about another point. */
-static void recentre(int n, const double *c, double by, double *out)
+/* A polynomial of n coefficients about another point. */
+static void recentre(int n, double *c, double by)
 {
-    memcpy(out, c, n*sizeof *c);
     for (int first = 0; first < n - 1; first++)
         for (int k = n - 2; k >= first; k--)
-            out[k] += by*out[k + 1];
+            c[k] += c[k + 1]*by;
 }
 
 /* The first root in (0, 1] of c, known to rounding and a margin, of its last order, at 1; NONE where it is above these. Where it
@@ -111,7 +110,8 @@ static double where(model_pieces *s, int n, const double *c, double margin)
     const double root = first_root(s, n, c);
     if (root > 1)
         return near;
-    recentre(n, c, root, about);
+    memcpy(about, c, n*sizeof *c);
+    recentre(n, about, root);
     return falls(n, about, root - near) ? root : near;
 }
 
@@ -269,7 +269,8 @@ static double crossing_in(model_pieces *s, int n, const double *c, double e)
         for (int k = n - order - 1; k >= 0; k--)
             d[k] = d[0] < 0 ? -d[k] : d[k];
         const double root = first_root(s, n - order, d);
-        recentre(n, c, root, here);
+        memcpy(here, c, n*sizeof *c);
+        recentre(n, here, root);
         if (largest_of(order, here) <= e)
             return root;
     }
@@ -360,16 +361,6 @@ static double width_of(model_pieces *s, const condition *own, double share)
     return (until(n, c, e, -1) + until(n, c, e, 1))*s->at.tau;
 }
 
-/* The share of the unit of time in which c[1] is the largest, where that is more than rounding there; else 1. */
-static double own_pace(int n, const double *c, double tie)
-{
-    double share = 1;
-    for (int k = 2; k < n; k++)
-        if (c[k] != 0)
-            share = min_of(share, pow(fabs(c[1]/c[k]), 1.0/(k - 1)));
-    return fabs(c[1])*share > tie ? share : 1;
-}
-
 /* The expansion at an event; where the mode before has no number there, as near before it as time is known. */
 static int arrive(model_pieces *s)
 {
@@ -403,7 +394,9 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             if (found->crosses && own_condition(s, hit, s->order, &own)) {
                 found->width = max_of(found->width, width_of(s, &own, rtol));
                 coefficients(s, &own, c);
-                s->at.tau = unit_of(s->at.tau*own_pace(own.orders + 1, c, tie_of(s, &own, TIE)));
+                const double share = share_of_order(own.orders + 1, c, 1);
+                if (fabs(c[1])*share > tie_of(s, &own, TIE))
+                    s->at.tau = unit_of(s->at.tau*share);
             }
             return expand_finite(s, AROUND);
         }

@@ -64,6 +64,10 @@ static double ended(model_pieces *s, double h, double most, condition *hit, int 
 {
     double length = write_fit(s, h), end = length;
     *found = first_event(s, &end, hit, 0, -1);
+    if (!*found && end < length) { /* beyond that a root may hide */
+        values_at(s->c[0], COLUMNS, s->order, end, N, s->last);
+        return end;
+    }
     for (int pass = 0; pass < ENDINGS && *found; pass++) {
         double estimate;
         const double shorter = min_of(s->at.tau*end, most), missed = end > 0 ? fit(s, shorter, &estimate) : NAN;
