@@ -80,7 +80,7 @@ def _first(c: list[float], b: list[float], low: float, width: float) -> float:
     if not signs or changes == 0:
         return low + width if b[-1] == 0 else NONE
     if changes == 1 and b[0] > 0 and b[-1] <= 0:
-        return low + width if b[-1] == 0 else _simple(c, low, low + width, low + width * _crossing(b))
+        return low + width if b[-1] == 0 else simple_root(c, low, low + width, low + width * _crossing(b))
     if width < NARROW:
         return low
     left, right = _halves(b)
@@ -103,7 +103,7 @@ def _crossing(b: list[float]) -> float:
     return (j - 1 + b[j - 1] / (b[j - 1] - b[j])) / (len(b) - 1)
 
 
-def _simple(c: list[float], low: float, high: float, s: float) -> float:
+def simple_root(c: list[float], low: float, high: float, s: float) -> float:
     """The root between c(low) > 0 > c(high): Newton's method from s, kept inside by halving."""
     for _ in range(ITERATIONS):
         v, d = value(c, s), slope(c, s)

@@ -8,7 +8,7 @@ from itertools import accumulate
 from operator import mul
 from typing import NamedTuple
 
-from nsmodel.pieces.bernstein import about, first_root, slope, value
+from nsmodel.pieces.bernstein import NONE, about, first_root, simple_root, slope, value
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.isolation import NEAR, Isolated, Isolation, own_condition
 from nsmodel.pieces.lengths import unit
@@ -58,7 +58,9 @@ class Roots:
             if but is not None and condition.of == but.of:
                 continue
             row, known = condition.row, condition.orders + 1
-            margin = self._margin(condition, margins) * (s / whole if whole else 0.0) ** known
+            margin = self._margin(condition, margins)
+            if margin and s < whole:
+                margin *= (s / whole) ** known
             terms = sum(map(abs, map(mul, row[1:known], powers[1:])))
             if condition.sign * row[0] + condition.shift - margin > terms:
                 continue
@@ -80,10 +82,10 @@ class Roots:
                 if max(map(abs, c)) <= least:
                     continue
                 if c[0] < 0:
-                    s, hit, powers = 0.0, condition, _powers(0.0, orders)
-                    continue
+                    return condition, 0.0
             part = _seen(c)
-            c = list(map(mul, c, _powers(part, len(c) - 1)))
+            if part < 1:
+                c = list(map(mul, c, _powers(part, len(c) - 1)))
             root = _where(c, margin)
             if root > 1 and part == 1:
                 continue
@@ -112,13 +114,13 @@ class Roots:
         root is isolated on expansions of ``many`` orders, up to the time ``end``; how wide it is where states are known to rtol
         is told of such a one.
         """
-        system, known = self._system, 0.0
-        for _ in range(POLISHING):
+        system = self._system
+        for moved in range(POLISHING):
             own = own_condition(system, place, how, hit, orders)
             if own is None:
                 return Isolated(how, None, 0.0, 0, True, place.t)
-            c, known = own.coefficients(), tie(system, own)
-            if not is_simple(c, known, INSTANT * ULP * abs(place.t) / place.tau):
+            c, known, instant = own.coefficients(), TIE * size(system, own), INSTANT * ULP * abs(place.t) / place.tau
+            if not (is_simple(c, known, instant) or is_simple(c, known := tie(system, own), instant)):
                 found = self._isolation.isolate(
                     place, hit, many, expand, end, lambda how, s: self.first(place, how, many, s, but=hit)[1]
                 )
@@ -130,7 +132,7 @@ class Roots:
                 how = expand(orders)
                 return found._replace(how=how, own=own_condition(system, place, how, hit, orders))
             d = -c[0] / c[1]
-            if abs(c[0]) <= POLISHED * known or abs(d) * place.tau <= ULP * abs(place.t):
+            if (moved and abs(c[0]) <= POLISHED * known) or abs(d) * place.tau <= ULP * abs(place.t):
                 break
             for _ in range(ON_ONE):
                 e = slope(c, d)
@@ -139,7 +141,7 @@ class Roots:
             place.t += d * place.tau
             how = expand(orders)
         own, width = own_condition(system, place, how, hit, orders), 0.0
-        if own is not None and not is_simple(own.coefficients(), rtol / TIE * known):
+        if own is not None and not is_simple(own.coefficients(), rtol * size(system, own)):
             width = self._isolation.width(place, own, rtol)
         return Isolated(how, own, width, 0, True, place.t)
 
@@ -165,8 +167,19 @@ def _where(c: list[float], margin: float) -> float:
     near = first_root([c[0] - rounding, *c[1:-1], c[-1] - margin]) if c[0] > rounding and len(c) > 1 else 0.0
     if near > 1:
         return near
+    v, rate = value(c, near), slope(c, near)
+    if rate < 0:
+        beyond = near - 2 * v / rate
+        if value(c, beyond) < 0 and _bend(c, beyond) * (beyond - near) <= STEEP * -rate:
+            root = simple_root(c, near, beyond, near - v / rate)
+            return root if root <= 1 else NONE
     root = first_root(c)
     return root if root <= 1 and _falls(about(c, root), root - near) else near
+
+
+def _bend(c: list[float], s: float) -> float:
+    """No second derivative on [0, s] is larger."""
+    return sum(k * (k - 1) * abs(a) * s ** (k - 2) for k, a in enumerate(c[2:], 2))
 
 
 def is_simple(c: list[float], tie: float, instant: float = 0.0) -> bool:

@@ -71,16 +71,21 @@ static int is_simple(int n, const double *c, double tie, double instant)
     return width <= instant || (width < NEAR && falls(n, c, width));
 }
 
-/* The part of [0, 1] on which rounding does not hide c[0] > 0 behind the other terms: all of it, but for octaves. */
-static double seen_of(int n, const double *c)
+/* The sum of the sizes of the terms of c at s but the first. */
+static double terms_at(int n, const double *c, double s)
 {
-    for (double part = 1; part > LEAST_PART && c[0] > 0; part /= 4) {
-        double terms = 0;
-        for (int k = n - 1; k > 0; k--)
-            terms = (terms + fabs(c[k]))*part;
-        if (DIP*terms < c[0]/4)
+    double terms = 0;
+    for (int k = n - 1; k > 0; k--)
+        terms = (terms + fabs(c[k]))*s;
+    return terms;
+}
+
+/* The part of [0, 1] on which rounding does not hide c[0] > 0 behind the other terms, whose sum is given: all of it, but for octaves. */
+static double seen_of(int n, const double *c, double terms)
+{
+    for (double part = 1; part > LEAST_PART && c[0] > 0; part /= 4)
+        if (DIP*(part < 1 ? terms_at(n, c, part) : terms) < c[0]/4)
             return part;
-    }
     return 1;
 }
 
@@ -92,21 +97,34 @@ static void recentre(int n, double *c, double by)
             c[k] += c[k + 1]*by;
 }
 
-/* The first root in (0, 1] of c, known to rounding and a margin, of its last order, at 1; NONE where it is above these. Where it
-   comes so near to 0 long before its root, or has none, that. */
-static double where(model_pieces *s, int n, const double *c, double margin)
+/* No second derivative on [0, s] is larger. */
+static double bend_of(int n, const double *c, double s)
 {
-    double about[MOST_ORDERS + 1], rounding = 0;
+    double total = 0;
+    for (int k = n - 1; k > 1; k--)
+        total = total*s + k*(k - 1)*fabs(c[k]);
+    return total;
+}
+
+/* The first root in (0, 1] of c, known to rounding and a margin, of its last order, at 1; NONE where it is above these. Where it
+   comes so near to 0 long before its root, or has none, that. terms: the sum of their sizes but the first. */
+static double where(model_pieces *s, int n, const double *c, double terms, double margin)
+{
+    double about[MOST_ORDERS + 1];
+    const double rounding = DIP*(c[0] + terms);
     if (!(c[0] > 0))
         return first_root(s, n, c);
-    for (int k = 0; k < n; k++)
-        rounding += DIP*fabs(c[k]);
     memcpy(about, c, n*sizeof *c);
     about[0] -= rounding;
     about[n - 1] -= margin;
     const double near = c[0] > rounding && n > 1 ? first_root(s, n, about) : 0;
     if (near > 1)
         return near;
+    const double v = value_of(n, c, near), rate = slope_of(n, c, near), beyond = near - 2*v/rate;
+    if (rate < 0 && value_of(n, c, beyond) < 0 && bend_of(n, c, beyond)*(beyond - near) <= STEEP*-rate) {
+        const double simple = simple_root(n, c, near, beyond, near - v/rate);
+        return simple <= 1 ? simple : NONE;
+    }
     const double root = first_root(s, n, c);
     if (root > 1)
         return near;
@@ -128,8 +146,9 @@ static int first_event(model_pieces *s, double *length, condition *hit, const do
             const condition *one = &all[i];
             if (of == but)
                 continue;
-            const double reached = whole > 0 ? *length/whole : 0;
-            const double margin = margins && one->acts != OF_L ? margins[of]*pow(reached, one->orders + 1) : 0;
+            double margin = margins && one->acts != OF_L ? margins[of] : 0;
+            if (margin > 0 && *length < whole)
+                margin *= pow(*length/whole, one->orders + 1);
             if (!s->at.open[of] && least_on(s, one, *length) > margin)
                 continue;
             const int n = one->orders + 1;
@@ -159,17 +178,20 @@ static int first_event(model_pieces *s, double *length, condition *hit, const do
                 if (c[first] < 0) { /* at once */
                     *length = 0;
                     *hit = *one;
-                    found = 1;
-                    continue;
+                    return 1;
                 }
+                sum = terms_at(n - first, c + first, 1);
             }
             double *const d = c + first;
             const int left = n - first;
-            const double part = seen_of(left, d);
-            raised = 1;
-            for (int k = 0; k < left; k++, raised *= part)
-                d[k] *= raised;
-            const double at = where(s, left, d, margin);
+            const double part = seen_of(left, d, sum);
+            if (part < 1) {
+                raised = 1;
+                for (int k = 0; k < left; k++, raised *= part)
+                    d[k] *= raised;
+                sum = terms_at(left, d, 1);
+            }
+            const double at = where(s, left, d, sum, margin);
             if (at > 1 && part == 1)
                 continue;
             *length *= part*min_of(at, 1);
@@ -378,7 +400,7 @@ static int arrive(model_pieces *s)
 static int polish(model_pieces *s, const condition *hit, double end, isolated *found)
 {
     const double rtol = s->rtol/LOCAL;
-    double c[MOST_ORDERS + 1], tie = 0;
+    double c[MOST_ORDERS + 1], tie;
     condition own;
     int status, n;
     *found = (isolated){0, s->at.t, 0, 1};
@@ -387,8 +409,9 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             return status;
         n = own.orders + 1;
         coefficients(s, &own, c);
-        tie = tie_of(s, &own, TIE);
-        if (!is_simple(n, c, tie, INSTANT*ULP*fabs(s->at.t)/s->at.tau)) {
+        const double instant = INSTANT*ULP*fabs(s->at.t)/s->at.tau;
+        tie = TIE*size_of(s, &own);
+        if (!is_simple(n, c, tie, instant) && !is_simple(n, c, tie = tie_of(s, &own, TIE), instant)) {
             if ((status = isolate(s, hit, end, found)))
                 return status;
             if (found->crosses && own_condition(s, hit, s->order, &own)) {
@@ -401,7 +424,7 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             return expand_finite(s, AROUND);
         }
         double d = -c[0]/c[1];
-        if (fabs(c[0]) <= POLISHED*tie || fabs(d)*s->at.tau <= ULP*fabs(s->at.t))
+        if ((pass && fabs(c[0]) <= POLISHED*tie) || fabs(d)*s->at.tau <= ULP*fabs(s->at.t))
             break;
         for (int i = 0; i < ON_ONE; i++) {
             const double e = slope_of(n, c, d), v = value_of(n, c, d);
@@ -414,7 +437,7 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
     found->at = s->at.t;
     if (own_condition(s, hit, AROUND, &own)) {
         coefficients(s, &own, c);
-        if (!is_simple(own.orders + 1, c, rtol/TIE*tie, 0))
+        if (!is_simple(own.orders + 1, c, rtol*size_of(s, &own), 0))
             found->width = width_of(s, &own, rtol);
     }
     return MODEL_OK;
