@@ -11,8 +11,10 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+from scipy.integrate import quad, solve_ivp
 
 from nsmodel import FirstOrderSystem, relay, simulate
+from nsmodel.errors import NsmodelError
 from nsmodel.pieces.exponentials import stable
 from nsmodel.pieces.jets import is_switched
 
@@ -213,3 +215,75 @@ def test_one_exponential_and_even_powers(written: ca.SX, at: Callable[[float], f
     of = ca.Function("of", [x], [stable(written)])
     for v in (-3.0, -0.2, 0.3, 0.9, 4.0):
         assert float(of(v)) == pytest.approx(at(v), rel=1e-12)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("written", "of", "at_0"),
+    [
+        (x / ca.expm1(x), lambda v: v / mpmath.expm1(v), 1.0),
+        (0.1 * x / (1 - exp(-x / 10)), lambda v: v / 10 / -mpmath.expm1(-v / 10), 1.0),
+        (x / ca.sinh(x), lambda v: v / mpmath.sinh(v), 1.0),
+        (3 * x / (exp(x) - exp(-2 * x)), lambda v: 3 * v / (mpmath.exp(v) - mpmath.exp(-2 * v)), 1.0),
+        (-2 * x / (4 * exp(-x) - 4 * exp(x)), lambda v: v / 4 / mpmath.sinh(v), 0.25),
+    ],
+)
+def test_removable_singularities_have_values(written: ca.SX, of: Callable, at_0: float) -> None:
+    value = ca.Function("value", [x], [(expr := stable(written)), ca.jacobian(expr, x)])
+    assert float(value(0)[0]) == at_0
+    for v in (1e-300, 1e-9, -1e-7, 0.3, -0.49, 0.4999999, 0.5, -0.51, 1.9, -2.1, 30.0, -700.0, 700.0):
+        with mpmath.workdps(400):
+            u, h = mpmath.mpf(v), mpmath.mpf("1e-20")
+            exact, steep = float(of(u)), float((of(u + h) - of(u - h)) / (2 * h)) if abs(v) > 1e-15 else None
+        found, slope = map(float, value(v))
+        assert found == pytest.approx(exact, rel=1e-13, abs=1e-290)
+        assert steep is None or slope == pytest.approx(steep, rel=1e-12, abs=1e-14)
+
+
+@pytest.mark.parametrize("compiled", [False, True], ids=["interpreted", "C"])
+def test_a_nerve_as_it_is_published(compiled: bool) -> None:
+    """Hodgkin and Huxley, J. Physiol. 117, 1952: rates 0.1 (V + 40)/(1 - e^(-(V + 40)/10)), 0/0 where V passes -40 and -55."""
+    V, m, h, n = (ca.SX.sym(name) for name in "Vmhn")
+    opening = [
+        0.1 * (V + 40) / (1 - exp(-(V + 40) / 10)),
+        0.07 * exp(-(V + 65) / 20),
+        0.01 * (V + 55) / (1 - exp(-(V + 55) / 10)),
+    ]
+    closing = [4 * exp(-(V + 65) / 18), 1 / (1 + exp(-(V + 35) / 10)), 0.125 * exp(-(V + 65) / 80)]
+    gates = [a * (1 - q) - b * q for a, b, q in zip(opening, closing, (m, h, n), strict=True)]
+    rate = 10 - 120 * m**3 * h * (V - 50) - 36 * n**4 * (V + 77) - 0.3 * (V + 54.4)
+    model = FirstOrderSystem(x=ca.vertcat(V, m, h, n), f=[rate, *gates], x0=[-65, 0.05, 0.6, 0.32], t_end=30, step=1e-2)
+    run = simulate(model, rtol=1e-7, method="event-driven", compiled=compiled)
+    at = ca.Function("f", [model.x], [model.f])
+    exact = solve_ivp(
+        lambda _, y: np.array(at(y)).ravel(), (0, 30), [-65, 0.05, 0.6, 0.32], rtol=1e-11, atol=1e-12, method="DOP853"
+    )
+    assert np.abs(run.x[-1] - exact.y[:, -1]).max() <= 1e-7 * 100
+    assert len(run.piece_start) < 200
+    assert not run.metadata["warnings"]
+
+
+@pytest.mark.parametrize("f", [ca.sin(t - 1) / (t - 1), (t - 1) / ca.tanh(t - 1), (t - 1) / ca.sin(t - 1), (t**2 - 1) / (t - 1)])
+def test_other_removable_singularities_are_stepped_over(f: ca.SX) -> None:
+    of = ca.Function("of", [t], [f])
+    exact = sum(quad(lambda s: float(of(s)), a, b, epsabs=1e-13)[0] for a, b in ((0, 1), (1, 3)))
+    for compiled in (False, True):
+        run = simulate(
+            FirstOrderSystem(t=t, x=x, f=[f], x0=[0], t_end=3, step=1e-2), rtol=1e-6, method="event-driven", compiled=compiled
+        )
+        assert run.x[-1, 0] == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "f",
+    [
+        *(1 / (1 - t), 1 / (1 - t) ** 2, ca.tan(math.pi / 2 * t), 1 / ca.sin(math.pi * t + 3), x**2 + 1),
+        *(1 + 1e-6 / (1 - t), 1 + 1e-3 / (1.3 - t), 1 + 1e-12 / (1.3 - t), 1 + 1e-8 * ca.tan(1.2 * t)),
+    ],
+)
+def test_poles_are_not(f: ca.SX) -> None:
+    """However small their residue is beside the state and rtol."""
+    model = FirstOrderSystem(t=t, x=x, f=[f], x0=[0], t_end=3, step=1e-2)
+    for rtol, compiled in ((1e-1, False), (1e-3, False), (1e-3, True), (1e-8, False), (1e-8, True)):
+        with pytest.raises(NsmodelError):
+            simulate(model, rtol=rtol, method="event-driven", compiled=compiled)

@@ -33,7 +33,7 @@ OF_STEPS: Mapping[str, str] = {
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
-    "pieces.integrator": "LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT TOLD BEFORE",
+    "pieces.integrator": "LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT TOLD",
     "pieces.ending": "SHORTENINGS CAUTION",
     "pieces.known": "SAME_TIME",
     "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
@@ -48,7 +48,7 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.discs": "MOST_EXPONENT PRODUCT_ROUNDINGS FUNCTION_ROUNDINGS",
     "pieces.series": "TWO_OVER_ROOT_PI",
     "pieces.schwarz": "RADIUS_OF_BALL WIDE_RADIUS CLOSE_RADIUS PROVED NEARLY SHRINKINGS SLOWLY QUICKLY AT_REST "
-    "CANCELLED AS_NOW MOST_STILL CAPS CAP_OCTAVES",
+    "CANCELLED AS_NOW MOST_STILL CAPS CAP_OCTAVES FAR GROWS",
     "pieces.cover": "SMALLEST COVER_RADIUS COVER_DEGREE",
     "pieces.sizes": "ROUNDING NEGLIGIBLE",
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",

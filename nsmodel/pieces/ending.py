@@ -34,8 +34,8 @@ def ending(bound: Schwarz, roots: Roots, place: Place, how: Solve, p: int, s: fl
     Raises:
         StepError: its error is above 1, however short it is.
     """
-    system, of = bound.system, bound.equations
-    s, proved = bound.proved(place, how, p, s, rtol / LOCAL, [a / LOCAL for a in atol])
+    system, of, goals = bound.system, bound.equations, (rtol / LOCAL, [a / LOCAL for a in atol])
+    s, proved = bound.proved(place, how, p, s, *goals)
     whole = s
     error, later, now = math.inf, [0.0] * system.n, AS_NOW * abs(place.t) / place.tau
     for shortened in range(SHORTENINGS):
@@ -44,7 +44,8 @@ def ending(bound: Schwarz, roots: Roots, place: Place, how: Solve, p: int, s: fl
         if not shortened and not error <= 1:
             later = coming(system, place, of, end)
             error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
-        if error <= 1 or (end <= now and error < math.inf):  # In which nothing moves: time is not known better.
+        # In a time in which nothing moves there is nothing to be missed: time is not known better.
+        if error <= 1 or (end <= now and (error < math.inf or bound.rests(place, *goals))):
             return Ending(hit, end, max(min(error, 1.0), proved * (end / whole) ** p if whole else 0.0), s)
         s = max(end * min(0.5, CAUTION * error ** (-1 / p)), now)
         if place.t + place.tau * s == place.t:

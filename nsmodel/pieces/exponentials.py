@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -19,6 +21,8 @@ from nsmodel.proof.graph import applied, constants, fold, operations
 from nsmodel.scheme.continuous import ContinuousProblem
 
 MOST_TERMS = 4  # Of a sum; a longer one stays as it is written.
+NEAR_0, CONVERGED, BERNOULLI = 0.5, 2.0, 17  # Of d/(e^d - 1): |d| from which on it is a quotient; its series, see `_bernoulli`.
+UNSEEN = 1e-300  # Beside 1.
 GROWING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_SINH, ca.OP_COSH, ca.OP_POW}
 DIVIDING = {ca.OP_DIV, ca.OP_INV, ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATAN, ca.OP_POW, ca.OP_CONSTPOW}
 PARTS = ("f", "g", "h", "updates")
@@ -196,6 +200,10 @@ class _Writer:
             return None if made is None else replace(made, new=self._written(made.terms, (), None))
 
         def side(p: int, here: ca.SX) -> ca.SX:
+            times = self._in_difference(a, b.terms, p) if b.power == 1 else None
+            if times is not None:  # 0/0 where the exponents are the same.
+                d = self._exponent(_plus(b.terms[1 - p].s, b.terms[p].s, -1.0))
+                return -times / b.terms[p].r * _bernoulli(d, here) * self._written((Term(ca.SX(1), ()),), b.terms[p].s, here)
             above = self._written(a.sum, _times(b.terms[p].s, b.power), here)
             return above / self._over_largest(b.terms, p, here) ** b.power
 
@@ -250,6 +258,13 @@ class _Writer:
                 taken[p] = ca.logic_or(taken[p], one)
         return sum((ca.if_else(here, side(p, here), 0) for p, here in taken.items()), ca.SX(0))
 
+    def _in_difference(self, a: Node, terms: Sequence[Term], p: int) -> float | None:
+        """How often d is in a, where the terms are r (exp(s_p) - exp(s_p + d)); None where a is no multiple of d."""
+        if not _is_difference(terms) or _is_sum(a):
+            return None
+        d = _plus(terms[1 - p].s, terms[p].s, -1.0)
+        return a.factor / d[0][1] if len(d) == 1 and d[0][0] == a.base and a.value is None else None
+
     def _over_largest(self, terms: Sequence[Term], p: int, here: ca.SX) -> ca.SX:
         """The sum of the terms over exp(s_p); 1 - e^d, which cancels for small d, is -expm1(d)."""
         if not _is_difference(terms):
@@ -267,6 +282,29 @@ class _Writer:
 
     def _exponent(self, s: Exponent) -> ca.SX:
         return sum((factor * self._bases[base] for base, factor in s), ca.SX(0))
+
+
+def _bernoulli(d: ca.SX, here: ca.SX) -> ca.SX:
+    """d/(e^d - 1), 1 at 0, where ``here``: near 0 by its series, sum B_k d^k/k!, |d| < 2 pi.
+
+    The series is cut off where it errs by rounding for |d| < CONVERGED: the root keeps discs of pieces within.
+    """
+    near = ca.logic_and(here, is_positive(NEAR_0**2 - d * d))
+    u, far = ca.if_else(near, d, 0), ca.if_else(ca.logic_and(here, ca.logic_not(near)), d, -1)
+    series = ca.SX(0)
+    for coefficient in reversed(_even_bernoulli(BERNOULLI)):
+        series = series * u**2 + coefficient
+    within = UNSEEN * ca.sqrt(CONVERGED**2 - u * u)
+    return ca.if_else(near, series - u / 2 + within, far / ca.expm1(far))
+
+
+@cache
+def _even_bernoulli(count: int) -> tuple[float, ...]:
+    """B_0/0!, B_2/2!, B_4/4!, ...: t/(e^t - 1) has sum_(j <= k) b_j/(k + 1 - j)! = 0 for k > 0."""
+    b: list[Fraction] = []
+    for k in range(2 * count):
+        b.append(Fraction(k == 0) - sum((b[j] / math.factorial(k + 1 - j) for j in range(k)), Fraction(0)))
+    return tuple(float(one) for one in b[::2])
 
 
 def _is_difference(terms: Sequence[Term]) -> bool:

@@ -20,7 +20,7 @@ from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
 from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
-from nsmodel.pieces.modes import ORDERS, Place, creep, jump, select, take_sides, turn, uniqueness
+from nsmodel.pieces.modes import LATER, ORDERS, Place, creep, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import UNDECIDED, few, name
@@ -37,7 +37,6 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 LEAST_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
 NONE = Known()
-BEFORE = 4  # Places before an event, each by rounding, at which the mode before it may have a number.
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
@@ -101,14 +100,7 @@ class Integrator:
         if self._still >= MOST_STILL:
             raise self.bound.refused(self.place)
         system, place = self.system, self.place
-        tau = place.tau
-        try:
-            how = self._series()
-        except StepError:
-            place.tau = tau
-            if not self._past_switches():
-                raise
-            how = self._series()
+        how = self._series()
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._in_longer_unit(how, s)
@@ -149,6 +141,30 @@ class Integrator:
         return piece.moved(place.t, place.x, max(error, off))
 
     def _series(self) -> Solve:
+        """All orders at the place; where they have no number, on the side of switches that rounding has passed, or just behind.
+
+        Behind a removable singularity, that is: where f has a number again no state moves by more than rtol.
+        """
+        place, tau = self.place, self.place.tau
+        try:
+            return self._orders()
+        except StepError as error:
+            place.tau, why = tau, error
+        if self._past_switches():
+            return self._orders()
+        for k in range(LATER):
+            creep(self.system, place, 2.0**k)
+            try:
+                how = self._orders()
+            except StepError:
+                place.tau = tau
+                continue
+            if self.bound.rests(place, self.rtol / LOCAL, [a / LOCAL for a in self.atol]):
+                return how
+            break
+        raise why
+
+    def _orders(self) -> Solve:
         """All orders at the place, of which the mode's choice has left some."""
         how, self._left = self._left, None
         if how is not None and self.system.extend(how, self.place.codes, ORDERS, self.order):
@@ -254,12 +270,12 @@ class Integrator:
     def _arrive(self) -> Solve:
         """The expansion at an event; where the mode before has no number there, as near before it as time is known."""
         place, tau = self.place, self.place.tau
-        for _ in range(BEFORE):
+        for k in range(LATER):
             try:
                 return self._expand(AROUND)
             except StepError:
                 place.tau = tau
-                creep(self.system, place, -1.0)
+                creep(self.system, place, -(2.0**k))
         return self._expand(AROUND)
 
     def _approach(self, hit: Condition, until: float) -> tuple[Isolated, float, float]:

@@ -28,7 +28,7 @@ PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decide
 APART = 1e-7  # Of their size: coefficients of two modes that differ.
 INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
 CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
-LATER = 4  # Places, each by rounding later, at which a mode is looked for.
+LATER = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
 MOST_CREEP = 2.0**12  # Roundings of the time, that a state may need to be another double.
 ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
@@ -56,22 +56,22 @@ def select(system: System, place: Place) -> Solve | None:
     little later, as well as time is known.
     """
     before, t, x = _state(system, place), place.t, list(place.x)
-    for _ in range(LATER):
+    for k in range(LATER):
         if (how := _selected(system, place)) is not None:
             return how
         _restore(system, place, before)
         if not system.branches or _expand(system, place) is not None:
             break
-        creep(system, place, 1.0)
+        creep(system, place, 2.0**k)
     place.t, place.x = t, x
     return None
 
 
-def creep(system: System, place: Place, sign: float) -> None:
-    """Move the place on or back by what rounding leaves open of the time, or of the state that moves fastest beside its size."""
+def creep(system: System, place: Place, times: float) -> None:
+    """Move the place, back where ``times`` < 0, by so many times what rounding leaves open of time, or of the fastest state."""
     rates = [row[1] / place.tau if math.isfinite(row[1]) else 0.0 for row in system.x]
     fastest = min((abs(x / rate) for x, rate in zip(place.x, rates, strict=True) if x and rate), default=0.0)
-    time = sign * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MOST_CREEP) if place.t else 0.0
+    time = times * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MOST_CREEP) if place.t else 0.0
     place.t += time
     place.x = [x + rate * time for x, rate in zip(place.x, rates, strict=True)]
 

@@ -179,7 +179,7 @@ def _where(c: list[float], margin: float) -> float:
 
 def _bend(c: list[float], s: float) -> float:
     """No second derivative on [0, s] is larger."""
-    return sum(k * (k - 1) * abs(a) * s ** (k - 2) for k, a in enumerate(c[2:], 2))
+    return value([k * (k - 1) * abs(a) for k, a in enumerate(c[2:], 2)], s)
 
 
 def is_simple(c: list[float], tie: float, instant: float = 0.0) -> bool:

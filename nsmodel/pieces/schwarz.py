@@ -25,7 +25,7 @@ from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.disc_equations import EquationsOnDisc, combined, rest, share
 from nsmodel.pieces.discs import Ball, ball_of, form_of
 from nsmodel.pieces.lengths import MULTIPLIERS, SMALL
-from nsmodel.pieces.modes import Place
+from nsmodel.pieces.modes import ULP, Place
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.roots import NO_MARGINS, Margins
 from nsmodel.pieces.system import System
@@ -39,6 +39,7 @@ POLE = 1e6  # How much more than its size a state would move at its rate in the 
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
 MOST_STILL = 2000  # Pieces, one after the other, in which time stands still: from rest some hundred are needed.
 CANCELLED = 2.0**-50  # Of an entry of P: rounding.
+FAR, GROWS = 64.0, 4.0  # Times in which time stands still, and how much smaller rates are so far from a pole.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
 
 
@@ -77,14 +78,31 @@ class Schwarz:
             disc = max(disc / 2 if k < SLOWLY or best > disc / QUICKLY else max(disc / QUICKLY, 2 * best), still)
         if best > 0:
             return min(best, s), min(bound, 1.0)
-        if self._rests(still, rtol, atol):
+        if self.rests(place, rtol, atol):
             return min(still, s), 1.0
         raise self.refused(place)
 
-    def _rests(self, still: float, rtol: float, atol: list[float]) -> bool:
-        """Whether no state moves by more than rtol while time stands still: so far a singularity of f is stepped over."""
-        rows = zip(self.system.x, self.system.sizes.x, atol, strict=True)
-        return still > 0 and all(abs(row[1]) * still <= rtol * max(size, abs(row[0])) + a + AT_REST for row, size, a in rows)
+    def rests(self, place: Place, rtol: float, atol: list[float]) -> bool:
+        """Whether no state moves by more than rtol while time stands still, and no rate grows as near a pole.
+
+        So far a singularity of f is stepped over: a branch point, a corner, or one that is removable.
+        """
+        still = AS_NOW * abs(place.t) / place.tau
+        rows = list(zip(self.system.x, self.system.sizes.x, atol, strict=True))
+        moves = any(not abs(row[1]) * still <= rtol * max(size, abs(row[0])) + a + AT_REST for row, size, a in rows)
+        return still > 0 and not moves and not self._grows(place, FAR * still)
+
+    def _grows(self, place: Place, s: float) -> bool:
+        """Whether a state moves by more than rounding, at a rate that is much larger than a little before and later."""
+        system, l = self.system, [row[0] for row in self.system.push]
+
+        def moved(s: float) -> list[float]:
+            rates, _ = self.equations(place.t + place.tau * s, [row[0] + s * row[1] for row in system.x], l)
+            return [abs(place.tau * rate * s) for rate in rates]
+
+        here, before, later = ([abs(row[1]) * s for row in system.x], moved(-s), moved(s))
+        least = [ULP * FAR * max(size, abs(row[0])) for row, size in zip(system.x, system.sizes.x, strict=True)]
+        return any(a > least and a > GROWS * max(b, c) for a, b, c, least in zip(here, before, later, least, strict=True))
 
     def refused(self, place: Place) -> StepError:
         """Why no piece goes on from here."""
@@ -97,7 +115,8 @@ class Schwarz:
         at_pole, _ = self.equations(place.t, [row[0] for row in system.x], [row[0] for row in system.push])
         for name, row, size, rate in zip(system.problem.names, system.x, system.sizes.x, at_pole, strict=True):
             if abs(rate * place.t) > POLE * max(size, abs(row[0])):
-                return FinalError(f"t = {place.t:.10g}: {name}' = {rate:.3g}, and grows without bound: f has a pole near here")
+                grows = f"{name}' = {rate:.3g}, and grows without bound"
+                return FinalError(f"t = {place.t:.10g}: {grows}: f has a pole, or another singularity, near here")
         return None
 
     def unit(self, t: float, x: list[float], rates: list[float], tau: float) -> float:

@@ -35,6 +35,20 @@ static int expand_piece(model_pieces *s)
     return expand_finite(s, s->order);
 }
 
+/* All orders at the place; where they have no number, just behind, if no state moves by more than rtol there. */
+static int expand_orders(model_pieces *s)
+{
+    const int status = expand_piece(s);
+    int again = status;
+    for (int i = 0; again && i < LATER; i++) {
+        s->at.tau = s->before.tau;
+        creep(s, ldexp(1, i));
+        if (!(again = expand_finite(s, s->order)) && !rests_here(s))
+            return status;
+    }
+    return again ? status : MODEL_OK;
+}
+
 /* A row: its column, how many terms are known, its size so far, what it is asked for, and what is rounding. */
 typedef struct {
     int column, known;
@@ -316,7 +330,7 @@ static int accept(model_pieces *s, double *length, double *tried, condition *hit
             coming(s, *length);
             *error = LOCAL*defect_of(s, *length);
         }
-        if (*error <= 1 || (*length <= now && *error < INFINITY)) {
+        if (*error <= 1 || (*length <= now && (*error < INFINITY || rests_here(s)))) { /* nothing moves */
             *error = max_of(min_of(*error, 1), whole > 0 ? *length == whole ? proved : proved*pow(*length/whole, s->order) : 0);
             return MODEL_OK;
         }
@@ -770,7 +784,7 @@ static int next_piece(model_pieces *s)
     s->work = 0;
     if (s->still >= MOST_STILL)
         return MODEL_TOO_SHORT;
-    if ((status = expand_piece(s)))
+    if ((status = expand_orders(s)))
         return status;
     length = length_of(s);
     if (length > 1) { /* what is rounding at s = 1 is not at s^p */

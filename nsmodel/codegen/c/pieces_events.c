@@ -622,8 +622,8 @@ static int settle_mode(model_pieces *s)
     return 0;
 }
 
-/* Move the place on or back by what rounding leaves open of the time, or of the state that moves fastest beside its size. */
-static void creep(model_pieces *s, double sign)
+/* Move the place, back where times < 0, by so many times what rounding leaves open of the time, or of the fastest state. */
+static void creep(model_pieces *s, double times)
 {
     double rates[N], fastest = INFINITY;
     for (int i = 0; i < N; i++) {
@@ -631,7 +631,7 @@ static void creep(model_pieces *s, double sign)
         if (rates[i] != 0 && s->at.x[i] != 0)
             fastest = min_of(fastest, fabs(s->at.x[i]/rates[i]));
     }
-    const double t = fabs(s->at.t), time = sign*ULP*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
+    const double t = fabs(s->at.t), time = times*ULP*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
     s->at.t += time;
     for (int i = 0; i < N; i++)
         s->at.x[i] += rates[i]*time;
@@ -653,7 +653,7 @@ static int choose_mode(model_pieces *s)
         memcpy(s->at.x, x, sizeof x);
         if (expand(s, ORDERS) && has_numbers(s))
             break;
-        creep(s, 1);
+        creep(s, ldexp(1, i));
         t = s->at.t;
         memcpy(x, s->at.x, sizeof x);
     }

@@ -388,9 +388,9 @@ static int arrive(model_pieces *s)
 {
     const double tau = s->at.tau;
     int status = expand_finite(s, AROUND);
-    for (int i = 0; i < BEFORE && status; i++) {
+    for (int i = 0; i < LATER && status; i++) {
         s->at.tau = tau;
-        creep(s, -1);
+        creep(s, -ldexp(1, i));
         status = expand_finite(s, AROUND);
     }
     return status;

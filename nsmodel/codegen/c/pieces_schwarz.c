@@ -275,15 +275,43 @@ static double worst_on_disc(model_pieces *s, const sizes_at_end *of, double R, d
     return worst;
 }
 
-/* Whether no state moves by more than rtol of its size while time stands still: so far a singularity of f is stepped over. */
-static int rests_for(const model_pieces *s, double still)
+/* How far each state would move in s, at the rate that it has so much later on its tangent. */
+static void moved_in(model_pieces *s, double time, double moved[N])
 {
+    double y[M + 1];
+    for (int i = 0; i < N; i++)
+        s->value[i] = s->c[0][i] + time*s->c[1][i];
+    s->now[0] = s->at.t + s->at.tau*time;
+    equations(s, s->now, s->value, s->c[0] + L, moved, y);
+    for (int i = 0; i < N; i++)
+        moved[i] = fabs(s->at.tau*moved[i]*time);
+}
+
+/* Whether a state moves by more than rounding, at a rate that is much larger than a little before and later. */
+static int grows_about(model_pieces *s, double time)
+{
+    double before[N], later[N];
+    moved_in(s, -time, before);
+    moved_in(s, time, later);
+    for (int i = 0; i < N; i++) {
+        const double here = fabs(s->c[1][i])*time, least = ULP*FAR*max_of(fabs(s->c[0][i]), s->at.size_x[i]);
+        if (here > least && here > GROWS*max_of(before[i], later[i]))
+            return 1;
+    }
+    return 0;
+}
+
+/* Whether no state moves by more than rtol of its size while time stands still, and no rate grows as near a pole: so far a
+   singularity of f is stepped over. */
+static int rests_here(model_pieces *s)
+{
+    const double still = AS_NOW*fabs(s->at.t)/s->at.tau;
     for (int i = 0; i < N; i++) {
         const double size = max_of(s->at.size_x[i], fabs(s->c[0][i]));
         if (!(fabs(s->c[1][i])*still <= (s->rtol*size + s->atol[i])/LOCAL + AT_REST))
             return 0;
     }
-    return still > 0;
+    return still > 0 && !grows_about(s, FAR*still);
 }
 
 /* The length that is proved, at most the one given, and the bound of the error there in units of rtol. */
@@ -320,7 +348,7 @@ static int prove(model_pieces *s, double *length, double *error)
     if (!(best > 0)) {
         best = still;
         bound = 1;
-        if (!rests_for(s, best))
+        if (!rests_here(s))
             return MODEL_TOO_SHORT;
     }
     *length = min_of(best, *length);
