@@ -29,6 +29,7 @@ class At(NamedTuple):
 class Event(NamedTuple):
     """A change of the mode at time t, before row ``row`` ends: index sets, and state, multipliers and outputs on both sides.
 
+    ``width``: the time about t in which the sign of what changes there is not known; 0 where t is known as the state is.
     Where the state jumps, ``x_after`` is another than ``x_before``, by M^-1 g_l p with the ``impulse`` p (m,), one of each row of
     the law; it is 0 elsewhere.
     """
@@ -44,6 +45,7 @@ class Event(NamedTuple):
     y_before: np.ndarray
     y_after: np.ndarray
     impulse: np.ndarray
+    width: float
 
     __repr__ = brief
 
@@ -124,7 +126,7 @@ def inputs_at(arrays: Arrays, t: np.ndarray, *, after: bool = False) -> np.ndarr
 def events(arrays: Arrays) -> tuple[Event, ...]:
     """All changes of the mode up to the last row, in order."""
     starts, codes = arrays["piece_start"], arrays["piece_codes"]
-    x0 = arrays["x"][:1]
+    x0, widths = arrays["x"][:1], arrays.get("piece_event_width", np.zeros(len(starts)))
     numbers = np.flatnonzero(arrays["piece_event"] & (starts <= arrays["t"][-1]))
     found = []
     for k in numbers:
@@ -134,7 +136,7 @@ def events(arrays: Arrays) -> tuple[Event, ...]:
         row = int(np.searchsorted(arrays["t"], t[0]))
         x, _, l, y = ((one[0], other[0]) for one, other in zip(before[1:], after[1:], strict=True))
         index = codes[k - 1] if k else np.full_like(codes[k], UNKNOWN)
-        found.append(Event(float(t[0]), row, index, codes[k], *x, *l, *y, arrays["piece_impulse"][k]))
+        found.append(Event(float(t[0]), row, index, codes[k], *x, *l, *y, arrays["piece_impulse"][k], float(widths[k])))
     return tuple(found)
 
 

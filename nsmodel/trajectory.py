@@ -343,7 +343,7 @@ _ARRAYS = {
     **dict.fromkeys(("x",), ("if", 2)),
     **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("if", 1)),
     **dict.fromkeys("multipliers y v gap reactions selection defect inputs inputs_begin pressure".split(), ("f", 2)),
-    **dict.fromkeys("piece_start piece_unit contact_reaction".split(), ("f", 1)),
+    **dict.fromkeys("piece_start piece_unit piece_event_width contact_reaction".split(), ("f", 1)),
     **dict.fromkeys("piece_impulse piece_jump piece_defect".split(), ("f", 2)),
     **dict.fromkeys("piece_x piece_multipliers piece_y".split(), ("f", 3)),
     **dict.fromkeys("contact_row contact_family contact_first contact_second".split(), ("i", 1)),

@@ -45,6 +45,7 @@ def test_roots_of_high_order_are_known_to_rounding(k, compiled):
         run = run_of((t - 1) ** k, rtol, compiled)
         assert times(run) == pytest.approx([1.0], abs=1e-15)
         assert run.x[-1, 0] == pytest.approx(-1.0, abs=1e-14)
+        assert run.events[0].width <= 2e-14
         assert not told(run)
 
 
@@ -84,6 +85,8 @@ def test_what_rounding_hides_is_told(compiled):
     assert times(run) == pytest.approx([1.0], abs=0.03)
     assert len(told(run)) == 1
     assert "when it switches" in told(run)[0]
+    assert abs(run.events[0].t - 1) <= run.events[0].width <= 0.1
+    assert run.events[0].width == pytest.approx(run.metadata["totals"]["undecided"]["width"])
     deep = run_of(1 - 1e-17 - ca.sin(t), 1e-8, compiled)
     assert times(deep) == []
     assert "switches twice" in told(deep)[0]
@@ -108,8 +111,11 @@ def test_where_states_are_known_to_rtol_so_is_the_event(compiled):
     run = simulate(model, rtol=1e-6, method="event-driven", compiled=compiled)
     assert times(run) == pytest.approx([1.0], abs=2e-2)
     assert len(told(run)) == 1
+    assert abs(run.events[0].t - 1) <= run.events[0].width <= 2 * (10 * 1e-6) ** (1 / 3)
     simple = FirstOrderSystem(t=t, x=X, lam=l, f=[1, 0], g=[0, l], h=[X[0]], law=relay(1), x0=[-1, 0], t_end=3, step=1e-2)
-    assert not told(simulate(simple, rtol=1e-6, method="event-driven", compiled=compiled))
+    clear = simulate(simple, rtol=1e-6, method="event-driven", compiled=compiled)
+    assert not told(clear)
+    assert clear.events[0].width == 0
 
 
 @each("near", [1e-2, 1e-4, 1e-6], [1e-4])

@@ -197,7 +197,7 @@ def _place(sizes: dict[str, int]) -> np.dtype:
         "size_switches": choices + 1,
     }
     fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
-    fields += [("begun", float), ("impulse", float, (m + 1,))]
+    fields += [("begun", float), ("event_width", float), ("impulse", float, (m + 1,))]
     fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")]
     fields += [("undecided", float, (len(UNDECIDED),)), ("known", np.int32)]
     fields += [("stiff", float, (4,)), ("unique", float, (3,))]

@@ -7,7 +7,7 @@ from typing import Any
 
 from nsmodel.errors import FinalError, StepError
 from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.piece import Piece
+from nsmodel.pieces.piece import Begin, Piece
 from nsmodel.pieces.stretch import Stand, Stretches
 
 RETURNS = 16  # How often a run comes back from a stretch.
@@ -67,8 +67,7 @@ class Course:
             return [piece]
         pieces = steps.advance(at)
         self.past[-1] |= {"until": at.t, "steps": at.own, "estimate": at.error}
-        none = (0.0,) * integrator.system.m
-        return [pieces[0]._replace(event=none), *pieces[1:]] if begins else pieces
+        return [pieces[0]._replace(event=Begin((0.0,) * integrator.system.m)), *pieces[1:]] if begins else pieces
 
     def _begin(self, steps: Stretches) -> Stand:
         place, l = self.integrator.place, [row[0] for row in self.integrator.system.l]

@@ -24,7 +24,7 @@ from nsmodel.pieces.modes import LATER, ORDERS, Place, creep, jump, select, take
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import UNDECIDED, few, name
-from nsmodel.pieces.piece import Piece
+from nsmodel.pieces.piece import Begin, Piece
 from nsmodel.pieces.roots import NEAR, Isolated, Roots
 from nsmodel.pieces.schwarz import MOST_STILL, Schwarz
 from nsmodel.pieces.sliding import STOPS
@@ -71,7 +71,7 @@ class Integrator:
         self.stiff = Stiff(system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._still = 0  # Pieces, one after the other, in which time stood still.
-        self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
+        self._begun: Begin | None = None  # The event that the next piece begins with.
         self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
         self._final: FinalError | None = None  # Where steps cannot go on from here either.
@@ -189,7 +189,7 @@ class Integrator:
         """Go on from a state that other means have come to; StepError where no mode does."""
         system = self.system
         self.place = Place(t, list(x), unit(tau), list(codes), switches(system))
-        self.accumulation, self.stopped, self._begun, self._left = Accumulation(), None, (0.0,) * system.m, None
+        self.accumulation, self.stopped, self._begun, self._left = Accumulation(), None, self._no_jump, None
         self.stiff.restart()
         for row, guess in zip(system.l, l, strict=True):
             row[0] = guess
@@ -232,8 +232,8 @@ class Integrator:
         system, place = self.system, self.place
         place.x = [float(x + d) for x, d in zip(place.x, sure(system.B) @ p, strict=True)]
         self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
-        before = self._begun or (0.0,) * system.m
-        self._begun = tuple(float(a + b) for a, b in zip(before, p, strict=True))
+        before = self._begun or self._no_jump
+        self._begun = before._replace(impulse=tuple(float(a + b) for a, b in zip(before.impulse, p, strict=True)))
 
     def _expand(self, orders: int) -> Solve:
         """The coefficients at the place, in a unit of time in which they are of one size."""
@@ -266,6 +266,10 @@ class Integrator:
         return turned
 
     # -- events
+
+    @property
+    def _no_jump(self) -> Begin:
+        return Begin((0.0,) * self.system.m)
 
     def _arrive(self) -> Solve:
         """The expansion at an event; where the mode before has no number there, as near before it as time is known."""
@@ -356,6 +360,7 @@ class Integrator:
         rows = zip(before, self.system.x, self.sizes.x, strict=False)
         moved = [abs(row[1] / place.tau - rate) * found.width / size for rate, row, size in rows if size]
         if found.crosses:
+            self._begun = self._begun and self._begun._replace(width=max(self._begun.width, found.width))
             matters = max(moved, default=0.0) > TOLD * rtol
         else:
             matters = found.touches > 0 and found.width > TOLD * rtol * abs(place.t)
@@ -385,7 +390,7 @@ class Integrator:
                     continue
                 self._refuse_rivals()
                 self._left = how if system.linear_in_l and not system.blocks.all else None
-                self._begun = self._begun or (0.0,) * system.m
+                self._begun = self._begun or self._no_jump
                 return
             place.codes[:] = before
             if (p := jump(system, place)) is None:
@@ -411,11 +416,11 @@ class Integrator:
 
     def standing(self) -> dict[str, Any]:
         """What the next pieces depend on, as lists and numbers."""
-        place, system, sizes = self.place, self.system, self.sizes
+        place, system, sizes, begun = self.place, self.system, self.sizes, self._begun
         return {
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
-            "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
+            "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": begun and [list(begun.impulse), begun.width],
             "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
             "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.standing(),
             "undecided": list(self.undecided),
@@ -432,7 +437,7 @@ class Integrator:
             row[0] = l
         for of, sizes in saved["sizes"].items():
             getattr(self.sizes, of)[:] = sizes
-        self._begun = None if saved["begun"] is None else tuple(saved["begun"])
+        self._begun = None if saved["begun"] is None else Begin(tuple(saved["begun"][0]), saved["begun"][1])
         self.accumulation.stand(saved["accumulation"])
         self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
         self.stopped, self.undecided = saved["stopped"], list(saved["undecided"])

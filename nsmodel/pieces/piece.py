@@ -7,12 +7,22 @@ from typing import NamedTuple
 import numpy as np
 
 
+class Begin(NamedTuple):
+    """The event that a piece begins after: the impulse p of its jump, 0 where there is none; how well its time is known.
+
+    ``width``: the time about it in which the sign of what ends there is not known, 0 of a simple root.
+    """
+
+    impulse: tuple[float, ...]
+    width: float = 0.0
+
+
 class Piece(NamedTuple):
     """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
 
-    ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
-    impulse p of the jump that the piece begins after, 0 where there is none. ``residual`` is that of a verified time step where
-    the piece is half of one: x on a straight line or a parabola, l and y constant; else None.
+    ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before. ``residual``
+    is that of a verified time step where the piece is half of one: x on a straight line or a parabola, l and y constant; else
+    None.
     """
 
     t: float
@@ -24,7 +34,7 @@ class Piece(NamedTuple):
     codes: tuple[int, ...]
     defect: float
     last: list[float]
-    event: tuple[float, ...] | None
+    event: Begin | None
     residual: float | None = None
 
     @property

@@ -76,7 +76,7 @@ def certified(integrator: Integrator, pieces: list[Piece], T: float, rtol: float
     allowed = Allowed.of(rtol, np.array(integrator.atol), np.array(sizes.x), terms)
     certificate = _with_undecided(certify(problem, stored, np.array(ca.DM(problem.x0)).ravel(), allowed), stored, integrator)
     try:
-        if any(any(piece.event or ()) for piece in pieces):
+        if any(piece.event and any(piece.event.impulse) for piece in pieces):
             raise NoBound("the run starts with an impulse, of which nothing is proved")
         error = global_error(problem, stored, certificate.bounds, certificate.jump)
     except NoBound as reason:

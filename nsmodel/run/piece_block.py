@@ -9,9 +9,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from nsmodel.pieces.piece import Piece
+from nsmodel.pieces.piece import Begin, Piece
 
-HEAD = 6  # t, tau, s, defect, whether an event begins it, residual.
+HEAD = 7  # t, tau, s, defect, whether an event begins it, within what its time is known, residual.
 
 
 class Layout(NamedTuple):
@@ -48,9 +48,10 @@ class Block:
         """Some pieces, and the sizes at their ends."""
         count, (n, coefficients), m = len(pieces), np.shape(pieces[0].x), len(pieces[0].codes)
         t, tau, s, x, l, y, codes, defect, last, event, residual = zip(*pieces, strict=True)
-        impulse = [one or (0.0,) * m for one in event]
+        of_events = [one or Begin((0.0,) * m) for one in event]
+        impulse, widths = [one.impulse for one in of_events], [one.width for one in of_events]
         begins, of_steps = [one is not None for one in event], [math.nan if one is None else one for one in residual]
-        head = np.array([t, tau, s, defect, begins, of_steps], float).T
+        head = np.array([t, tau, s, defect, begins, widths, of_steps], float).T
         lists = [np.array(part, float).reshape(count, m) for part in (impulse, codes, size_y, size_l)]
         series = [np.array(part, float).reshape(count, k, coefficients) for part, k in ((x, n), (l, m), (y, m))]
         whole = np.concatenate(series, axis=1).transpose(0, 2, 1).reshape(count, -1)
@@ -103,9 +104,14 @@ class Block:
         return self.rows[:, 4] != 0
 
     @property
+    def event_width(self) -> np.ndarray:
+        """The time about that event in which the sign of what ends there is not known."""
+        return self.rows[:, 5]
+
+    @property
     def residual(self) -> np.ndarray:
         """Of time steps, else NaN."""
-        return self.rows[:, 5]
+        return self.rows[:, 6]
 
     @property
     def stepped(self) -> np.ndarray:
@@ -150,7 +156,7 @@ class Block:
         for row, codes, last, impulse, c in zip(
             self.rows, self.codes.tolist(), self.last.tolist(), self.impulse.tolist(), self.series, strict=True
         ):
-            t, tau, s, defect, event, residual = row[:HEAD].tolist()
-            series, of = (c[:n], c[n : n + m], c[n + m :], tuple(codes)), tuple(impulse) if event else None
+            t, tau, s, defect, event, width, residual = row[:HEAD].tolist()
+            series, of = (c[:n], c[n : n + m], c[n + m :], tuple(codes)), Begin(tuple(impulse), width) if event else None
             found.append(Piece(t, tau, s, *series, defect, last, of, None if math.isnan(residual) else residual))
         return found

@@ -238,7 +238,7 @@ class InC:
                 name: place[f"size_{name}"][:count].tolist()
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
             },
-            "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None,
+            "begun": [place["impulse"][:m].tolist(), float(place["event_width"])] if place["begun"] else None,
             "accumulation": {"events": int(place["events"]), "times": self._c.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
             "undecided": place["undecided"].tolist(),
@@ -253,7 +253,7 @@ class InC:
         place, m = self._c.at, self.problem.l.numel()
         place["t"], place["tau"], place["x"], place["begun"] = saved["t"], saved["tau"], saved["x"], saved["begun"] is not None
         place["codes"][:m], place["l"][:m] = saved["codes"], saved["l"]
-        place["impulse"][:m] = saved["begun"] or 0.0
+        place["impulse"][:m], place["event_width"] = saved["begun"] or (0.0, 0.0)
         for name, sizes in saved["sizes"].items():
             place[f"size_{name}"][: len(sizes)] = sizes
         for part, choice in saved["choice"].items():

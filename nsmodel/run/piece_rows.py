@@ -223,7 +223,7 @@ class PieceRows:
         return {
             "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.series[:, : self._facts.n]),
             "piece_multipliers": l, "piece_y": y, "piece_codes": block.codes, "piece_event": block.event,
-            "piece_impulse": block.impulse, "piece_stepped": block.stepped,
+            "piece_event_width": block.event_width, "piece_impulse": block.impulse, "piece_stepped": block.stepped,
         }  # fmt: skip
 
     def _residuals(self, l: np.ndarray, y: np.ndarray, block: Block, number: np.ndarray) -> np.ndarray:

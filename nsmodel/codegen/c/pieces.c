@@ -2,7 +2,7 @@
 
 /* What a piece is, as numbers: the last state; an event with its jump; the sizes that rows are measured beside; coefficients. */
 enum {
-    AT_T, AT_TAU, AT_S, AT_DEFECT, AT_EVENT, AT_RESIDUAL, AT_IMPULSE, AT_CODES = AT_IMPULSE + M, AT_SIZE_Y = AT_CODES + M,
+    AT_T, AT_TAU, AT_S, AT_DEFECT, AT_EVENT, AT_EVENT_WIDTH, AT_RESIDUAL, AT_IMPULSE, AT_CODES = AT_IMPULSE + M, AT_SIZE_Y = AT_CODES + M,
     AT_SIZE_L = AT_SIZE_Y + M, AT_LAST = AT_SIZE_L + M, AT_C = AT_LAST + N
 };
 
@@ -33,20 +33,6 @@ static int expand_piece(model_pieces *s)
     UNUSED(known);
 #endif
     return expand_finite(s, s->order);
-}
-
-/* All orders at the place; where they have no number, just behind, if no state moves by more than rtol there. */
-static int expand_orders(model_pieces *s)
-{
-    const int status = expand_piece(s);
-    int again = status;
-    for (int i = 0; again && i < LATER; i++) {
-        s->at.tau = s->before.tau;
-        creep(s, ldexp(1, i));
-        if (!(again = expand_finite(s, s->order)) && !rests_here(s))
-            return status;
-    }
-    return again ? status : MODEL_OK;
 }
 
 /* A row: its column, how many terms are known, its size so far, what it is asked for, and what is rounding. */
@@ -576,8 +562,10 @@ static int go_on(model_pieces *s)
     s->at.known = ORDERS;
     if ((status = judge_uniqueness(s)))
         return status;
-    if (s->at.begun == 0)
+    if (s->at.begun == 0) {
+        s->at.event_width = 0;
         memset(s->at.impulse, 0, sizeof s->at.impulse);
+    }
     s->at.begun = 1;
     return MODEL_OK;
 }
@@ -669,29 +657,57 @@ static int stands_alone(const model_pieces *s, int i)
     return 1;
 }
 
-/* Go to the event to rounding, but not beyond a known time, and choose the mode after it. */
-static int pass_event(model_pieces *s, const condition *hit, double known, double end)
+/* Go to the event to rounding. rows: those that are held. */
+static int approach(model_pieces *s, const condition *hit, double end, const signed char *held, isolated *way)
 {
-    const double before = s->at.t;
-    condition all[2];
-    isolated way;
-    int status;
-    double c[MOST_ORDERS + 1], after[M + CHOICES + 1], rates[N];
-    signed char turned[M + CHOICES + 1] = {0};
 #if LAW
-    signed char rows[M]; /* those that were held, and then the open ones */
     int any = 0;
     for (int i = 0; i < M; i++)
-        any |= rows[i] = s->at.codes[i] == 0;
+        any |= held[i];
 #if !ORTHOGONAL
+    int status;
     if (any && (status = arrive(s)))
         return status;
 #endif
     if (any)
-        project(s, rows);
+        project(s, held);
+#else
+    UNUSED(held);
 #endif
-    if ((status = polish(s, hit, end, &way)))
-        return status;
+    return polish(s, hit, end, way);
+}
+
+/* Turn the switches that rounding has left on the wrong side, where that side has no number, and choose the mode. */
+static int past_switches(model_pieces *s)
+{
+    int any = 0;
+#if SWITCHED
+    expand(s, 0);
+    for (int b = 0; b < CHOICES; b++)
+        if (branch_kind[b] == SIDE && s->at.choice[b]*s->c[0][branch_column[b]] < 0) {
+            s->at.open[M + b] = OPEN;
+            s->at.choice[b] = -s->at.choice[b];
+            any = 1;
+        }
+#endif
+    return any ? go_on(s) : MODEL_NO_MODE;
+}
+
+/* Go to the event to rounding, but not beyond a known time, and choose the mode after it. */
+static int pass_event(model_pieces *s, const condition *hit, double known, double end)
+{
+    const model_place begin = s->at;
+    condition all[2];
+    isolated way;
+    int status;
+    double c[MOST_ORDERS + 1], after[M + CHOICES + 1], rates[N];
+    signed char turned[M + CHOICES + 1] = {0}, rows[M + 1]; /* rows: those that were held, and then the open ones */
+    for (int i = 0; i < M; i++)
+        rows[i] = s->at.codes[i] == 0;
+    if (approach(s, hit, end, rows, &way)) {
+        s->at = begin;
+        return past_switches(s);
+    }
     s->at.touches += way.touches;
     for (int i = 0; i < N; i++)
         rates[i] = s->c[1][i]/s->at.tau;
@@ -700,7 +716,7 @@ static int pass_event(model_pieces *s, const condition *hit, double known, doubl
         return cross(s, known);
     }
     if (!way.crosses) {
-        s->at.begun = s->at.t > before ? 0 : s->at.begun;
+        s->at.begun = s->at.t > begin.t ? 0 : s->at.begun;
         note_undecided(s, hit, &way, way.touches > 0 && way.width > TOLD*s->rtol/LOCAL*fabs(s->at.t));
         return MODEL_OK;
     }
@@ -729,6 +745,7 @@ static int pass_event(model_pieces *s, const condition *hit, double known, doubl
             turn(s, of, after[of]);
     if ((status = go_on(s)))
         return status;
+    s->at.event_width = max_of(s->at.event_width, way.width);
     if (way.width > 0)
         note_undecided(s, hit, &way, moves_of_event(s, rates)*way.width > TOLD*s->rtol/LOCAL);
     return accumulates(s) ? MODEL_NO_MODE : MODEL_OK;
@@ -744,6 +761,7 @@ static void record_piece(model_pieces *s, double length, double error)
     piece[AT_S] = length;
     piece[AT_DEFECT] = error;
     piece[AT_EVENT] = s->at.begun;
+    piece[AT_EVENT_WIDTH] = s->at.begun != 0 ? s->at.event_width : 0;
     piece[AT_RESIDUAL] = NAN; /* that of steps */
 #if LAW
     for (int i = 0; i < M; i++) {
@@ -771,6 +789,27 @@ static void record_sizes(model_pieces *s)
 #else
     UNUSED(s);
 #endif
+}
+
+/* All orders at the place; where they have no number, on the side of switches that rounding has passed, or just
+   behind, if no state moves by more than rtol there. */
+static int expand_orders(model_pieces *s)
+{
+    const int status = expand_piece(s);
+    int again = status;
+    if (status) {
+        s->at = s->before;
+        if (past_switches(s) == MODEL_OK)
+            return expand_piece(s);
+        s->at = s->before;
+    }
+    for (int i = 0; again && i < LATER; i++) {
+        s->at.tau = s->before.tau;
+        creep(s, ldexp(1, i));
+        if (!(again = expand_finite(s, s->order)) && !rests_here(s))
+            return status;
+    }
+    return again ? status : MODEL_OK;
 }
 
 /* Integrate to the next event, or as far as one expansion goes. */

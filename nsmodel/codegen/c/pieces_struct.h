@@ -22,7 +22,7 @@ typedef struct {
     double size_x[MODEL_PIECES_N], size_y[MODEL_PIECES_M + 1], size_l[MODEL_PIECES_M + 1]; /* the largest so far */
     double choice[MODEL_PIECES_CHOICES + 1]; /* of branches; NaN: none yet */
     double size_switches[MODEL_PIECES_CHOICES + 1]; /* of their arguments, the largest so far */
-    double begun, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, after a jump by this */
+    double begun, event_width, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, known to this, after such a jump */
     double events, touches, redundant, tiny; /* counts; tiny: pieces in a row */
     double undecided[MODEL_PIECES_UNDECIDED]; /* events and dips that are not known to rtol; of the first its time, width, switch; whether it is an event */
     int known; /* orders of the series that stand for the place */
