@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from nsmodel import FirstOrderSystem, LureSystem, StepError, SweepingProcess, relay, simulate
+from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, StepError, SweepingProcess, relay, simulate
 from nsmodel.codegen import library
 from nsmodel.pieces.cover import largest_share
 from nsmodel.pieces.discs import Ball, Form, OnDisc
@@ -220,6 +220,59 @@ def test_atan2_on_all_sides():
         value, rate = (expansion.rows[jets.outputs[0]][k] for k in (0, 1))
         assert value == math.atan2(a, b)
         assert rate == pytest.approx(b / (a * a + b * b))
+
+
+@pytest.mark.parametrize("compiled", compilers)
+@pytest.mark.parametrize(
+    ("f", "exact"),
+    [
+        (ca.sqrt(t), 2 / 3 * 3**1.5), (t**1.5, 0.4 * 3**2.5), (ca.log(t), 3 * math.log(3) - 3), (t**-0.5, 2 * 3**0.5),
+        ((t * t) ** 0.25, 2 / 3 * 3**1.5), (t - ca.sqrt(x), 2.25), (1 / t, None), (ca.sqrt(x), None),
+    ],
+)  # fmt: skip
+def test_a_start_at_a_branch_point(f, exact, compiled):
+    """Without a series the first piece is a straight line, so short that it is nothing; not at a pole, or where x may stay."""
+    for rtol in (1e-3, 1e-8, 1e-12):
+        model = FirstOrderSystem(t=t, x=x, f=[f], x0=[0], t_end=3, step=1e-2)
+        if exact is None:
+            with pytest.raises(StepError, match="t = 0: f"):
+                at_end(model, rtol, compiled)
+            continue
+        run = at_end(model, rtol, compiled)
+        assert run.x[-1, 0] == pytest.approx(exact, rel=rtol)
+        assert run.at(0).x[0, 0] == pytest.approx(0, abs=1e-15)
+        assert not run.events
+        assert not run.metadata["warnings"]
+
+
+@pytest.mark.parametrize("compiled", compilers)
+def test_a_start_at_a_branch_point_under_friction(compiled):
+    """x' = 2 sqrt t - Sgn x leaves 0 at t = 1/4."""
+    model = FirstOrderSystem(t=t, x=x, lam=l, f=[2 * ca.sqrt(t)], g=[l], h=[x], law=relay(1), x0=[0], t_end=3, step=1e-2)
+    for rtol in (1e-3, 1e-8):
+        run = at_end(model, rtol, compiled)
+        assert [event.t for event in run.events] == pytest.approx([0.25])
+        assert run.x[-1, 0] == pytest.approx(4 / 3 * (3**1.5 - 0.125) - 2.75, rel=rtol)
+
+
+def test_what_comes_to_a_branch_point_stops_there():
+    """x' = -sgn(x) sqrt|x| is 0 from t = 2 on: no series tells that it stays."""
+    model = FirstOrderSystem(x=x, f=[-ca.sign(x) * ca.sqrt(ca.fabs(x))], x0=[1], t_end=5, step=1e-2)
+    for rtol in (1e-2, 1e-3, 1e-4, 1e-8):
+        with pytest.raises(StepError) as stop:
+            at_end(model, rtol, False)
+        assert stop.value.trajectory.t[-1] == pytest.approx(2, abs=1e-5)
+        assert stop.value.trajectory.x[-1, 0] == pytest.approx(0, abs=1e-10)
+
+
+@pytest.mark.parametrize("compiled", compilers)
+def test_a_state_that_rests_while_a_force_is_next_to_none(compiled):
+    """What rounding leaves of a velocity that is held to 0 moves the position by no more than that."""
+    force = [15.5 * ca.exp(-(((t - 4.24) / 0.166) ** 2))]
+    model = FrictionOscillator(t=t, x=x, potential=0 * x, friction=s, s=s, force=force, x0=[0], t_end=4, step=1e-2)
+    run = simulate(model, rtol=5e-3, method="event-driven", compiled=compiled)
+    assert run.x[-1, 0] >= 0
+    assert len(run) < 200
 
 
 @pytest.mark.parametrize("kind", hidden.KINDS)

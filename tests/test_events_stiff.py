@@ -205,3 +205,14 @@ def test_it_is_told():
     run = simulate(event_scenes.stiff_relay(1e3), rtol=1e-4)
     assert run.summary()["event_driven"]["collocated"] == collocated(run) > 0
     assert any("Radau IIA" in line for line in run.metadata["used"])
+
+
+def test_the_finest_rtol(compiled):
+    """Eleven stages: polynomials of a higher degree than discs have elsewhere."""
+    k, x = 1e5, ca.SX.sym("x")
+    model = FirstOrderSystem(t=t, x=x, f=[-k * (x - ca.cos(t))], x0=[0], t_end=3, step=1e-2)
+    exact = k * (k * math.cos(3) + math.sin(3)) / (k**2 + 1)
+    for rtol in (1e-12, 1e-14):
+        run = simulate(model, rtol=rtol, method="event-driven", compiled=compiled)
+        assert collocated(run)
+        assert run.x[-1, 0] == pytest.approx(exact, rel=max(rtol, 1e-15))

@@ -71,19 +71,20 @@ def bound(on: EquationsOnDisc, of: Polynomials, scales: Scales) -> float:
 
 
 def _on_part(on: EquationsOnDisc, of: Polynomials, scales: Scales, centre: float, half: float) -> float:
-    about, R = _about(len(of.x) - 1, centre, COVER_RADIUS * half), COVER_RADIUS * half
+    degree, R = max(COVER_DEGREE, len(of.x) - 1), COVER_RADIUS * half
+    about, powers = _about(degree, len(of.x) - 1, centre, R), _powers(degree + 2)
     x, l, y, watched = (about @ c for c in (of.x, of.l, of.y, of.watched))
-    t = np.zeros(COVER_DEGREE + 1)
+    t = np.zeros(degree + 1)
     t[:2] = of.t + of.h * centre, of.h * R
     found = on(Form(t), _forms(x), _forms(l))
-    orders = np.arange(1, COVER_DEGREE + 1)[:, None] / R
+    orders = np.arange(1, degree + 1)[:, None] / R
     moved = np.vstack([x[1:] * orders, np.zeros((1, x.shape[1]))])
     missed = [_less(one * of.h, c) for one, c in zip(found.rate, moved.T, strict=True)]
-    missed += [_less(found.y[i] * -1.0, np.zeros(COVER_DEGREE + 1)) for i in of.held]
+    missed += [_less(found.y[i] * -1.0, np.zeros(degree + 1)) for i in of.held]
     coefficients, rests = np.array([c for c, _ in missed]), np.array([r for _, r in missed])
     if not np.isfinite(rests).all():
         return math.inf
-    off = np.abs(scales.inverse @ coefficients) @ _POWERS[:-1] + np.abs(scales.inverse) @ rests * _POWERS[-1] - scales.rounding
+    off = np.abs(scales.inverse @ coefficients) @ powers[:-1] + np.abs(scales.inverse) @ rests * powers[-1] - scales.rounding
     n = len(found.rate)
     worst = max(largest_share(off[:n], scales.x), largest_share(off[n:], scales.l[of.held]))
     free = [i for i in range(len(found.y)) if i not in of.held]
@@ -93,13 +94,15 @@ def _on_part(on: EquationsOnDisc, of: Polynomials, scales: Scales, centre: float
     return max(worst, largest_share(off_watched - scales.rounding_watched, scales.watched))
 
 
-_POWERS = COVER_RADIUS ** -np.arange(COVER_DEGREE + 2.0)
+@cache
+def _powers(count: int) -> np.ndarray:
+    return COVER_RADIUS ** -np.arange(float(count))
 
 
 @cache
-def _about(degree: int, centre: float, R: float) -> np.ndarray:
-    """(COVER_DEGREE + 1, degree + 1) coefficients of (z - centre)/R from those about 1/2."""
-    out, by = np.zeros((COVER_DEGREE + 1, degree + 1)), centre - 0.5
+def _about(rows: int, degree: int, centre: float, R: float) -> np.ndarray:
+    """(rows + 1, degree + 1) coefficients of (z - centre)/R from those about 1/2."""
+    out, by = np.zeros((rows + 1, degree + 1)), centre - 0.5
     for m in range(degree + 1):
         for k in range(m + 1):
             out[k, m] = math.comb(m, k) * by ** (m - k) * R**k
@@ -121,7 +124,8 @@ def _less(of: Form | float, c: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _on_piece(c: np.ndarray, r: float) -> float:
     """The largest value on the real part of the disc."""
-    return float(np.abs(c) @ _POWERS[:-1] + r * _POWERS[-1])
+    powers = _powers(len(c) + 1)
+    return float(np.abs(c) @ powers[:-1] + r * powers[-1])
 
 
 def largest_share(off: np.ndarray, allowed: np.ndarray) -> float:

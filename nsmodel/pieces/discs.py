@@ -237,9 +237,8 @@ class Form:
         a, v = float(self.c[0]), self.moves
         if not v < abs(a):
             return _lost(self)
-        j = np.arange(len(self.c))
-        phi = (-1.0) ** j / a ** (j + 1)
-        return _composed(self, phi, np.abs(phi), 1 / (abs(a) - v))
+        phi = (-1.0) ** np.arange(len(self.c))
+        return _composed(self / a, phi, np.abs(phi), 1 / (1 - v / abs(a))) / a
 
 
 def ball_of(row: Sequence[float], R: float) -> Ball:
@@ -323,20 +322,20 @@ def _form_power(u: Form, p: float) -> Form:
     a, n, v = float(u.c[0]), len(u.c), u.moves
     if not (a > 0 and v < a):
         return _lost(u)
-    phi, majorant, x = [a**p], [a**p], v / a
+    phi, majorant, x = [1.0], [1.0], v / a
     for j in range(n - 1):
-        phi.append(phi[-1] * (p - j) / (j + 1) / a)
-        majorant.append(majorant[-1] * (abs(p) + j) / (j + 1) / a)
+        phi.append(phi[-1] * (p - j) / (j + 1))
+        majorant.append(majorant[-1] * (abs(p) + j) / (j + 1))
     if p == 0.5:
-        return _composed(u, np.array(phi), np.abs(phi), math.sqrt(a) * (2 - math.sqrt(1 - x)))
-    return _composed(u, np.array(phi), np.array(majorant), a**p * (1 - x) ** -abs(p))
+        return _composed(u / a, np.array(phi), np.abs(phi), 2 - math.sqrt(1 - x)) * math.sqrt(a)
+    return _composed(u / a, np.array(phi), np.array(majorant), (1 - x) ** -abs(p)) * a**p
 
 
 def _form_log(u: Form, a: float, v: float, n: int) -> Form:
     if not (a > 0 and v < a):
         return _lost(u)
-    phi = np.array([math.log(a), *((-1.0) ** (j + 1) / j / a**j for j in range(1, n))])
-    return _composed(u, phi, np.abs(phi), abs(phi[0]) - math.log1p(-v / a))
+    phi = np.array([math.log(a), *((-1.0) ** (j + 1) / j for j in range(1, n))])
+    return _composed(u / a, phi, np.abs(phi), abs(phi[0]) - math.log1p(-v / a))
 
 
 def _integral(start: float, slope: Sequence[float]) -> np.ndarray:

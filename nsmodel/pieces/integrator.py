@@ -40,6 +40,8 @@ NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
+HARDLY = 2.0**-50  # Of the time: a piece that hardly moves it.
+LINES, LAST_OCTAVE = (100, 200, 400, 800), 1074  # Octaves below 1 of a first piece that is a line; of the least double.
 AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
 TOLD = 10.0  # In rtol: by how much an event whose time is not known may move a state.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
@@ -70,7 +72,7 @@ class Integrator:
         self.roots = Roots(system, self.bound.on)
         self.stiff = Stiff(system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
-        self._still = 0  # Pieces, one after the other, in which time stood still.
+        self._still = 0  # Pieces, one after the other, that hardly moved time.
         self._begun: Begin | None = None  # The event that the next piece begins with.
         self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
@@ -100,7 +102,12 @@ class Integrator:
         if self._still >= MOST_STILL:
             raise self.bound.refused(self.place)
         system, place = self.system, self.place
-        how = self._series()
+        try:
+            how = self._series()
+        except StepError:
+            if (h := self._first_line()) is None or (piece := self._along_line(h)) is None:
+                raise
+            return piece
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._in_longer_unit(how, s)
@@ -119,7 +126,7 @@ class Integrator:
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         grow(system, s, min(longest, tau * s))
-        self._still = self._still + 1 if s > 0 and place.t + tau * s == place.t else 0
+        self._still = self._still + 1 if 0 < tau * s <= HARDLY * abs(place.t) else 0
         place.t, place.x, place.open, place.crossed = place.t + tau * s, last, set(), set()
         if hit is None and not reaches(place.t, known):
             self._hold(how)
@@ -225,7 +232,53 @@ class Integrator:
                 self._push(p)
                 continue
             place.tau = unit(min(s, TOO_SHORT) * place.tau)
-        raise self._stuck("at the start")
+        if self._first_line() is None:
+            raise self._stuck("at the start")
+
+    def _first_line(self) -> float | None:
+        """How long x is taken to move on a straight line from a start at which there is no series (sqrt t, log t); None: not.
+
+        What it moves by is at most sum h 2^-j |x'(h 2^-j)| over all j, where |x'| is monotone; that is within rtol of each x, or
+        of what one that is 0 comes to in sqrt(h).
+        """
+        place, system, f = self.place, self.system, self.bound.equations
+        if place.t or self._has_series():
+            return None
+        x, l = place.x, [row[0] for row in system.push]
+        for octaves in LINES:
+            h = 2.0**-octaves
+            times = np.ldexp(1.0, -np.arange(octaves, LAST_OCTAVE))
+            rates = np.array([f(t, x, l)[0] for t in times.tolist()])
+            rates = np.fmax(np.abs(rates), np.abs([f(t, x + t * v, l)[0] for t, v in zip(times.tolist(), rates, strict=True)]))
+            comes_to = math.sqrt(h) * np.abs(f(math.sqrt(h), x, l)[0])
+            allowed = self.rtol * np.fmax(np.abs(x), comes_to) + np.array(self.atol)
+            if (times @ rates <= allowed).all():
+                return h
+        return None
+
+    def _along_line(self, h: float) -> Piece | None:
+        """That piece; None where no mode follows. Where multipliers act, which are not known yet, x stays what it is."""
+        system, before = self.system, self.standing()
+        x, v = self.place.x, [0.0] * system.n
+        if not system.m:
+            v, _ = self.bound.equations(h, x, [])
+        last = [a + h * b for a, b in zip(x, v, strict=True)]
+        try:
+            self.take_up(h, last, [row[0] for row in system.l], self.place.codes, h)
+        except StepError:
+            self.stand(before)
+            return None
+        self._begun = None
+        series = np.zeros((system.n + 2 * system.m, self.order + 1))
+        series[:, 0] = [*x, *(row[0] for row in system.l), *(row[0] for row in system.y)]
+        series[: system.n, 1] = [h * b for b in v]
+        n, m = system.n, system.n + system.m
+        return Piece(0.0, h, 1.0, series[:n], series[n:m], series[m:], tuple(self.place.codes), 1.0, last, None)
+
+    def _has_series(self) -> bool:
+        place = self.place
+        how = self.system.expand(place.t, place.x, place.codes, place.tau, self.order)
+        return how is None or all(math.isfinite(v) for row in self.system.x for v in row[: self.order + 1])
 
     def _push(self, p: np.ndarray) -> None:
         """x+ = x + g_l p, at one time."""
@@ -420,7 +473,8 @@ class Integrator:
         return {
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
-            "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": begun and [list(begun.impulse), begun.width],
+            "sizes": {name: list(size) for name, size in vars(sizes).items()},
+            "begun": begun and [list(begun.impulse), begun.width],
             "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
             "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.standing(),
             "undecided": list(self.undecided),

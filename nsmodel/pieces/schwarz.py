@@ -35,9 +35,12 @@ PROVED = 0.45  # Of the length that was asked for: with less a smaller disc may 
 NEARLY = 0.97  # Of the length that a bound lets be.
 SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many by half, then by so much at a time.
 CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter.
-POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole.
+POLE, SUDDEN = (
+    1e6,
+    1e3,
+)  # How much more than its size a state would move at its rate in the time so far, and that rate, near a pole.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
-MOST_STILL = 2000  # Pieces, one after the other, in which time stands still: from rest some hundred are needed.
+MOST_STILL = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
 CANCELLED = 2.0**-50  # Of an entry of P: rounding.
 FAR, GROWS = 64.0, 4.0  # Times in which time stands still, and how much smaller rates are so far from a pole.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
@@ -110,11 +113,12 @@ class Schwarz:
         return self.pole(place) or StepError(f"t = {place.t:.10g}: f, g or h is not analytic here: {where}")
 
     def pole(self, place: Place) -> FinalError | None:
-        """That no solution goes on, where a state moves by many times its size in the time so far."""
+        """That no solution goes on, where a state would move by many times its size in the time so far, and its rate, too."""
         system = self.system
         at_pole, _ = self.equations(place.t, [row[0] for row in system.x], [row[0] for row in system.push])
         for name, row, size, rate in zip(system.problem.names, system.x, system.sizes.x, at_pole, strict=True):
-            if abs(rate * place.t) > POLE * max(size, abs(row[0])):
+            turns = abs(2 * row[2] * place.t) / place.tau > SUDDEN * abs(row[1]) or not math.isfinite(rate + row[1] + row[2])
+            if turns and abs(rate * place.t) > POLE * max(size, abs(row[0])):
                 grows = f"{name}' = {rate:.3g}, and grows without bound"
                 return FinalError(f"t = {place.t:.10g}: {grows}: f has a pole, or another singularity, near here")
         return None

@@ -30,7 +30,7 @@ class Sizes:
 
 
 class Negligible:
-    """``of(t, x, l, sizes, time)``: a part of what x of their sizes move each x by in this time, to first order at a point.
+    """``of(t, x, l, sizes, time)``: a part of what x of these sizes move each x by in this time, to first order at a point.
 
     What moves by less is measured beside it: the same in all units of each x. What multipliers move it by says nothing: where
     walls push against each other they are as large as they like.
@@ -46,10 +46,10 @@ class Negligible:
         array, found = np.zeros(given.numel()), np.zeros(moved.numel())
         return array, found, *attached(ca.Function("moves", [given], [ca.densify(moved)]), [array], [found])
 
-    def __call__(self, t: float, x: list[float], l: list[float], sizes: Sizes, time: float) -> list[float]:
+    def __call__(self, t: float, x: list[float], l: list[float], sizes: list[float], time: float) -> list[float]:
         """0 where there is no number."""
         given, found, _, call = self._moves
-        given[:] = [t, *x, *l, *sizes.x]
+        given[:] = [t, *x, *l, *sizes]
         call()
         part = NEGLIGIBLE * time
         return [part * v if math.isfinite(v) else 0.0 for v in found.tolist()]

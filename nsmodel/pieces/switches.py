@@ -14,6 +14,7 @@ from nsmodel.pieces.bernstein import values
 from nsmodel.pieces.disc_equations import Found
 from nsmodel.pieces.discs import EPS, Ball
 from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.sizes import ROUNDING
 from nsmodel.pieces.sliding import Block
 from nsmodel.pieces.system import KEPT, RESTS, System
 
@@ -116,7 +117,9 @@ def grow(system: System, s: float, length: float) -> None:
     sizes = system.sizes
     for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
         largest[:] = [max(so_far, abs(v), abs(row[0])) for so_far, v, row in zip(largest, values(rows, s), rows, strict=True)]
-    least = system.negligible(system.t[0], [row[0] for row in system.x], [row[0] for row in system.push], sizes, length)
+    rounding = [ROUNDING * length / system.t[1] * v for v in system.pushed()]  # What is left of x that held rows let rest.
+    of_x = list(map(max, sizes.x, rounding))
+    least = system.negligible(system.t[0], [row[0] for row in system.x], [row[0] for row in system.push], of_x, length)
     sizes.x[:] = map(max, sizes.x, least)
     if system.branches:
         sizes.switches[:] = [max(both) for both in zip(sizes.switches, _terms_of_switches(system), strict=True)]

@@ -421,6 +421,8 @@ def trial(seed: int, kind: str | None = None) -> dict[str, Any]:
             run = simulate(scene.model, rtol=rtol, method=scene.method, compiled=compiled)
     except NsmodelError as error:
         return about | {"verdict": SAID if scene.exact is not None else RIGHT, "words": str(error)}
+    except Exception as error:
+        return about | {"verdict": WRONG, "words": repr(error)}
     found = float(run.x[-1, -1])
     about |= {"found": found, "exact": scene.exact, "pieces": len(run), "seconds": time.monotonic() - start}
     if scene.exact is None:

@@ -330,7 +330,7 @@ static int accept(model_pieces *s, double *length, double *tried, condition *hit
 /* Note what the rows come to at s of a piece, and what moves x in this time of a series; x at s into s->value. */
 static void grow(model_pieces *s, double length, double time)
 {
-    double moved[N];
+    double moved[N], of_x[N];
     values_at(s->c[0], COLUMNS, s->order, length, ROWS, s->value);
     for (int i = 0; i < N; i++)
         s->at.size_x[i] = max_of(s->at.size_x[i], max_of(fabs(s->value[i]), fabs(s->c[0][i])));
@@ -340,13 +340,15 @@ static void grow(model_pieces *s, double length, double time)
         s->at.size_l[i] = max_of(s->at.size_l[i], max_of(fabs(s->value[L + i]), fabs(s->c[0][L + i])));
     }
 #endif
+    pushes(s, s->pushed);
+    for (int i = 0; i < N; i++) /* and what is left of x that held rows let rest */
+        of_x[i] = max_of(s->at.size_x[i], ROUNDING*time/s->at.tau*s->pushed[i]);
     s->now[0] = s->c[0][T];
-    moves(s, s->now, s->c[0], s->c[0] + L, s->at.size_x, moved);
+    moves(s, s->now, s->c[0], s->c[0] + L, of_x, moved);
     for (int i = 0; i < N; i++)
         if (is_finite(moved[i]))
             s->at.size_x[i] = max_of(s->at.size_x[i], NEGLIGIBLE*time*moved[i]);
 #if SWITCHED
-    pushes(s, s->pushed);
     sizes_of_switches(s);
 #endif
 }
@@ -866,7 +868,7 @@ static int next_piece(model_pieces *s)
 #endif
     memcpy(s->at.x, s->value, sizeof s->at.x);
     s->at.t += s->at.tau*length;
-    s->still = length > 0 && s->at.t == s->before.t ? s->still + 1 : 0;
+    s->still = length > 0 && s->at.tau*length <= HARDLY*fabs(s->before.t) ? s->still + 1 : 0;
     memset(s->at.open, 0, sizeof s->at.open);
     const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length, end = min_of(collocated ? start + tau + longest : start + unit*tried, known);
     s->at.tau = collocated ? unit_of(ROOM*longest) : unit; /* that of series, and of germs, stays what a series takes */

@@ -23,20 +23,12 @@ static void about(const double *coefficients, int n, double centre, double *c)
 #define DISC_F(i) ROW(DISC_ROWS + (i))
 #define DISC_H(i) DISC_F(N + (i))
 
-/* A polynomial of n coefficients as a form of degree m on the disc of radius R. */
+/* A polynomial of n coefficients as a form of degree m >= n - 1 on the disc of radius R. */
 static void fill_disc(double *y, const double *c, int n, double R, int m)
 {
-    double power = 1, rest = 0;
-    for (int k = 0; k < n; k++) {
-        if (k <= m)
-            y[k] = c[k]*power;
-        else
-            rest += fabs(c[k])*power;
-        power *= R;
-    }
-    for (int k = n; k <= m; k++)
-        y[k] = 0;
-    y[m + 1] = rest;
+    double power = 1;
+    for (int k = 0; k <= m + 1; k++, power *= R)
+        y[k] = k < n ? c[k]*power : 0;
 }
 
 /* f + g and h on the disc. */
@@ -77,20 +69,20 @@ static double beside(double worst, double e, double rounding, double weight, dou
 
 /* The larger of worst and what a disc is beside such a polynomial, beside 100 rtol of its size. */
 static double beside_polynomial(double worst, const double *coefficients, int n, double centre, double R, const double *of,
-                                double size, double rtol)
+                                double size, double rtol, int m)
 {
     double c[DEGREES], form[DEGREES];
     about(coefficients, n, centre, c);
-    fill_disc(form, c, n, R, COVER_DEGREE);
-    disc_sum(form, form, -1, of, COVER_DEGREE);
-    return beside(worst, on_real(form, COVER_DEGREE), STAGE_ROUNDING*size, 1, MULTIPLIERS*rtol*size);
+    fill_disc(form, c, n, R, m);
+    disc_sum(form, form, -1, of, m);
+    return beside(worst, on_real(form, m), STAGE_ROUNDING*size, 1, MULTIPLIERS*rtol*size);
 }
 
 /* What a piece of collocation errs by on one disc; see cover(). */
 static double on_part(model_pieces *s, const double *coefficients, int n, double h, double centre, double half, double rtol,
                       const double *inverse, int q, const double *size, const double *rounding)
 {
-    const int m = COVER_DEGREE;
+    const int m = n - 1 > COVER_DEGREE ? n - 1 : COVER_DEGREE;
     const double R = COVER_RADIUS*half, t[] = {s->at.t + h*centre, h};
     double c[DEGREES], form[DEGREES], worst = 0;
     fill_disc(DISC_T, t, 2, R, m);
@@ -139,11 +131,11 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
 #if LAW
     for (int i = 0; i < M; i++)
         if (s->at.codes[i])
-            worst = beside_polynomial(worst, coefficients + Y + i, n, centre, R, DISC_H(i), size[Y + i], rtol);
+            worst = beside_polynomial(worst, coefficients + Y + i, n, centre, R, DISC_H(i), size[Y + i], rtol, m);
 #endif
 #if SWITCHED
     for (int b = 0; b < CHOICES; b++)
-        worst = beside_polynomial(worst, coefficients + ROWS + b, n, centre, R, ROW(disc_looked[b]), size[ROWS + b], rtol);
+        worst = beside_polynomial(worst, coefficients + ROWS + b, n, centre, R, ROW(disc_looked[b]), size[ROWS + b], rtol, m);
 #endif
     return worst;
 }

@@ -207,7 +207,7 @@ static void compose(double *y, const double *u, const double *phi, const double 
 static void disc_power(double *y, const double *u, double p, int m)
 {
     const double a = u[0], v = moves_of(u, m), x = v/fabs(a);
-    double phi[DEGREES], Q[DEGREES];
+    double phi[DEGREES], Q[DEGREES], of[DEGREES];
     if (!(v < fabs(a)) || (a < 0 && p != floor(p)) || (m && !(a > 0))) {
         lose(y, m);
         return;
@@ -215,8 +215,8 @@ static void disc_power(double *y, const double *u, double p, int m)
     phi[0] = pow(a, p);
     Q[0] = fabs(phi[0]);
     for (int j = 0; j < m; j++) {
-        phi[j + 1] = phi[j]*(p - j)/(j + 1)/a;
-        Q[j + 1] = Q[j]*(fabs(p) + j)/(j + 1)/a;
+        phi[j + 1] = phi[j]*(p - j)/(j + 1);
+        Q[j + 1] = Q[j]*(fabs(p) + j)/(j + 1);
     }
     if (m == 0) {
         y[0] = phi[0];
@@ -225,13 +225,14 @@ static void disc_power(double *y, const double *u, double p, int m)
             lose(y, m);
         return;
     }
-    compose(y, u, phi, Q, Q[0]*pow(1 - x, -fabs(p)), m);
+    disc_scaled(of, u, 1/a, m);
+    compose(y, of, phi, Q, Q[0]*pow(1 - x, -fabs(p)), m);
 }
 
 static void disc_log(double *y, const double *u, int m)
 {
     const double a = u[0], v = moves_of(u, m);
-    double phi[DEGREES], Q[DEGREES], power = 1;
+    double phi[DEGREES], Q[DEGREES], of[DEGREES];
     if (!(v < a)) {
         lose(y, m);
         return;
@@ -239,11 +240,11 @@ static void disc_log(double *y, const double *u, int m)
     phi[0] = log(a);
     Q[0] = fabs(phi[0]);
     for (int j = 1; j <= m; j++) {
-        power /= a;
-        phi[j] = (j % 2 ? power : -power)/j;
-        Q[j] = power/j;
+        Q[j] = 1.0/j;
+        phi[j] = j % 2 ? Q[j] : -Q[j];
     }
-    compose(y, u, phi, Q, Q[0] - log1p(-v/a), m);
+    disc_scaled(of, u, 1/a, m);
+    compose(y, of, phi, Q, Q[0] - log1p(-v/a), m);
 }
 
 static void disc_atan(double *y, const double *u, int m)
