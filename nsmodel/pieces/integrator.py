@@ -14,13 +14,14 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import FinalError, StepError
+from nsmodel.pieces import lines
 from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value, values
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
 from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
-from nsmodel.pieces.modes import LATER, ORDERS, Place, creep, jump, select, take_sides, turn, uniqueness
+from nsmodel.pieces.modes import LATER, ORDERS, Place, creep, crept, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import UNDECIDED, few, name
@@ -41,7 +42,6 @@ ROOM = 1.3  # By which the next piece may be longer than the last without anothe
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
 HARDLY = 2.0**-50  # Of the time: a piece that hardly moves it.
-LINES, LAST_OCTAVE = (100, 200, 400, 800), 1074  # Octaves below 1 of a first piece that is a line; of the least double.
 AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
 TOLD = 10.0  # In rtol: by how much an event whose time is not known may move a state.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
@@ -105,7 +105,7 @@ class Integrator:
         try:
             how = self._series()
         except StepError:
-            if (h := self._first_line()) is None or (piece := self._along_line(h)) is None:
+            if (piece := self._line()) is None:
                 raise
             return piece
         s = self._length(how)
@@ -148,28 +148,15 @@ class Integrator:
         return piece.moved(place.t, place.x, max(error, off))
 
     def _series(self) -> Solve:
-        """All orders at the place; where they have no number, on the side of switches that rounding has passed, or just behind.
-
-        Behind a removable singularity, that is: where f has a number again no state moves by more than rtol.
-        """
+        """All orders at the place; where they have no number, on the side of switches that rounding has passed."""
         place, tau = self.place, self.place.tau
         try:
             return self._orders()
-        except StepError as error:
-            place.tau, why = tau, error
-        if self._past_switches():
-            return self._orders()
-        for k in range(LATER):
-            creep(self.system, place, 2.0**k)
-            try:
-                how = self._orders()
-            except StepError:
-                place.tau = tau
-                continue
-            if self.bound.rests(place, self.rtol / LOCAL, [a / LOCAL for a in self.atol]):
-                return how
-            break
-        raise why
+        except StepError:
+            place.tau = tau
+            if not self._past_switches():
+                raise
+        return self._orders()
 
     def _orders(self) -> Solve:
         """All orders at the place, of which the mode's choice has left some."""
@@ -232,48 +219,36 @@ class Integrator:
                 self._push(p)
                 continue
             place.tau = unit(min(s, TOO_SHORT) * place.tau)
-        if self._first_line() is None:
+        if self._has_series():
             raise self._stuck("at the start")
 
-    def _first_line(self) -> float | None:
-        """How long x is taken to move on a straight line from a start at which there is no series (sqrt t, log t); None: not.
-
-        What it moves by is at most sum h 2^-j |x'(h 2^-j)| over all j, where |x'| is monotone; that is within rtol of each x, or
-        of what one that is 0 comes to in sqrt(h).
-        """
-        place, system, f = self.place, self.system, self.bound.equations
-        if place.t or self._has_series():
+    def _line(self) -> Piece | None:
+        """A straight line past a point without a series, as short as one with a series follows; None where none does."""
+        place, system, before = self.place, self.system, self.standing()
+        if self._has_series():
             return None
-        x, l = place.x, [row[0] for row in system.push]
-        for octaves in LINES:
-            h = 2.0**-octaves
-            times = np.ldexp(1.0, -np.arange(octaves, LAST_OCTAVE))
-            rates = np.array([f(t, x, l)[0] for t in times.tolist()])
-            rates = np.fmax(np.abs(rates), np.abs([f(t, x + t * v, l)[0] for t, v in zip(times.tolist(), rates, strict=True)]))
-            comes_to = math.sqrt(h) * np.abs(f(math.sqrt(h), x, l)[0])
-            allowed = self.rtol * np.fmax(np.abs(x), comes_to) + np.array(self.atol)
-            if (times @ rates <= allowed).all():
-                return h
+        l = [row[0] for row in system.push]
+        for h, octaves in lines.lengths(place.t):
+            v = lines.velocity(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
+            if v is None:
+                continue
+            if system.m and not place.t:  # l is not known yet.
+                v = 0 * v
+            last = (np.array(place.x) + h * v).tolist()
+            try:
+                self.take_up(place.t + h, last, [row[0] for row in system.l], place.codes, h)
+                self._series()
+            except StepError:
+                self.stand(before)
+                place = self.place
+                continue
+            series = np.zeros((system.n + 2 * system.m, self.order + 1))
+            series[:, 0] = [*place.x, *(row[0] for row in system.l), *(row[0] for row in system.y)]
+            series[: system.n, 1] = h * v
+            n, m, codes = system.n, system.n + system.m, self.place.codes
+            self._begun = self._no_jump if place.t and codes != place.codes else None
+            return Piece(place.t, h, 1.0, series[:n], series[n:m], series[m:], tuple(codes), 1.0, last, None)
         return None
-
-    def _along_line(self, h: float) -> Piece | None:
-        """That piece; None where no mode follows. Where multipliers act, which are not known yet, x stays what it is."""
-        system, before = self.system, self.standing()
-        x, v = self.place.x, [0.0] * system.n
-        if not system.m:
-            v, _ = self.bound.equations(h, x, [])
-        last = [a + h * b for a, b in zip(x, v, strict=True)]
-        try:
-            self.take_up(h, last, [row[0] for row in system.l], self.place.codes, h)
-        except StepError:
-            self.stand(before)
-            return None
-        self._begun = None
-        series = np.zeros((system.n + 2 * system.m, self.order + 1))
-        series[:, 0] = [*x, *(row[0] for row in system.l), *(row[0] for row in system.y)]
-        series[: system.n, 1] = [h * b for b in v]
-        n, m = system.n, system.n + system.m
-        return Piece(0.0, h, 1.0, series[:n], series[n:m], series[m:], tuple(self.place.codes), 1.0, last, None)
 
     def _has_series(self) -> bool:
         place = self.place
@@ -326,13 +301,18 @@ class Integrator:
 
     def _arrive(self) -> Solve:
         """The expansion at an event; where the mode before has no number there, as near before it as time is known."""
-        place, tau = self.place, self.place.tau
+        place, tau, t, x = self.place, self.place.tau, self.place.t, self.place.x
         for k in range(LATER):
             try:
-                return self._expand(AROUND)
+                how = self._expand(AROUND)
             except StepError:
                 place.tau = tau
                 creep(self.system, place, -(2.0**k))
+                continue
+            if place.t == t:
+                return how
+            crept(self.system, place, t, x)
+            break
         return self._expand(AROUND)
 
     def _approach(self, hit: Condition, until: float) -> tuple[Isolated, float, float]:

@@ -58,7 +58,10 @@ def select(system: System, place: Place) -> Solve | None:
     before, t, x = _state(system, place), place.t, list(place.x)
     for k in range(LATER):
         if (how := _selected(system, place)) is not None:
-            return how
+            if place.t == t:
+                return how
+            crept(system, place, t, x)
+            return _expand(system, place)
         _restore(system, place, before)
         if not system.branches or _expand(system, place) is not None:
             break
@@ -74,6 +77,11 @@ def creep(system: System, place: Place, times: float) -> None:
     time = times * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MOST_CREEP) if place.t else 0.0
     place.t += time
     place.x = [x + rate * time for x, rate in zip(place.x, rates, strict=True)]
+
+
+def crept(system: System, place: Place, t: float, x: list[float]) -> None:
+    """Move x from (t, x) to the time of the place at the rates there, which stand: some may not have been known before."""
+    place.x = [a + row[1] / place.tau * (place.t - t) for a, row in zip(x, system.x, strict=True)]
 
 
 def _selected(system: System, place: Place) -> Solve | None:

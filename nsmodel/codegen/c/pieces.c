@@ -793,25 +793,14 @@ static void record_sizes(model_pieces *s)
 #endif
 }
 
-/* All orders at the place; where they have no number, on the side of switches that rounding has passed, or just
-   behind, if no state moves by more than rtol there. */
+/* All orders at the place; where they have no number, on the side of switches that rounding has passed. */
 static int expand_orders(model_pieces *s)
 {
-    const int status = expand_piece(s);
-    int again = status;
-    if (status) {
-        s->at = s->before;
-        if (past_switches(s) == MODEL_OK)
-            return expand_piece(s);
-        s->at = s->before;
-    }
-    for (int i = 0; again && i < LATER; i++) {
-        s->at.tau = s->before.tau;
-        creep(s, ldexp(1, i));
-        if (!(again = expand_finite(s, s->order)) && !rests_here(s))
-            return status;
-    }
-    return again ? status : MODEL_OK;
+    int status = expand_piece(s);
+    if (status == MODEL_OK)
+        return status;
+    s->at = s->before;
+    return past_switches(s) == MODEL_OK ? expand_piece(s) : status;
 }
 
 /* Integrate to the next event, or as far as one expansion goes. */

@@ -637,6 +637,13 @@ static void creep(model_pieces *s, double times)
         s->at.x[i] += rates[i]*time;
 }
 
+/* Move x from where it was to the time of the place at the rates there, which stand: some may not have been known before. */
+static void creep_along(model_pieces *s, double t, const double *x)
+{
+    for (int i = 0; i < N; i++)
+        s->at.x[i] = x[i] + s->c[1][i]/s->at.tau*(s->at.t - t);
+}
+
 /* The same; where the mode that is taken up has no number at the place, a little later, as well as time is known. */
 static int choose_mode(model_pieces *s)
 {
@@ -646,8 +653,12 @@ static int choose_mode(model_pieces *s)
     double t = begun.t, x[N];
     memcpy(x, begun.x, sizeof x);
     for (int i = 0; i < LATER; i++) {
-        if (settle_mode(s))
-            return 1;
+        if (settle_mode(s)) {
+            if (t == begun.t)
+                return 1;
+            creep_along(s, begun.t, begun.x);
+            return expand(s, ORDERS) && has_numbers(s);
+        }
         s->at = begun;
         s->at.t = t;
         memcpy(s->at.x, x, sizeof x);

@@ -386,14 +386,17 @@ static double width_of(model_pieces *s, const condition *own, double share)
 /* The expansion at an event; where the mode before has no number there, as near before it as time is known. */
 static int arrive(model_pieces *s)
 {
-    const double tau = s->at.tau;
+    const model_place begun = s->at;
     int status = expand_finite(s, AROUND);
     for (int i = 0; i < LATER && status; i++) {
-        s->at.tau = tau;
+        s->at.tau = begun.tau;
         creep(s, -ldexp(1, i));
         status = expand_finite(s, AROUND);
     }
-    return status;
+    if (status || s->at.t == begun.t)
+        return status;
+    creep_along(s, begun.t, begun.x);
+    return expand_finite(s, AROUND);
 }
 
 /* Move the place to where the condition is 0 to rounding, on expansions there; what is no simple root is isolated. */
