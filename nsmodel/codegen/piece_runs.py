@@ -198,7 +198,7 @@ def _place(sizes: dict[str, int]) -> np.dtype:
     }
     fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
     fields += [("begun", float), ("event_width", float), ("impulse", float, (m + 1,))]
-    fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")]
+    fields += [(name, float) for name in ("events", "touches", "redundant", "tiny", "still")]
     fields += [("undecided", float, (len(UNDECIDED),)), ("known", np.int32)]
     fields += [("stiff", float, (4,)), ("unique", float, (3,))]
     fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]

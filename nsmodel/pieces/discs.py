@@ -149,6 +149,8 @@ def _power(u: Any, p: Any) -> Any:
         return _KNOWN["exp"](p * _KNOWN["log"](u))
     if not isinstance(u, Ball | Form):
         return series.STARTS["pow"](u, p)
+    if not u.moves:
+        return _constant(series.STARTS["pow"](_centre(u), p), u)
     return _ball_power(u, p) if isinstance(u, Ball) else _form_power(u, p)
 
 
@@ -276,6 +278,11 @@ def _form_like(u: Any, other: Any) -> Any:
     return Ball(float(u))
 
 
+def _constant(value: float, u: Any) -> Any:
+    """A number as what u is; lost where it is none."""
+    return _form_like(value, u) if math.isfinite(value) else _lost(u)
+
+
 def _composed(u: Form, phi: np.ndarray, majorant: np.ndarray, whole: float) -> Form:
     """phi(u) by its coefficients at the centre and those of the majorant; ``whole``: the majorant itself of ``u.moves``."""
     n, v = len(u.c), u.c.copy()
@@ -381,7 +388,11 @@ def _either(of_ball: Callable[[Ball], Ball], of_form: Callable[[Any], Any], name
     number = series.STARTS[name]
 
     def at(u: Any) -> Any:
-        return of_ball(u) if type(u) is Ball else of_form(u) if type(u) is Form else number(u)
+        if type(u) is Ball:
+            return of_ball(u)
+        if type(u) is not Form:
+            return number(u)
+        return of_form(u) if u.moves else _constant(number(float(u.c[0])), u)
 
     return at
 

@@ -21,7 +21,7 @@ from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
 from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
-from nsmodel.pieces.modes import LATER, ORDERS, Place, creep, crept, jump, select, take_sides, turn, uniqueness
+from nsmodel.pieces.modes import LATER, ORDERS, ULP, Place, creep, crept, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import UNDECIDED, few, name
@@ -41,7 +41,7 @@ NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
-HARDLY = 2.0**-50  # Of the time: a piece that hardly moves it.
+HARDLY, STILL = 2.0**-50, 16  # Of the time: a piece that hardly moves it; so many, after which a state may have come to rest.
 AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
 TOLD = 10.0  # In rtol: by how much an event whose time is not known may move a state.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
@@ -99,15 +99,19 @@ class Integrator:
         """
         if self.stopped is not None:
             raise self.final or StepError(self.stopped)
+        if self._still >= STILL and self._comes_to_rest():
+            self._still = 0
         if self._still >= MOST_STILL:
             raise self.bound.refused(self.place)
-        system, place = self.system, self.place
         try:
             how = self._series()
         except StepError:
+            if self._comes_to_rest():
+                return self.advance()
             if (piece := self._line()) is None:
                 raise
             return piece
+        system, place = self.system, self.place
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._in_longer_unit(how, s)
@@ -221,6 +225,35 @@ class Integrator:
             place.tau = unit(min(s, TOO_SHORT) * place.tau)
         if self._has_series():
             raise self._stuck("at the start")
+
+    def _comes_to_rest(self) -> bool:
+        """Whether states next to 0 were put to 0, where they rest: their rate is 0 there, and leads back from both sides.
+
+        So x' = -sgn(x) sqrt|x| comes to 0 in finite time, where it has no series.
+        """
+        place, f, before = self.place, self.bound.equations, self.standing()
+        l = [row[0] for row in self.system.push]
+
+        def rates(x: list[float]) -> list[float]:
+            return f(place.t, x, l)[0]
+
+        at = [0.0 if abs(x) <= ULP * size else x for x, size in zip(place.x, self.sizes.x, strict=True)]
+        still = rates(at)
+        at = [a if rate == 0 else x for a, rate, x in zip(at, still, place.x, strict=True)]
+        moved = [i for i, (a, x) in enumerate(zip(at, place.x, strict=True)) if a != x]
+        for i in moved:
+            off = [rates([*at[:i], side * abs(place.x[i]), *at[i + 1 :]])[i] * side for side in (-1, 1)]
+            if any(rate > 0 for rate in off) or not any(rate < 0 for rate in off):
+                return False
+        try:
+            if moved and not any(map(rates(at).__getitem__, moved)):
+                self.take_up(place.t, at, [row[0] for row in self.system.l], place.codes, place.tau)
+                self._series()
+                self._begun = None
+                return True
+        except StepError:
+            self.stand(before)
+        return False
 
     def _line(self) -> Piece | None:
         """A straight line past a point without a series, as short as one with a series follows; None where none does."""
@@ -457,7 +490,7 @@ class Integrator:
             "begun": begun and [list(begun.impulse), begun.width],
             "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
             "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.standing(),
-            "undecided": list(self.undecided),
+            "undecided": list(self.undecided), "still": self._still,
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -474,16 +507,29 @@ class Integrator:
         self._begun = None if saved["begun"] is None else Begin(tuple(saved["begun"][0]), saved["begun"][1])
         self.accumulation.stand(saved["accumulation"])
         self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
-        self.stopped, self.undecided = saved["stopped"], list(saved["undecided"])
+        self.stopped, self.undecided, self._still = saved["stopped"], list(saved["undecided"]), saved["still"]
         self.stiff.stand(saved["stiff"])
 
     def _refuse_rivals(self) -> None:
+        if name := self._may_leave_0():
+            rests = f"{name} may stay 0, or leave it, where f grows faster than {name}"
+            raise StepError(f"t = {self.place.t:.10g}: the solution may not be unique: {rests}")
         verdict, words = uniqueness(self.system, self.place)
         self.unique[verdict] += 1
         if words:
             raise StepError(
                 f"t = {self.place.t:.10g}: the solution is not unique: of {self._open()} modes {words} are valid, and go apart"
             )
+
+    def _may_leave_0(self) -> str | None:
+        """A state on which no l acts, and which rests at 0 but may leave it."""
+        place, system = self.place, self.system
+        resting = [i for i, row in enumerate(system.x) if row[0] == row[1] == 0]
+        if not resting:
+            return None
+        l, pushed = [row[0] for row in system.push], np.any(system.slopes()[0], axis=1) if system.m else np.zeros(system.n)
+        leaves = (i for i in resting if not pushed[i] and lines.may_leave_0(self.bound.equations, place.t, place.x, l, i))
+        return next((system.problem.names[i] for i in leaves), None)
 
     def _open(self) -> str:
         return few(self.place.open, self.problem.rows)

@@ -29,15 +29,18 @@ static double root(const double *y, const double *a, int k)
     double sum = a[k*STRIDE];
     for (int j = 1; j < k; j++)
         sum -= y[j*STRIDE]*y[(k - j)*STRIDE];
-    return sum/(2*y[0]);
+    return sum == 0 && y[0] == 0 ? 0 : sum/(2*y[0]);
 }
 
 static double power(const double *y, const double *a, double p, int k)
 {
     double sum = 0;
-    for (int j = 0; j < k; j++)
+    int still = p > 0 && a[0] == 0;
+    for (int j = 0; j < k; j++) {
         sum += (p*(k - j) - j)*a[(k - j)*STRIDE]*y[j*STRIDE];
-    return sum/(k*a[0]);
+        still = still && a[(k - j)*STRIDE] == 0;
+    }
+    return still ? 0 : sum/(k*a[0]);
 }
 
 static double along(const double *factor, const double *a, int k)
@@ -59,7 +62,8 @@ static double against(const double *y, const double *divisor, double sign, const
     double sum = 0;
     for (int j = 1; j < k; j++)
         sum += j*y[j*STRIDE]*divisor[(k - j)*STRIDE];
-    return (sign*a[k*STRIDE] - sum/k)/divisor[0];
+    sum = sign*a[k*STRIDE] - sum/k;
+    return sum == 0 && divisor[0] == 0 ? 0 : sum/divisor[0];
 }
 
 static double angle(const double *y, const double *a, const double *b, const double *size, int k)

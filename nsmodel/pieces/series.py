@@ -30,13 +30,21 @@ def quotient(y: Row, a: Row, b: Row, k: int) -> float:
     return (a[k] - sum(map(mul, y[:k], b[k:0:-1]))) / b[0]
 
 
+def _over(above: float, below: float) -> float:
+    """A quotient of rows; 0 over 0 is 0: what is 0 throughout stays so. Of symbols and intervals it is any other."""
+    return 0.0 if isinstance(above, float) and above == 0 and isinstance(below, float) and below == 0 else above / below
+
+
 def root(y: Row, a: Row, k: int) -> float:
     """y = sqrt(a), from y^2 = a; y_0 is given."""
-    return (a[k] - sum(map(mul, y[1:k], y[k - 1 : 0 : -1]))) / (2 * y[0])
+    above = a[k] - sum(map(mul, y[1:k], y[k - 1 : 0 : -1]))
+    return _over(above, 2 * y[0])
 
 
 def power(y: Row, a: Row, p: float, k: int) -> float:
-    """y = a^p, from a D y = p y D a; y_0 is given, a_0 != 0."""
+    """y = a^p, from a D y = p y D a; y_0 is given."""
+    if p > 0 and all(isinstance(v, float) and v == 0 for v in a[: k + 1]):
+        return 0.0
     return sum((p * (k - j) - j) * a[k - j] * y[j] for j in range(k)) / (k * a[0])
 
 
@@ -56,7 +64,8 @@ def along(factor: Row, a: Row, k: int) -> float:
 
 def against(y: Row, divisor: Row, sign: float, a: Row, k: int) -> float:
     """divisor D y = sign D a: log and the inverse functions; y_0 is given."""
-    return (sign * a[k] - sum(j * y[j] * divisor[k - j] for j in range(1, k)) / k) / divisor[0]
+    above = sign * a[k] - sum(j * y[j] * divisor[k - j] for j in range(1, k)) / k
+    return _over(above, divisor[0])
 
 
 def angle(y: Row, a: Row, b: Row, size: Row, k: int) -> float:

@@ -241,7 +241,7 @@ class InC:
             "begun": [place["impulse"][:m].tolist(), float(place["event_width"])] if place["begun"] else None,
             "accumulation": {"events": int(place["events"]), "times": self._c.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
-            "undecided": place["undecided"].tolist(),
+            "undecided": place["undecided"].tolist(), "still": int(place["still"]),
             "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)),
         }  # fmt: skip
         return {"integrator": integrator, **deepcopy(self._stretches)}
@@ -265,7 +265,7 @@ class InC:
         self._c.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
         place["stiff"] = [saved["stiff"][name] for name in STIFF]
-        self._stopped, place["undecided"] = saved["stopped"], saved["undecided"]
+        self._stopped, place["undecided"], place["still"] = saved["stopped"], saved["undecided"], saved["still"]
         unique = Counter(saved["unique"])
         place["unique"] = [unique[verdict] for verdict in VERDICTS]
         place["touches"], place["redundant"], place["known"] = saved["touches"], saved["redundant"], 0

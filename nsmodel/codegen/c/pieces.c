@@ -478,9 +478,62 @@ static int hold(model_pieces *s)
 }
 #endif
 
+/* f + g where x_i is another. */
+static void rates_at(model_pieces *s, int i, double value, double rates[N])
+{
+    double y[M + 1];
+    memcpy(s->value, s->at.x, sizeof s->at.x);
+    s->value[i] = value;
+    s->now[0] = s->at.t;
+    equations(s, s->now, s->value, s->c[0] + L, rates, y);
+}
+
+/* Whether x_i, which rests at 0, may stay there or leave: x' = sqrt x. */
+static int may_leave_0(model_pieces *s, int i)
+{
+    double still[N], near[N], nearer[N];
+    rates_at(s, i, 0, still);
+    for (int side = -1; side <= 1; side += 2) {
+        int any = 0, back = 0;
+        rates_at(s, i, side*NEAR_0, near);
+        rates_at(s, i, side*NEAR_0*NEAR_0, nearer);
+        for (int j = 0; j < N; j++) {
+            const double steep = (nearer[j] - still[j])/(NEAR_0*NEAR_0);
+            const int grows = fabs(steep) > STEEPER*fabs((near[j] - still[j])/NEAR_0);
+            any |= grows;
+            back |= grows && j == i && side*steep < 0;
+        }
+        if (any && !back)
+            return 1;
+    }
+    return 0;
+}
+
+/* Whether no l acts on a state. */
+static int is_free_of_l(const model_pieces *s, int i)
+{
+    int free = 1;
+#if SLOPES
+    for (int j = 0; j < M; j++)
+        free = free && B_AT(i, j) == 0;
+#endif
+#if LAW
+#if B_NUMBERS
+    for (int e = 0; e < B_start[M]; e++)
+        free = free && B_row[e] != i;
+#endif
+#endif
+    UNUSED(s);
+    UNUSED(i);
+    return free;
+}
+
 /* Note whether the mode is the only one. */
 static int judge_uniqueness(model_pieces *s)
 {
+    for (int i = 0; i < N; i++)
+        if (s->c[0][i] == 0 && s->c[1][i] == 0 && is_free_of_l(s, i) && may_leave_0(s, i))
+            return MODEL_NO_MODE;
 #if LAW
     if (!count_open(s, M, M + CHOICES) && is_p_matrix(s)) {
         s->at.unique[0] += 1;
@@ -812,7 +865,7 @@ static int next_piece(model_pieces *s)
     s->before = s->at;
     s->before.known = 0;
     s->work = 0;
-    if (s->still >= MOST_STILL)
+    if (s->at.still >= MOST_STILL)
         return MODEL_TOO_SHORT;
     if ((status = expand_orders(s)))
         return status;
@@ -857,7 +910,7 @@ static int next_piece(model_pieces *s)
 #endif
     memcpy(s->at.x, s->value, sizeof s->at.x);
     s->at.t += s->at.tau*length;
-    s->still = length > 0 && s->at.tau*length <= HARDLY*fabs(s->before.t) ? s->still + 1 : 0;
+    s->at.still = length > 0 && s->at.tau*length <= HARDLY*fabs(s->before.t) ? s->at.still + 1 : 0;
     memset(s->at.open, 0, sizeof s->at.open);
     const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length, end = min_of(collocated ? start + tau + longest : start + unit*tried, known);
     s->at.tau = collocated ? unit_of(ROOM*longest) : unit; /* that of series, and of germs, stays what a series takes */
@@ -960,7 +1013,7 @@ static void keep_sizes(model_pieces *s)
 static int begin(model_pieces *s, double t, const double *x)
 {
     memset(&s->at, 0, sizeof s->at);
-    s->still = 0;
+    s->at.still = 0;
     s->at.t = t;
     s->at.tau = 1;
     for (int i = 0; i < N; i++) {

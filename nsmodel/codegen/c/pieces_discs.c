@@ -208,6 +208,11 @@ static void disc_power(double *y, const double *u, double p, int m)
 {
     const double a = u[0], v = moves_of(u, m), x = v/fabs(a);
     double phi[DEGREES], Q[DEGREES], of[DEGREES];
+    if (v == 0 && a == 0 && p > 0) {
+        lose(y, m);
+        y[REST] = 0;
+        return;
+    }
     if (!(v < fabs(a)) || (a < 0 && p != floor(p)) || (m && !(a > 0))) {
         lose(y, m);
         return;
@@ -273,6 +278,10 @@ static void disc_asin(double *y, const double *u, int m)
     double d[DEGREES], phi[DEGREES], Q[DEGREES];
     if (!(fabs(a) + v < 1)) {
         lose(y, m);
+        if (v == 0 && g == 0) {
+            y[0] = asin(a);
+            y[REST] = 0;
+        }
         return;
     }
     d[0] = 1/sqrt(g);

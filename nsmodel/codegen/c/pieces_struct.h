@@ -23,7 +23,7 @@ typedef struct {
     double choice[MODEL_PIECES_CHOICES + 1]; /* of branches; NaN: none yet */
     double size_switches[MODEL_PIECES_CHOICES + 1]; /* of their arguments, the largest so far */
     double begun, event_width, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, known to this, after such a jump */
-    double events, touches, redundant, tiny; /* counts; tiny: pieces in a row */
+    double events, touches, redundant, tiny, still; /* counts; tiny, still: pieces in a row; still: that hardly moved time */
     double undecided[MODEL_PIECES_UNDECIDED]; /* events and dips that are not known to rtol; of the first its time, width, switch; whether it is an event */
     int known; /* orders of the series that stand for the place */
     double stiff[MODEL_PIECES_STIFF]; /* length of the next piece by collocation, trials that failed, series until the next; pieces */
@@ -67,7 +67,6 @@ typedef struct {
     double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
     double germs[MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x */
     double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], bound[MODEL_PIECES_N], pushed[MODEL_PIECES_N];
-    int still; /* pieces, one after the other, in which time stood still */
     int rounded; /* whether balls grow by the rounding of each operation */
     double margins[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* what rows of h and of branches may differ from polynomials by */
     double margins_now[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* on the disc that was evaluated last */
