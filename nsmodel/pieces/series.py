@@ -43,7 +43,7 @@ def root(y: Row, a: Row, k: int) -> float:
 
 def power(y: Row, a: Row, p: float, k: int) -> float:
     """y = a^p, from a D y = p y D a; y_0 is given."""
-    if p > 0 and all(isinstance(v, float) and v == 0 for v in a[: k + 1]):
+    if all(isinstance(v, float) and v == 0 for v in a[: k + 1]) and p > 0:
         return 0.0
     return sum((p * (k - j) - j) * a[k - j] * y[j] for j in range(k)) / (k * a[0])
 
