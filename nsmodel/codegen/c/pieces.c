@@ -479,7 +479,7 @@ static int hold(model_pieces *s)
 #endif
 
 /* f + g where x_i is another. */
-static void rates_at(model_pieces *s, int i, double value, double rates[N])
+static SELDOM void rates_at(model_pieces *s, int i, double value, double rates[N])
 {
     double y[M + 1];
     memcpy(s->value, s->at.x, sizeof s->at.x);
@@ -489,7 +489,7 @@ static void rates_at(model_pieces *s, int i, double value, double rates[N])
 }
 
 /* Whether x_i, which rests at 0, may stay there or leave: x' = sqrt x. */
-static int may_leave_0(model_pieces *s, int i)
+static SELDOM int may_leave_0(model_pieces *s, int i)
 {
     double still[N], near[N], nearer[N];
     rates_at(s, i, 0, still);
@@ -666,7 +666,7 @@ static int cross(model_pieces *s, double known)
 }
 
 /* Count an event or a dip that matters at rtol, and keep the first. */
-static void note_undecided(model_pieces *s, const condition *hit, const isolated *way, int matters)
+static SELDOM void note_undecided(model_pieces *s, const condition *hit, const isolated *way, int matters)
 {
     const double first[] = {1, way->at, way->width, hit->of, way->crosses};
     if (matters && s->at.undecided[0] == 0)
@@ -733,7 +733,7 @@ static int approach(model_pieces *s, const condition *hit, double end, const sig
 }
 
 /* Turn the switches that rounding has left on the wrong side, where that side has no number, and choose the mode. */
-static int past_switches(model_pieces *s)
+static SELDOM int past_switches(model_pieces *s)
 {
     int any = 0;
 #if SWITCHED
@@ -955,7 +955,7 @@ static int advance_piece(model_pieces *s)
 }
 
 /* A first unit of time: in which f changes the state by a tenth of its size. */
-static void choose_unit(model_pieces *s)
+static SELDOM void choose_unit(model_pieces *s)
 {
     double most = 0;
     s->c[0][T] = s->at.t;
@@ -1010,7 +1010,7 @@ static void keep_sizes(model_pieces *s)
 
 #endif
 /* Begin at the state x and time t: choose the mode. */
-static int begin(model_pieces *s, double t, const double *x)
+static SELDOM int begin(model_pieces *s, double t, const double *x)
 {
     memset(&s->at, 0, sizeof s->at);
     s->at.still = 0;

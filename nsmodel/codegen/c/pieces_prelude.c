@@ -24,6 +24,13 @@
 #define KNOWN_TIMES @KNOWN_TIMES@
 #endif
 #define UNUSED(a) (void)(a)
+#ifdef __GNUC__
+#define SELDOM __attribute__((cold, noinline)) /* built for its size, */
+#define NOT_INLINE __attribute__((noinline)) /* or by itself: within others that takes long */
+#else
+#define SELDOM
+#define NOT_INLINE
+#endif
 #define ROTATIONS 60 /* of all pairs of columns */
 #define CLEAR_RATIO 1e6 /* of singular values: so far from SINGULAR that they need not be known */
 #define DEPENDENT 1e-26 /* of its square: what is left of a row that depends on others */

@@ -12,7 +12,7 @@ static double least_on(const model_pieces *s, const condition *of, double length
 }
 
 /* The row that a condition looks at, on the disc: x, l and t are there. */
-static void look_on_disc(model_pieces *s, const condition *of, int m, double *y)
+static SELDOM void look_on_disc(model_pieces *s, const condition *of, int m, double *y)
 {
     run_lines(s, DISC_LINES, m);
 #if SWITCHED
@@ -32,7 +32,7 @@ static void look_on_disc(model_pieces *s, const condition *of, int m, double *y)
 }
 
 /* What a condition at the place is known to, where states are known to this share of their size so far: TIE is rounding. */
-static double tie_of(model_pieces *s, const condition *of, double share)
+static SELDOM double tie_of(model_pieces *s, const condition *of, double share)
 {
     const double largest = share*size_of(s, of);
     if (of->acts == OF_L)
@@ -232,7 +232,7 @@ typedef struct {
 } isolated;
 
 /* The coefficients of a condition about the place, in s/R, and what it may differ from them by on the disc; how many. */
-static int about_place(model_pieces *s, const condition *of, double R, double *c, double *e)
+static SELDOM int about_place(model_pieces *s, const condition *of, double R, double *c, double *e)
 {
     const int p = of->acts == OF_L ? of->orders : s->order > DEGREE ? s->order : DEGREE;
     double power[DEGREES], sum = 0, y[DEGREES] = {0};
@@ -266,7 +266,7 @@ static int about_place(model_pieces *s, const condition *of, double R, double *c
 }
 
 /* The first s in [0, 1] at which c is no more than e; NONE where it is more on all of it. */
-static double positive_until(model_pieces *s, int n, const double *c, double e)
+static SELDOM double positive_until(model_pieces *s, int n, const double *c, double e)
 {
     double row[MOST_ORDERS + 1];
     memcpy(row, c, n*sizeof *c);
@@ -276,7 +276,7 @@ static double positive_until(model_pieces *s, int n, const double *c, double e)
 
 /* Where in [0, 1] a condition known to e, c(1) < -e, is 0. A root of order 3, 5, ... of one that is known to e alone is told best by
    the derivative that has a simple root there. */
-static double crossing_in(model_pieces *s, int n, const double *c, double e)
+static SELDOM double crossing_in(model_pieces *s, int n, const double *c, double e)
 {
     for (int order = (n - 2 < MOST_MULTIPLE ? n - 2 : MOST_MULTIPLE)/2*2; order > 0; order -= 2) {
         double d[DEGREES], here[DEGREES], sum = 0;
@@ -300,7 +300,7 @@ static double crossing_in(model_pieces *s, int n, const double *c, double e)
 }
 
 /* How far on the sign is known again; *root: where on the way it changes, NONE where it does not. 0: not up to the end. */
-static double beyond_root(model_pieces *s, const condition *of, double end, double *root)
+static SELDOM double beyond_root(model_pieces *s, const condition *of, double end, double *root)
 {
     double c[MOST_ORDERS + 1], e, R = ULP*fabs(s->at.t);
     for (R = R > 0 ? R : ULP*s->at.tau; R < end - s->at.t && spend_on(s); R *= WIDER) {
@@ -315,7 +315,7 @@ static double beyond_root(model_pieces *s, const condition *of, double end, doub
 }
 
 /* Move the place over what is proved to be positive, and over dips, to the first crossing, or to the time end. */
-static int isolate(model_pieces *s, const condition *hit, double end, isolated *found)
+static SELDOM int isolate(model_pieces *s, const condition *hit, double end, isolated *found)
 {
     const int p = s->order;
     double c[MOST_ORDERS + 1], e, R = end - s->at.t;
@@ -364,7 +364,7 @@ static int isolate(model_pieces *s, const condition *hit, double end, isolated *
 }
 
 /* How far c, or -c, goes until it is above a level, in doubling steps; NEAR where that is further. */
-static double until(int n, const double *c, double level, double sign)
+static SELDOM double until(int n, const double *c, double level, double sign)
 {
     double at = ULP;
     while (at < NEAR && sign*value_of(n, c, sign > 0 ? -at : at) <= level)
@@ -373,7 +373,7 @@ static double until(int n, const double *c, double level, double sign)
 }
 
 /* The time about a crossing, whose expansion stands, in which the sign is not known where states are known to a share. */
-static double width_of(model_pieces *s, const condition *own, double share)
+static SELDOM double width_of(model_pieces *s, const condition *own, double share)
 {
     double c[MOST_ORDERS + 1], e, power = 1;
     const int n = about_place(s, own, NEAR, c, &e);

@@ -59,7 +59,7 @@ static void series_on_disc(model_pieces *s, double R, int m, double *of_slope)
 }
 
 /* Let the unit of time be shorter where f has no bound on the disc that x, on its tangent, and t come to in it. */
-static void cap_unit(model_pieces *s, const double *rates)
+static SELDOM void cap_unit(model_pieces *s, const double *rates)
 {
     const double tau = s->at.tau;
     for (int k = 0; k < CAPS; k++, s->at.tau = ldexp(s->at.tau, -CAP_OCTAVES)) {
@@ -221,7 +221,7 @@ static const double *noise_of(model_pieces *s, int *known)
 }
 
 /* The largest bound on a piece of this length, in units of what it may be; infinite where the disc holds a singularity. */
-static double worst_on_disc(model_pieces *s, const sizes_at_end *of, double R, double length, int m, int *known)
+static NOT_INLINE double worst_on_disc(model_pieces *s, const sizes_at_end *of, double R, double length, int m, int *known)
 {
     const int p = s->order;
     const double q = length/R, rtol = s->rtol/LOCAL, share = raised_to(q, p), raised = m ? raised_to(R, p) : R;
@@ -276,7 +276,7 @@ static double worst_on_disc(model_pieces *s, const sizes_at_end *of, double R, d
 }
 
 /* How far each state would move in s, at the rate that it has so much later on its tangent. */
-static void moved_in(model_pieces *s, double time, double moved[N])
+static SELDOM void moved_in(model_pieces *s, double time, double moved[N])
 {
     double y[M + 1];
     for (int i = 0; i < N; i++)
@@ -288,7 +288,7 @@ static void moved_in(model_pieces *s, double time, double moved[N])
 }
 
 /* Whether a state moves by more than rounding, at a rate that is much larger than a little before and later. */
-static int grows_about(model_pieces *s, double time)
+static SELDOM int grows_about(model_pieces *s, double time)
 {
     double before[N], later[N];
     moved_in(s, -time, before);
@@ -303,7 +303,7 @@ static int grows_about(model_pieces *s, double time)
 
 /* Whether no state moves by more than rtol of its size while time stands still, and no rate grows as near a pole: so far a
    singularity of f is stepped over. */
-static int rests_here(model_pieces *s)
+static SELDOM int rests_here(model_pieces *s)
 {
     const double still = AS_NOW*fabs(s->at.t)/s->at.tau;
     for (int i = 0; i < N; i++) {
