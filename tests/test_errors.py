@@ -788,6 +788,10 @@ def test_a_model_that_keeps_to_its_hypotheses_has_no_warning(build):
             "step 0: no verified step from t = 0 to 0.1: no solver reached the tolerance; a jump in the model (sign, floor, "
             "if_else) must be written as a law, such as relay or complementarity",
         ),
+        (
+            lambda: first_order(f=[ca.fmax(x[0], 0.3) ** 2 + 9, -x[1]]),
+            "step 1: no verified step from t = 0.1 to 0.2: Newton's method did not converge. Best",
+        ),
     ],
 )
 def test_a_step_that_fails_says_why(model, message):

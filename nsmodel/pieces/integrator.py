@@ -518,7 +518,7 @@ class Integrator:
         self.unique[verdict] += 1
         if words:
             raise StepError(
-                f"t = {self.place.t:.10g}: the solution is not unique: of {self._open()} modes {words} are valid, and go apart"
+                f"t = {self.place.t:.10g}: the solution is not unique: {self._open}modes {words} are valid, and go apart"
             )
 
     def _may_leave_0(self) -> str | None:
@@ -531,11 +531,14 @@ class Integrator:
         leaves = (i for i in resting if not pushed[i] and lines.may_leave_0(self.bound.equations, place.t, place.x, l, i))
         return next((system.problem.names[i] for i in leaves), None)
 
+    @property
     def _open(self) -> str:
-        return few(self.place.open, self.problem.rows)
+        """The open switches, as "of these "; "" where there is none."""
+        names = few(self.place.open, self.problem.rows)
+        return f"of {names} " if names else ""
 
     def _stuck(self, when: str) -> StepError:
-        why = f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here"
+        why = f"t = {self.place.t:.10g}: no mode {self._open}is valid {when}: no smooth piece goes on from here"
         if not self.system.m and not self.system.branches:
             why = f"t = {self.place.t:.10g}: f has no number, or no Taylor series, {when}: no smooth piece goes on from here"
         return self.final or StepError(why)

@@ -33,7 +33,7 @@ def undecided(record: Sequence[float], rows: Sequence[str], parts: Sequence[str]
 
 
 def few(switches: Iterable[Switch], rows: Sequence[str]) -> str:
-    """The names of switches, a few of many."""
+    """The names of switches, a few of many; "" of none."""
     names = list(dict.fromkeys(name(of, rows) for of in sorted(switches, key=lambda of: (of[0] != ROW, of))))
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return (", ".join(names[:NAMED]) or "the rows") + more
+    return ", ".join(names[:NAMED]) + more

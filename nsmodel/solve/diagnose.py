@@ -9,6 +9,7 @@ import numpy as np
 
 from nsmodel.errors import EmptyLawError
 from nsmodel.laws.moving import no_set
+from nsmodel.once import once
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp
 from nsmodel.solve.active_set import index_sets
@@ -111,7 +112,7 @@ def _not_found(problem: OneStepProblem, structure: Structure, law: NumericLaw, p
     if not plan.use_last and plan.chain:
         return "the forced solver did not find it"
     if not (structure.affine and law.size):
-        return f"Newton's method did not converge; {JUMP}"
+        return "Newton's method did not converge" + (f"; {JUMP}" if _jumps(problem) else "")
     if _jumps(problem):
         return f"no solver reached the tolerance; {JUMP}"
     part, dependent = dependent_rows(W)
@@ -123,8 +124,9 @@ def _not_found(problem: OneStepProblem, structure: Structure, law: NumericLaw, p
     return "no solver reached the tolerance"
 
 
+@once
 def _jumps(problem: OneStepProblem) -> bool:
-    """Whether equations that are affine by their derivatives jump where the unknowns do."""
+    """Whether equations jump where the unknowns do."""
     unknown, equations = ca.vertcat(problem.z, problem.l), ca.vertcat(problem.E, problem.Y)
     known = ca.vertcat(*(symbol for symbol in ca.symvar(equations) if not ca.depends_on(unknown, symbol)))
     f = ca.Function("equations", [unknown], [ca.substitute(equations, known, 0.5)])

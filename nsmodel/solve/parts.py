@@ -38,12 +38,17 @@ def part(problem: OneStepProblem, z: np.ndarray, l: np.ndarray) -> OneStepProble
     if others:
         guess = ca.substitute([guess], [problem.l[others]], [ca.SX.zeros(len(others))])[0]
     return replace(
-        problem, z=problem.z[own], l=problem.l[rows], y=problem.y[rows], E=problem.E[own], Y=problem.Y[rows],
-        law=_law(problem.law, rows), rows=tuple(problem.rows[i] for i in rows), guess=guess[own], next_state=problem.state,
-        multipliers=None, outputs=None, records={"z": problem.z[own]}, overreach=None, start=None,
+        problem, z=_of(problem.z, own), l=_of(problem.l, rows), y=_of(problem.y, rows), E=_of(problem.E, own),
+        Y=_of(problem.Y, rows), law=_law(problem.law, rows), rows=tuple(problem.rows[i] for i in rows), guess=_of(guess, own),
+        next_state=problem.state, multipliers=None, outputs=None, records={"z": _of(problem.z, own)}, overreach=None, start=None,
         scale=None if problem.scale is None else problem.scale[rows],
         explicit=tuple(own.index(i) for i in problem.explicit if i in own),
     )  # fmt: skip
+
+
+def _of(column: ca.SX, rows: list[int]) -> ca.SX:
+    """Some entries, none of which are a column, too."""
+    return ca.reshape(column[rows], len(rows), 1)
 
 
 def _law(law: Law, rows: list[int]) -> Law:
