@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, StepError, SweepingProcess, relay, simulate
+from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, StepError, SweepingProcess, relay, signal, simulate
 from nsmodel.codegen import library
 from nsmodel.pieces.cover import largest_share
 from nsmodel.pieces.discs import Ball, Form, OnDisc
@@ -289,6 +289,24 @@ def test_points_without_a_series_are_passed(f, end, exact, compiled):
         run = at_end(FirstOrderSystem(t=t, x=x, f=[f], x0=[0], t_end=end, step=1e-2), rtol, compiled)
         assert run.x[-1, 0] == pytest.approx(exact, rel=rtol)
         assert not run.metadata["warnings"]
+
+
+@pytest.mark.parametrize("compiled", compilers)
+def test_a_line_passes_no_edge_and_no_change_of_l(compiled):
+    """Near t = pi/2, where asin(sin t) has no series: an edge of an input, and friction that just gives way."""
+    edge, F = math.pi / 2 + 1e-8, math.pi / 2 - 1e-7
+    of_u = signal(ca.if_else(t >= edge, 1.0, 0), edges=[edge])
+    driven = FirstOrderSystem(t=t, x=x, f=[ca.asin(ca.sin(t)) + s], inputs={s: of_u}, x0=[0], t_end=3, step=1e-2)
+    slips = FirstOrderSystem(t=t, x=x, lam=l, f=[ca.asin(ca.sin(t))], g=[F * l], h=[x], law=relay(1), x0=[0], t_end=2, step=1e-2)
+    for model, exact in ((driven, math.pi**2 / 4 - (math.pi - 3) ** 2 / 2 + 3 - edge), (slips, 0)):
+        for rtol in (1e-3, 1e-10):
+            words = ""
+            try:
+                run = at_end(model, rtol, compiled)
+            except StepError as error:
+                words = str(error)
+            assert "pole" not in words
+            assert words or run.x[-1, 0] == pytest.approx(exact, rel=rtol, abs=1e-12)
 
 
 @pytest.mark.parametrize("compiled", compilers)

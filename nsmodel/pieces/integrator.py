@@ -231,7 +231,7 @@ class Integrator:
 
         So x' = -sgn(x) sqrt|x| comes to 0 in finite time, where it has no series.
         """
-        place, f, before = self.place, self.bound.equations, self.standing()
+        place, f = self.place, self.bound.equations
         l = [row[0] for row in self.system.push]
 
         def rates(x: list[float]) -> list[float]:
@@ -245,43 +245,53 @@ class Integrator:
             off = [rates([*at[:i], side * abs(place.x[i]), *at[i + 1 :]])[i] * side for side in (-1, 1)]
             if any(rate > 0 for rate in off) or not any(rate < 0 for rate in off):
                 return False
-        try:
-            if moved and not any(map(rates(at).__getitem__, moved)):
-                self.take_up(place.t, at, [row[0] for row in self.system.l], place.codes, place.tau)
-                self._series()
-                self._begun = None
-                return True
-        except StepError:
-            self.stand(before)
-        return False
+        rests = moved and not any(map(rates(at).__getitem__, moved))
+        begun = self._begun
+        if not (rests and self._goes_on_from(place.t, at, place.tau)):
+            return False
+        self._begun = begun or self._begun
+        return True
 
     def _line(self) -> Piece | None:
         """A straight line past a point without a series, as short as one with a series follows; None where none does."""
-        place, system, before = self.place, self.system, self.standing()
+        system, place, begun, known = self.system, self.place, self._begun, self.known.next(self.place.t, self.place.x)
         if self._has_series():
             return None
         l = [row[0] for row in system.push]
         for h, octaves in lines.lengths(place.t):
-            v = lines.velocity(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
-            if v is None:
+            found = lines.line(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
+            if found is None or h > known - place.t:
                 continue
-            if system.m and not place.t:  # l is not known yet.
-                v = 0 * v
+            v = found.v if place.t or not system.m else 0 * found.v  # At the start l is not known yet.
             last = (np.array(place.x) + h * v).tolist()
-            try:
-                self.take_up(place.t + h, last, [row[0] for row in system.l], place.codes, h)
-                self._series()
-            except StepError:
+            before = self.standing()
+            if not self._goes_on_from(place.t + h, last, h):
+                place = self.place
+                continue
+            off = h * np.array([row[1] / self.place.tau - rate for row, rate in zip(system.x, v, strict=True)])
+            if not (np.abs(off) <= found.allowed).all():  # l is another than on the line.
                 self.stand(before)
                 place = self.place
                 continue
             series = np.zeros((system.n + 2 * system.m, self.order + 1))
             series[:, 0] = [*place.x, *(row[0] for row in system.l), *(row[0] for row in system.y)]
             series[: system.n, 1] = h * v
-            n, m, codes = system.n, system.n + system.m, self.place.codes
-            self._begun = self._no_jump if place.t and codes != place.codes else None
-            return Piece(place.t, h, 1.0, series[:n], series[n:m], series[m:], tuple(codes), 1.0, last, None)
+            n, m = system.n, system.n + system.m
+            codes = tuple(self.place.codes if not place.t else place.codes)
+            return Piece(place.t, h, 1.0, series[:n], series[n:m], series[m:], codes, 1.0, last, begun)
         return None
+
+    def _goes_on_from(self, t: float, x: list[float], tau: float) -> bool:
+        """Whether a mode with a series goes on from there, which is an event where it is another; where none does all stays."""
+        place, before = self.place, self.standing()
+        try:
+            self.take_up(t, x, [row[0] for row in self.system.l], place.codes, tau)
+            self._series()
+        except StepError:
+            self.stand(before)
+            return False
+        self._begun = self._no_jump if place.t and self.place.codes != place.codes else None
+        return True
 
     def _has_series(self) -> bool:
         place = self.place

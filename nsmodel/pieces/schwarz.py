@@ -35,10 +35,8 @@ PROVED = 0.45  # Of the length that was asked for: with less a smaller disc may 
 NEARLY = 0.97  # Of the length that a bound lets be.
 SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many by half, then by so much at a time.
 CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter.
-POLE, SUDDEN = (
-    1e6,
-    1e3,
-)  # How much more than its size a state would move at its rate in the time so far, and that rate, near a pole.
+POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole,
+SUDDEN = 1e3  # and how much more than itself that rate would.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
 MOST_STILL = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
 CANCELLED = 2.0**-50  # Of an entry of P: rounding.
@@ -117,7 +115,7 @@ class Schwarz:
         system = self.system
         at_pole, _ = self.equations(place.t, [row[0] for row in system.x], [row[0] for row in system.push])
         for name, row, size, rate in zip(system.problem.names, system.x, system.sizes.x, at_pole, strict=True):
-            turns = abs(2 * row[2] * place.t) / place.tau > SUDDEN * abs(row[1]) or not math.isfinite(rate + row[1] + row[2])
+            turns = abs(2 * row[2] * place.t) / place.tau > SUDDEN * abs(row[1]) or not math.isfinite(rate + row[1])
             if turns and abs(rate * place.t) > POLE * max(size, abs(row[0])):
                 grows = f"{name}' = {rate:.3g}, and grows without bound"
                 return FinalError(f"t = {place.t:.10g}: {grows}: f has a pole, or another singularity, near here")

@@ -512,20 +512,20 @@ static SELDOM int may_leave_0(model_pieces *s, int i)
 /* Whether no l acts on a state. */
 static int is_free_of_l(const model_pieces *s, int i)
 {
-    int free = 1;
+    int unmoved = 1;
 #if SLOPES
     for (int j = 0; j < M; j++)
-        free = free && B_AT(i, j) == 0;
+        unmoved = unmoved && B_AT(i, j) == 0;
 #endif
 #if LAW
 #if B_NUMBERS
     for (int e = 0; e < B_start[M]; e++)
-        free = free && B_row[e] != i;
+        unmoved = unmoved && B_row[e] != i;
 #endif
 #endif
     UNUSED(s);
     UNUSED(i);
-    return free;
+    return unmoved;
 }
 
 /* Note whether the mode is the only one. */
@@ -712,7 +712,7 @@ static int stands_alone(const model_pieces *s, int i)
     return 1;
 }
 
-/* Go to the event to rounding. rows: those that are held. */
+/* Go to the event to rounding. held: rows that are. */
 static int approach(model_pieces *s, const condition *hit, double end, const signed char *held, isolated *way)
 {
 #if LAW
@@ -732,8 +732,9 @@ static int approach(model_pieces *s, const condition *hit, double end, const sig
     return polish(s, hit, end, way);
 }
 
-/* Turn the switches that rounding has left on the wrong side, where that side has no number, and choose the mode. */
-static SELDOM int past_switches(model_pieces *s)
+/* Turn the switches that rounding has left on the wrong side, where that side has no number, and choose the mode; where there are
+   none it stays at what has failed. */
+static SELDOM int past_switches(model_pieces *s, int failed)
 {
     int any = 0;
 #if SWITCHED
@@ -745,7 +746,7 @@ static SELDOM int past_switches(model_pieces *s)
             any = 1;
         }
 #endif
-    return any ? go_on(s) : MODEL_NO_MODE;
+    return any ? go_on(s) : failed;
 }
 
 /* Go to the event to rounding, but not beyond a known time, and choose the mode after it. */
@@ -759,9 +760,9 @@ static int pass_event(model_pieces *s, const condition *hit, double known, doubl
     signed char turned[M + CHOICES + 1] = {0}, rows[M + 1]; /* rows: those that were held, and then the open ones */
     for (int i = 0; i < M; i++)
         rows[i] = s->at.codes[i] == 0;
-    if (approach(s, hit, end, rows, &way)) {
+    if ((status = approach(s, hit, end, rows, &way))) {
         s->at = begin;
-        return past_switches(s);
+        return past_switches(s, status);
     }
     s->at.touches += way.touches;
     for (int i = 0; i < N; i++)
@@ -853,7 +854,8 @@ static int expand_orders(model_pieces *s)
     if (status == MODEL_OK)
         return status;
     s->at = s->before;
-    return past_switches(s) == MODEL_OK ? expand_piece(s) : status;
+    status = past_switches(s, status);
+    return status == MODEL_OK ? expand_piece(s) : status;
 }
 
 /* Integrate to the next event, or as far as one expansion goes. */
@@ -1013,7 +1015,6 @@ static void keep_sizes(model_pieces *s)
 static SELDOM int begin(model_pieces *s, double t, const double *x)
 {
     memset(&s->at, 0, sizeof s->at);
-    s->at.still = 0;
     s->at.t = t;
     s->at.tau = 1;
     for (int i = 0; i < N; i++) {
