@@ -161,6 +161,17 @@ def test_a_run_stops_at_a_pole_and_says_so(f, x0, where, compiled):
     assert stop.value.trajectory.t[-1] == pytest.approx(where, abs=1e-3)
 
 
+@pytest.mark.parametrize("compiled", compilers)
+@pytest.mark.parametrize("rtol", [1e-1, 1e-2])
+@pytest.mark.parametrize("f", [-1 - 1e-6 / x, -1 - 1e-9 / x**2, -1 - 1e-8 / ca.sqrt(x)])
+def test_a_singularity_in_a_state_that_is_nothing_beside_its_size_ends_the_run(f, rtol, compiled):
+    """Collocation goes back from it, as from all that is unstable, within what x may err by: the run is not to go on for ever."""
+    model = FirstOrderSystem(t=t, x=x, f=[f], x0=[1], t_end=3, step=1e-2)
+    with pytest.raises(StepError, match="f has a pole|not analytic here: a division by 0|no Taylor series") as stop:
+        simulate(model, rtol=rtol, method="event-driven", compiled=compiled)
+    assert stop.value.trajectory.t[-1] == pytest.approx(1, abs=2e-3)
+
+
 def test_no_word_of_rows_where_a_model_has_none():
     model = FirstOrderSystem(t=t, x=x, f=[ca.sqrt(t - 1)], x0=[0], t_end=2, step=1e-2)
     with pytest.raises(StepError) as stop:

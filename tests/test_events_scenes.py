@@ -13,6 +13,7 @@ from nsmodel import FirstOrderSystem, StepError, simulate
 from nsmodel.laws import relay
 from tests import event_scenes as scenes
 from tests.event_digits import judged
+from tests.event_ties import loops
 from tests.search.digits import CONTEXT, exact
 
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -67,6 +68,15 @@ def test_scenes_against_64_digits(make):
         found = [event.t for event in run.events if event.t > 0]
         assert len(found) == len(times)
         assert np.abs(np.array(found) - times).max() <= 10 * rtol * T
+
+
+@pytest.mark.parametrize("rtol", RTOLS)
+def test_rows_that_rest_while_l_grows(rtol):
+    """y_0 is 0 on all of [0, 5], and what holds it grows from 2 to 6, less what l takes: 0 is known to rounding of that."""
+    own = loops(31)
+    run, right = simulate(own.model, rtol=rtol, method="event-driven"), judged(own, 5)
+    t = np.linspace(0, 5, 11)[1:]
+    assert np.abs(run.at(t).x - right.at(t)[0]).max() <= 10 * rtol * max(1.0, np.abs(right.at(t)[0]).max())
 
 
 @pytest.mark.parametrize("rtol", RTOLS)

@@ -107,7 +107,7 @@ class Schwarz:
 
     def refused(self, place: Place) -> StepError:
         """Why no piece goes on from here."""
-        where = "a root or a logarithm at 0, a corner, or an overflow"
+        where = "a division by 0, a root or a logarithm at 0, a corner, or an overflow"
         return self.pole(place) or StepError(f"t = {place.t:.10g}: f, g or h is not analytic here: {where}")
 
     def pole(self, place: Place) -> FinalError | None:

@@ -3,8 +3,9 @@
 How far a series goes its own last coefficients say, at each piece. Where stability and not accuracy limits it, the states hardly
 move on it by their first coefficients, and a piece of collocation that is WORTH times as long is tried. Where its error is
 accepted, the next one is longer, then each as long as the error before lets it be; as soon as pieces are less than STAY times a
-series, series go on. After k trials in a row that failed, 2^k series pass before the next one: a mode that is not stiff pays next
-to nothing. What decides is in the coefficients alone.
+series, series go on. After k trials in a row that failed, or that no second piece followed, 2^k series pass before the next one: a
+mode that is not stiff pays next to nothing, and one that runs away from an unstable state, which collocation goes back to, does so.
+What decides is in the coefficients alone.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Stiff:
                 return None
             fit = self.radau.fit(start, length, self.rtol, self.atol)
         self.length = math.ldexp(length, longest if first else min(self._octaves(fit.estimate), longest))
-        self.failed = self.wait = 0
+        self.failed, self.wait = self.failed if first else 0, 0
         self.pieces += 1
         return self._ended(place, how, start, fit, most)
 

@@ -245,9 +245,9 @@ class System(Orders):
         return max(self.sizes.y[i], self.terms(i) + RESTS * abs(self.t[1]) * self._push_of(i))
 
     def _push_of(self, i: int) -> float:
-        """|C_i| |B| |l|."""
+        """|C_i| |B| |l|, with what l moves by in the unit of time."""
         rows = self.of_slopes("push of y", lambda B, _, C: terms_of(np.abs(C) @ np.abs(B), self.m))
-        return sum([a * abs(self.push[j][0]) for j, a in rows[i]])
+        return sum([a * (abs(self.push[j][0]) + abs(self.push[j][1])) for j, a in rows[i]])
 
     def pushed(self) -> list[float]:
         """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""

@@ -168,6 +168,12 @@ static void rate(model_pieces *s, int k)
 }
 
 #if LAW
+/* l_j, with what it moves by in the unit of time. */
+static double pushing(const model_pieces *s, int j)
+{
+    return fabs(s->c[0][L + j]) + fabs(s->c[1][L + j]);
+}
+
 /* size += |g_l| |l|. */
 static void add_pushed(const model_pieces *s, double *size, const double *l)
 {
@@ -191,7 +197,7 @@ static void pushes(const model_pieces *s, double *out)
 #if LAW
     double l[M];
     for (int j = 0; j < M; j++)
-        l[j] = s->c[1][T]*(fabs(s->c[0][L + j]) + fabs(s->c[1][L + j]));
+        l[j] = s->c[1][T]*pushing(s, j);
     add_pushed(s, out, l);
 #else
     UNUSED(s);
@@ -539,10 +545,10 @@ static double size_y(const model_pieces *s, int i)
 #if SLOPES
     for (int j = 0; j < M; j++)
         for (int k = 0; k < N; k++)
-            pushed += fabs(C_AT(i, k)*B_AT(k, j)*s->c[0][L + j]);
+            pushed += fabs(C_AT(i, k)*B_AT(k, j))*pushing(s, j);
 #else
     for (int e = W_start[i]; e < W_start[i + 1]; e++)
-        pushed += W_value[e]*fabs(s->c[0][L + W_column[e]]);
+        pushed += W_value[e]*pushing(s, W_column[e]);
 #endif
     return max_of(s->at.size_y[i], terms_of(s, i, s->at.size_x, s->at.size_l) + RESTS*(s->c[1][T]*pushed));
 }

@@ -117,7 +117,8 @@ static int collocate(model_pieces *s, double *length, double most, condition *hi
     }
     const int octaves = first ? longest : octaves_of(s, estimate);
     of[NEXT_LENGTH] = ldexp(h, octaves < longest ? octaves : longest);
-    of[FAILED] = of[WAIT] = 0;
+    of[FAILED] = first ? of[FAILED] : 0;
+    of[WAIT] = 0;
     of[COLLOCATED] += 1;
     *length = ended(s, h, most, hit, found, error);
     *error *= INSIDE;
