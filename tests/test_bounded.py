@@ -167,7 +167,7 @@ def test_a_run_stops_at_a_pole_and_says_so(f, x0, where, compiled):
 def test_a_singularity_in_a_state_that_is_nothing_beside_its_size_ends_the_run(f, rtol, compiled):
     """Collocation goes back from it, as from all that is unstable, within what x may err by: the run is not to go on for ever."""
     model = FirstOrderSystem(t=t, x=x, f=[f], x0=[1], t_end=3, step=1e-2)
-    with pytest.raises(StepError, match="f has a pole|not analytic here: a division by 0|no Taylor series") as stop:
+    with pytest.raises(StepError, match=r"f has a pole|not analytic here: a division by 0|no Taylor series") as stop:
         simulate(model, rtol=rtol, method="event-driven", compiled=compiled)
     assert stop.value.trajectory.t[-1] == pytest.approx(1, abs=2e-3)
 

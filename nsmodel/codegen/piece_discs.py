@@ -77,7 +77,9 @@ class Discs:
             "SWITCHES_OF_H": self.switches.get("h", 0), "NUMBERS_ON_DISC": len(self.numbers), "GIVEN_ON_DISC": len(given) // 2,
         }  # fmt: skip
         text = f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};\n"
-        text += _table("lines", [_line(key, row) for key, row in self.lines.items()] or ["{0, -1, 0, 0, 0, 0}"], "disc_line")
+        read = {row for _, _, *of, _ in self.lines for row in of}
+        lines = [_line(key, row, last=row not in read) for key, row in self.lines.items()]
+        text += _table("lines", lines or ["{0, 0, -1, 0, 0, 0, 0}"], "disc_line")
         text += _table("number_rows", list(self.numbers.values())) + _table("given", given)
         text += _table("numbers", [number(value).text for value in self.numbers], "double")
         text += "".join(_table(name, rows) for name, rows in self.outputs.items())
@@ -91,10 +93,10 @@ def _table(name: str, values: Sequence[Any], kind: str = "int") -> str:
     return f"static const {kind} disc_{name}[] = {{{', '.join(map(str, values)) or '0'}}};\n"
 
 
-def _line(key: tuple[Any, ...], row: int) -> str:
+def _line(key: tuple[Any, ...], row: int, *, last: bool) -> str:
     kind, choice, *of, value = key
     a, b = [*of, 0, 0][:2]
-    return f"{{OF_{kind.upper()}, {choice}, {row}, {a}, {b}, {number(value).text}}}"
+    return f"{{OF_{kind.upper()}, {last:d}, {choice}, {row}, {a}, {b}, {number(value).text}}}"
 
 
 def _needed(jets: Jets) -> set[int]:

@@ -3,8 +3,8 @@
 How far a series goes its own last coefficients say, at each piece. Where stability and not accuracy limits it, the states hardly
 move on it by their first coefficients, and a piece of collocation that is WORTH times as long is tried. Where its error is
 accepted, the next one is longer, then each as long as the error before lets it be; as soon as pieces are less than STAY times a
-series, series go on. After k trials in a row that failed, or that no second piece followed, 2^k series pass before the next one: a
-mode that is not stiff pays next to nothing, and one that runs away from an unstable state, which collocation goes back to, does so.
+series, series go on. After k trials in a row that failed, or that no second piece followed, 2^k series pass before the next one:
+a mode that is not stiff pays next to nothing, and x that leaves an unstable state, to which collocation goes back, does leave it.
 What decides is in the coefficients alone.
 """
 

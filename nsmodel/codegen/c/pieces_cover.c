@@ -90,7 +90,7 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
         about(coefficients + (i < N ? i : L + i - N), n, centre, c);
         fill_disc(DISC_X(i), c, n, R, m);
     }
-    run_lines(s, DISC_LINES, m);
+    run_lines(s, DISC_LINES, m, 1);
     sums_on_disc(s, m);
     for (int i = 0; i < N; i++) {
         about(coefficients + i, n, centre, c);

@@ -2,7 +2,7 @@
 
 @KINDS@
 typedef struct {
-    unsigned char kind; /* see codegen/piece_discs.py */
+    unsigned char kind, last; /* see codegen/piece_discs.py; whether no other line reads it */
     short choice; /* of its branch */
     int y, a, b; /* rows */
     double number;
@@ -36,6 +36,21 @@ static void close_form(double *y, const double *majorant, double whole, int m)
     y[REST] = whole < INFINITY ? max_of(whole - kept, 0) + (m ? (m + 1 + FUNCTION_ROUNDINGS)*EPS*whole : 0) : INFINITY;
 }
 
+/* What the product of forms leaves: of |a| |b| what is beyond the degree, and rounding; 0 where one of them is 0. */
+static double rest_of_product(const double *a, const double *b, int m)
+{
+    double size = a[REST], tail = b[REST], rest = 0; /* tail: of |b|, from an order on */
+    for (int k = 0; k <= m; k++) {
+        rest += fabs(a[k])*tail;
+        size += fabs(a[k]);
+        tail += fabs(b[m - k]);
+    }
+    if (size == 0 || tail == 0)
+        return 0;
+    const double whole = size*tail;
+    return whole < INFINITY ? rest + a[REST]*tail + (m + 1 + PRODUCT_ROUNDINGS)*EPS*whole : INFINITY;
+}
+
 static void disc_product(double *y, const double *a, const double *b, int m)
 {
     if (m == 0) {
@@ -44,24 +59,21 @@ static void disc_product(double *y, const double *a, const double *b, int m)
         y[1] = r;
         return;
     }
-    double tail[DEGREES], out[DEGREES]; /* tail: of |b|, from an order on */
-    tail[m + 1] = b[REST];
-    for (int k = m; k > 0; k--)
-        tail[k] = tail[k + 1] + fabs(b[k]);
-    const double A = fabs(a[0]) + moves_of(a, m), B = fabs(b[0]) + tail[1], whole = A*B;
-    if (A == 0 || B == 0) {
-        memset(y, 0, (m + 2)*sizeof *y);
-        return;
-    }
-    double rest = a[REST]*B;
+    double out[DEGREES];
     for (int k = 0; k <= m; k++) {
         double sum = 0;
-        for (int j = 0; j <= k; j++)
-            sum += a[j]*b[k - j];
+        if (a == b) {
+            for (int j = 0; 2*j < k; j++)
+                sum += a[j]*a[k - j];
+            sum = 2*sum + (k % 2 ? 0 : a[k/2]*a[k/2]);
+        } else
+            for (int j = 0; j <= k; j++)
+                sum += a[j]*b[k - j];
         out[k] = sum;
-        rest += fabs(a[k])*tail[m + 1 - k];
     }
-    out[REST] = whole < INFINITY ? rest + (m + 1 + PRODUCT_ROUNDINGS)*EPS*whole : INFINITY;
+    out[REST] = rest_of_product(a, b, m);
+    if (out[REST] == 0)
+        memset(out, 0, (m + 1)*sizeof *out);
     memcpy(y, out, (m + 2)*sizeof *y);
 }
 
@@ -489,8 +501,8 @@ static void numbers_on_disc(model_pieces *s)
         number_on_disc(ROW(disc_given[2*i]), 0, MOST_ORDERS);
 }
 
-/* The first lines: rows of t, x and l are there. */
-static void run_lines(model_pieces *s, int count, int m)
+/* The first lines: rows of t, x and l are there; whole: with the coefficients of products that no other line reads. */
+static void run_lines(model_pieces *s, int count, int m, int whole)
 {
     for (int i = 0; i < GIVEN_ON_DISC; i++)
         ROW(disc_given[2*i])[0] = s->c[0][T + 1 + disc_given[2*i + 1]];
@@ -513,7 +525,9 @@ static void run_lines(model_pieces *s, int count, int m)
         case OF_BOTH: number_on_disc(y, a[0] != 0 && b[0] != 0, m); break;
         case OF_EITHER: number_on_disc(y, a[0] != 0 || b[0] != 0, m); break;
         default:
-            if (m)
+            if (m && line->kind == OF_PRODUCT && line->last && !whole)
+                y[REST] = rest_of_product(a, b, m);
+            else if (m)
                 disc_of(y, line->kind, a, b, line->number, m);
             else
                 ball_of(y, line->kind, a, b, line->number);

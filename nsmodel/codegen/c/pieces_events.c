@@ -390,7 +390,7 @@ static int is_wrong(model_pieces *s, const condition *of, double share)
         return 0;
     coefficients(s, of, c);
     if (!s->at.open[of->of] && of->acts != OF_L)
-        return c[0] < -TIE*size_of(s, of);
+        return c[0] < 0 && c[0] < -TIE*size_of(s, of);
     int first = leading(of->orders + 1, c, TIE*size_of(s, of), share);
     if (first != 1 && of->acts != OF_L)
         first = leading(of->orders + 1, c, tie_of(s, of, TIE), share);

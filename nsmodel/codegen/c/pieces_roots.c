@@ -14,7 +14,7 @@ static double least_on(const model_pieces *s, const condition *of, double length
 /* The row that a condition looks at, on the disc: x, l and t are there. */
 static SELDOM void look_on_disc(model_pieces *s, const condition *of, int m, double *y)
 {
-    run_lines(s, DISC_LINES, m);
+    run_lines(s, DISC_LINES, m, 1);
 #if SWITCHED
     if (of->acts == NOBODY)
         copied(y, ROW(disc_looked[of->of - M]), m);

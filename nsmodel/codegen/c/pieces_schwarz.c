@@ -74,7 +74,7 @@ static SELDOM void cap_unit(model_pieces *s, const double *rates)
             DISC_L(i)[0] = s->c[0][L + i];
             DISC_L(i)[1] = 0;
         }
-        run_lines(s, LINES_OF_F, 0);
+        run_lines(s, LINES_OF_F, 0, 0);
         for (int i = 0; i < N; i++)
             bounded &= ROW(disc_f[i])[1] < INFINITY;
         if (bounded)
@@ -230,7 +230,7 @@ static NOT_INLINE double worst_on_disc(model_pieces *s, const sizes_at_end *of, 
     double of_slope[N], most[N], with_l[N], worst = 0;
     UNUSED(raised);
     series_on_disc(s, R, m, of_slope);
-    run_lines(s, DISC_LINES, m);
+    run_lines(s, DISC_LINES, m, 0);
     rests_of_rate(s, m, with_l);
     for (int i = 0; i < N; i++) {
         with_l[i] = of_slope[i] + s->at.tau*with_l[i];
