@@ -13,7 +13,7 @@ from nsmodel.errors import (
     UnverifiedWarning,
     UsageError,
 )
-from nsmodel.later import later as _later
+from nsmodel.later import lazy_attributes as _later
 from nsmodel.laws import (
     Law,
     ball,

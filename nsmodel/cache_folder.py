@@ -10,7 +10,7 @@ import platformdirs
 
 from nsmodel.errors import CodegenError
 
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # Of shared libraries.
+LIBRARY_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # Of shared libraries.
 
 
 def cache_folder() -> Path:
@@ -29,9 +29,9 @@ def cache_folder() -> Path:
         raise CodegenError(f"no folder to keep compiled steps in ({error}); name one with XDG_CACHE_HOME") from error
 
 
-def is_empty() -> bool:
+def is_cache_empty() -> bool:
     """Whether no compiled steps are kept."""
     try:
-        return not any(cache_folder().glob(f"*{SUFFIX}"))
+        return not any(cache_folder().glob(f"*{LIBRARY_SUFFIX}"))
     except (OSError, CodegenError):
         return True

@@ -13,39 +13,49 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
-from nsmodel.hypotheses.along import along
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, plain
-from nsmodel.hypotheses.inputs import Motion, between_ticks, beyond, motion_of, told, unsettled
-from nsmodel.hypotheses.moving_law import seen_so, standing, with_ends
-from nsmodel.hypotheses.region import Region, around, region_of
+from nsmodel.hypotheses.along import findings_along_run
+from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, VIOLATED, Consequence, Finding, Hypothesis, plain_witness
+from nsmodel.hypotheses.inputs import (
+    InputBounds,
+    describe_inputs,
+    input_bounds,
+    mark_unknown_between_ticks,
+    out_of_bounds_reason,
+    unknown_consequence,
+)
+from nsmodel.hypotheses.moving_law import decide_with_law_bounds, freeze_law, runs_of_frozen_law
+from nsmodel.hypotheses.region import Region, enclosing_region, region_of
 from nsmodel.hypotheses.report.report import Report
-from nsmodel.hypotheses.scope import Box, Scope, meet
-from nsmodel.hypotheses.stay import clauses
-from nsmodel.model.arguments import shown
+from nsmodel.hypotheses.scope import IntervalBox, Scope, intersect_scopes
+from nsmodel.hypotheses.stay import time_limit_clauses
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
-from nsmodel.model.driven import frozen
+from nsmodel.model.driven import freeze_inputs
 from nsmodel.model.parameters import Values, split_boxes
-from nsmodel.observed_order import ROUND_OFF, refined
+from nsmodel.observed_order import ORDER_ROUND_OFF, refined_run_consequences
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.proof.search import quick_searches
 from nsmodel.scheme import one_step_problem
 from nsmodel.signals import Within
 from nsmodel.simulate import simulate
-from nsmodel.solve.structure import read
+from nsmodel.solve.structure import read_step_structure
 from nsmodel.trajectory import Trajectory
 
-FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
-LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
-WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
-CONSTANT = "seen for constant inputs alone"
+MAX_CHECK_STEPS = 4000  # Steps looked at where each needs Newton's method.
+IMPACT_NOTE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.IMPACTS_GUIDE}"
+WIDER_REGION_FACTOR, MAX_THOROUGH_STATES = (
+    10.0,
+    4,
+)  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
+CONSTANT_INPUTS_NOTE = "seen for constant inputs alone"
 
 
 def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses that are decided for a model class, in the order of its report."""
-    return _checker(kind).HYPOTHESES
+    return _check_module(kind).HYPOTHESES
 
 
-def _checker(kind: type[Model]) -> Any:
+def _check_module(kind: type[Model]) -> Any:
     return class_of(kind).part("hypotheses.check")
 
 
@@ -86,76 +96,81 @@ def check(
     ('holds', 0.0)
     """
     if not isinstance(model, Model):
-        raise UsageError(f"check: expected a model, such as LureSystem(...), not {shown(model)}")
-    model.refuse("check")
+        raise UsageError(f"check: expected a model, such as LureSystem(...), not {describe_argument(model)}")
+    model.check_allowed("check")
     parameters, boxes = split_boxes(parameters, model.parameters)
     values = {**model.parameters, **model.values_of(parameters)}
     t_end = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs or ())])
-    looked_at = standing(model)
-    motion = motion_of(looked_at, bounds, t_end)
+    looked_at = freeze_law(model)
+    motion = input_bounds(looked_at, bounds, t_end)
     if boxes or motion.names:
-        return _for_all(model, looked_at, values, boxes, motion, runs, region, quick)
+        return _check_for_all_values(model, looked_at, values, boxes, motion, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)
     if missing and class_of(model).optional("hypotheses.symbolic"):
-        return _symbolic(_held(looked_at.bind(values, partly=True), motion), values, missing)
-    driven, bound = model.bind(values), _held(looked_at.bind(values), motion)
+        return _symbolic_report(_with_constant_inputs(looked_at.bind(values, partly=True), motion), values, missing)
+    driven, bound = model.bind(values), _with_constant_inputs(looked_at.bind(values), motion)
     notes: list[str] = []
     given = runs is not None or quick
-    own = list(runs or ()) if given else _runs(driven, notes)
+    own = list(runs or ()) if given else _make_check_runs(driven, notes)
     box = region_of(bound, own, region)
-    own, part = _stepped(own, notes), _checker(type(bound))
-    seen_so_far = seen_so(driven, own)
+    own, part = _time_stepping_runs(own, notes), _check_module(type(bound))
+    seen_so_far = runs_of_frozen_law(driven, own)
 
     def decide() -> tuple[list[Finding], list[Consequence]]:
         found, made = part.check(bound, box, seen_so_far, quick)
-        made = clauses(bound, box, found, made)
-        return found if quick else _known_outside(bound, box, seen_so_far, found), list(made)
+        made = time_limit_clauses(bound, box, found, made)
+        return found if quick else _with_violations_outside(bound, box, seen_so_far, found), list(made)
 
     try:
-        findings, consequences = with_ends(_held(driven, motion), box, motion, quick, part.HYPOTHESES, decide)
+        findings, consequences = decide_with_law_bounds(
+            _with_constant_inputs(driven, motion), box, motion, quick, part.HYPOTHESES, decide
+        )
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
-    if effort := _effort(bound):
+    if effort := _effort_module(bound):
         notes += effort.notes(bound, [] if given else own)
     if not own:
-        notes += [f"{watch.acts}, not on y': {LATE}" for watch in impacts.watched(bound) if not watch.relay]
-    seen = _seen(driven, motion, own, findings, notes, given, quick)
-    consequences, lines = between_ticks(driven, consequences), _told(driven, motion)
-    return _report(
+        notes += [f"{watch.acts}, not on y': {IMPACT_NOTE}" for watch in impacts.impact_rows(bound) if not watch.relay]
+    seen = _findings_along_runs(driven, motion, own, findings, notes, given, quick)
+    consequences, lines = mark_unknown_between_ticks(driven, consequences), _input_notes(driven, motion)
+    return _make_report(
         driven, box.text, [*findings, *seen[0]], [*consequences, *seen[1]], driven.bound_parameters, notes, quick, lines
     )
 
 
-def _held(model: Model, motion: Motion) -> Model:
+def _with_constant_inputs(model: Model, motion: InputBounds) -> Model:
     """The model at constant values of its inputs, of those that move as parameters without value."""
-    return frozen(model, motion.held) if model.u.numel() else model
+    return freeze_inputs(model, motion.held) if model.u.numel() else model
 
 
-def _seen(
-    model: Model, motion: Motion, runs: Sequence[Trajectory], findings: Sequence[Finding], notes: list[str], given: bool,
+def _findings_along_runs(
+    model: Model, motion: InputBounds, runs: Sequence[Trajectory], findings: Sequence[Finding], notes: list[str], given: bool,
     quick: bool,
 ) -> tuple[list[Finding], list[Consequence]]:  # fmt: skip
     """What runs with the signals of the model show, where these are among those meant."""
     if not runs:
         return [], []
-    if why := beyond(model, motion, runs[0]):
+    if why := out_of_bounds_reason(model, motion, runs[0]):
         notes.append(f"{why}: nothing that is said of signals within them is said of the run, which is not looked at")
         return [], []
     twin = runs[1] if len(runs) > 1 and len(runs[1].t) == len(runs[0].t) else None
     span = Scope(time=(float(runs[0].t[0]), float(runs[0].t[-1])))
     part = class_of(model).optional("hypotheses.twins") if motion.names else None  # else the class's check compares them
-    made = [*(part.compared(model, findings, runs) if part else []), *along(model, runs[0], findings, twin, quick)]
+    made = [
+        *(part.compare_runs(model, findings, runs) if part else []),
+        *findings_along_run(model, runs[0], findings, twin, quick),
+    ]
     made = [replace(item, scope=span) for item in made]
-    return made, [] if given else refined(model, runs[0], _effort(model))
+    return made, [] if given else refined_run_consequences(model, runs[0], _effort_module(model))
 
 
-def _told(model: Model, motion: Motion) -> tuple[str, ...]:
+def _input_notes(model: Model, motion: InputBounds) -> tuple[str, ...]:
     """Where inputs stand, and which signals are meant."""
     part = class_of(model).optional("hypotheses.driven")
-    return told(model, motion, None if part is None else part.PARTS)
+    return describe_inputs(model, motion, None if part is None else part.PARTS)
 
 
-def _stepped(runs: Sequence[Trajectory], notes: list[str]) -> list[Trajectory]:
+def _time_stepping_runs(runs: Sequence[Trajectory], notes: list[str]) -> list[Trajectory]:
     """The runs by time stepping, whose rows the checks along a run are about; a note on the modes of each other one."""
     notes += [modes_note(run) for run in runs if run.is_event_driven]
     return [run for run in runs if not run.is_event_driven]
@@ -173,8 +188,8 @@ def modes_note(run: Trajectory) -> str:
     return f"event-driven run: {totals['pieces']} pieces, {regular}; {only}: {decided}"
 
 
-def _for_all(
-    model: Model, looked_at: Model, values: Mapping[str, float | None], boxes: Box, motion: Motion,
+def _check_for_all_values(
+    model: Model, looked_at: Model, values: Mapping[str, float | None], boxes: IntervalBox, motion: InputBounds,
     runs: Sequence[Trajectory] | None, region: Mapping[str, tuple[float, float]] | None, quick: bool,
 ) -> Report:  # fmt: skip
     """Decide the hypotheses for all values of parameters and inputs in boxes: proofs of the class, and values where one fails.
@@ -184,97 +199,106 @@ def _for_all(
     """
     part = model.bind({**values, **dict.fromkeys(boxes)}, partly=True)
     if missing := set(part.parameters) - set(boxes):
-        beside = "boxes of parameters" if boxes else "inputs"
-        raise UsageError(f"parameter '{min(missing)}' has no value; beside {beside}, give it a number or a box")
+        kinds = "boxes of parameters" if boxes else "inputs"
+        raise UsageError(f"parameter '{min(missing)}' has no value; beside {kinds}, give it a number or a box")
     boxes = {name: boxes[name] for name in part.parameters}
-    driven = part.bind(uniform.middle_of(boxes)) if boxes else part
-    still, every = _held(looked_at.bind({**values, **dict.fromkeys(boxes)}, partly=True), motion), {**boxes, **motion.box}
+    driven = part.bind(uniform.box_middle(boxes)) if boxes else part
+    still, every = (
+        _with_constant_inputs(looked_at.bind({**values, **dict.fromkeys(boxes)}, partly=True), motion),
+        {**boxes, **motion.box},
+    )
     notes: list[str] = []
     given = runs is not None or quick
-    own = list(runs or ()) if given else _runs(driven, notes)
-    proofs = _proofs_for_all(type(model))
-    some = uniform.values_in(every, proofs.values(still, every) if proofs else ())
-    box = around([region_of(still.bind(one), own, region) for one in some], every)
-    own, count = _stepped(own, notes), len(some)
+    own = list(runs or ()) if given else _make_check_runs(driven, notes)
+    proofs = _box_proofs_module(type(model))
+    some = uniform.sample_values(every, proofs.values(still, every) if proofs else ())
+    box = enclosing_region([region_of(still.bind(one), own, region) for one in some], every)
+    own, count = _time_stepping_runs(own, notes), len(some)
 
     def decide() -> tuple[list[Finding], list[Consequence]]:
         nonlocal count
-        found, made, count = _decided(still, box, motion, seen_so(driven, own), quick)
+        found, made, count = _decide_for_all_values(still, box, motion, runs_of_frozen_law(driven, own), quick)
         return found, made
 
-    declared = still if looked_at.u.numel() > model.u.numel() else _held(part, motion)
+    declared = still if looked_at.u.numel() > model.u.numel() else _with_constant_inputs(part, motion)
     try:
-        findings, made = with_ends(declared, box, motion, quick, _checker(type(model)).HYPOTHESES, decide)
+        findings, made = decide_with_law_bounds(declared, box, motion, quick, _check_module(type(model)).HYPOTHESES, decide)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
     if boxes:
         text = f"{', '.join(boxes)}: all values between the ends; looked at {count} of them, the run is that of the middle"
     else:
         text = f"{', '.join(motion.names)}: looked at {count} constant value{'s' * (count > 1)} between the ends"
-    shown_values: dict[str, Any] = {**part.bound_parameters, **boxes}
-    seen = ([], []) if boxes else _seen(driven, motion, own, findings, notes, given, quick)
-    findings, made, notes = [*findings, *seen[0]], [*between_ticks(model, made), *seen[1]], [*notes, text]
-    return _report(part, box.text, findings, made, shown_values, notes, quick, _told(part, motion))
+    reported_values: dict[str, Any] = {**part.bound_parameters, **boxes}
+    seen = ([], []) if boxes else _findings_along_runs(driven, motion, own, findings, notes, given, quick)
+    findings, made, notes = [*findings, *seen[0]], [*mark_unknown_between_ticks(model, made), *seen[1]], [*notes, text]
+    return _make_report(part, box.text, findings, made, reported_values, notes, quick, _input_notes(part, motion))
 
 
-def _decided(
-    model: Model, region: Region, motion: Motion, runs: Sequence[Trajectory], quick: bool
+def _decide_for_all_values(
+    model: Model, region: Region, motion: InputBounds, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence], int]:
     """What is found and follows for all values of the parameters, inputs among them, and how many values were looked at."""
-    proofs, driven = _proofs_for_all(type(model)), class_of(model).optional("hypotheses.driven") if motion.names else None
-    at_rest = getattr(driven, "at_rest", None)
+    proofs, driven = _box_proofs_module(type(model)), class_of(model).optional("hypotheses.driven") if motion.names else None
+    at_rest = getattr(driven, "parametric_model_and_region", None)
     still, box = at_rest(model, region, runs) if at_rest else (model, region)
     special = proofs.values(still, box.parameters) if proofs else ()
     proved = {finding.id: finding for finding in (proofs.findings(still, box, quick) if proofs else ())}
-    ids = [hypothesis.id for hypothesis in _checker(type(model)).HYPOTHESES]
-    alike = bool(driven or not motion.names) and all(id in proved and uniform.is_alike(proved[id]) for id in ids)
-    values = uniform.values_in(box.parameters, special)[: 1 if alike else None]
+    ids = [hypothesis.id for hypothesis in _check_module(type(model)).HYPOTHESES]
+    alike = bool(driven or not motion.names) and all(id in proved and uniform.is_same_for_all_values(proved[id]) for id in ids)
+    values = uniform.sample_values(box.parameters, special)[: 1 if alike else None]
     at = [(one, still.bind(one)) for one in values]
-    reports = [(one, *_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]
+    reports = [(one, *_check_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]
     seen = [(one, {item.id: item for item in found}) for one, found, _ in reports]
-    findings = uniform.joined(box.parameters, seen, proved)
+    findings = uniform.join_findings(box.parameters, seen, proved)
     if driven:
         findings = driven.findings(model, region, motion, findings, runs, quick)
         made = driven.consequences(model, region, motion, findings, runs)
     elif proofs and not motion.names:
         made = proofs.consequences(model, region, findings)
     else:
-        made = uniform.seen_alike([item for *_, item in reports], region.parameters)
-        made = [unsettled(item, CONSTANT) for item in made] if motion.names else made
-    return findings, [replace(item, scope=meet(item.scope, Scope(parameters=region.parameters))) for item in made], len(at)
+        made = uniform.common_consequences([item for *_, item in reports], region.parameters)
+        made = [unknown_consequence(item, CONSTANT_INPUTS_NOTE) for item in made] if motion.names else made
+    return (
+        findings,
+        [replace(item, scope=intersect_scopes(item.scope, Scope(parameters=region.parameters))) for item in made],
+        len(at),
+    )
 
 
-def _proofs_for_all(kind: type[Model]) -> Any:
+def _box_proofs_module(kind: type[Model]) -> Any:
     """The module of a class that proves its hypotheses for all values of parameters in a box; None where there is none."""
     return class_of(kind).optional("hypotheses.for_all")
 
 
-def _quickly(model: Model, box: Region, runs: Sequence[Trajectory]) -> tuple[list[Finding], list[Consequence]]:
+def _check_quickly(model: Model, box: Region, runs: Sequence[Trajectory]) -> tuple[list[Finding], list[Consequence]]:
     with quick_searches():
-        found, made = _checker(type(model)).check(model, box, runs, True)
-        return [finding for finding in found if not finding.id.startswith(ALONG_A_RUN)], made
+        found, made = _check_module(type(model)).check(model, box, runs, True)
+        return [finding for finding in found if not finding.id.startswith(RUN_FINDING_PREFIX)], made
 
 
-def _known_outside(model: Model, box: Region, runs: Sequence[Trajectory], findings: Sequence[Finding]) -> list[Finding]:
+def _with_violations_outside(model: Model, box: Region, runs: Sequence[Trajectory], findings: Sequence[Finding]) -> list[Finding]:
     """The findings; those that hold on the box alone with what is known to fail in one ten times as wide."""
-    if not any(_local(finding) for finding in findings):
+    if not any(_holds_locally(finding) for finding in findings):
         return list(findings)
     with quick_searches():
-        found = _checker(type(model)).check(model, box.wider(WIDER), runs, len(box.names) > FEW_STATES)[0]
+        found = _check_module(type(model)).check(
+            model, box.widened(WIDER_REGION_FACTOR), runs, len(box.names) > MAX_THOROUGH_STATES
+        )[0]
     wide = {other.id: other for other in found}
     return [
-        replace(finding, outside=plain({**wide[finding.id].witness, "how": wide[finding.id].how}))
-        if _local(finding) and wide[finding.id].verdict == VIOLATED
+        replace(finding, outside=plain_witness({**wide[finding.id].witness, "how": wide[finding.id].how}))
+        if _holds_locally(finding) and wide[finding.id].verdict == VIOLATED
         else finding
         for finding in findings
     ]
 
 
-def _local(finding: Finding) -> bool:
+def _holds_locally(finding: Finding) -> bool:
     return finding.verdict == HOLDS and finding.scope is not None and bool(finding.scope.states)
 
 
-def _report(
+def _make_report(
     model: Model, region: str, findings: Sequence[Finding], consequences: Sequence[Consequence],
     parameters: Mapping[str, float | None], notes: Sequence[str], quick: bool, inputs: Sequence[str] = (),
 ) -> Report:  # fmt: skip
@@ -285,16 +309,16 @@ def _report(
     )  # fmt: skip
 
 
-def _symbolic(model: Model, values: Mapping[str, float | None], missing: Sequence[str]) -> Report:
+def _symbolic_report(model: Model, values: Mapping[str, float | None], missing: Sequence[str]) -> Report:
     """The conditions on parameters that have no value."""
     note = f"parameters without value: {', '.join(missing)}; give them with parameters={{...}} or --set to decide the rest"
     findings = class_of(model).part("hypotheses.symbolic").findings(model)
-    return _report(model, "no region: parameters are symbols", findings, [], values, [note], False)
+    return _make_report(model, "no region: parameters are symbols", findings, [], values, [note], False)
 
 
-def _runs(model: Model, notes: list[str]) -> list[Trajectory]:
+def _make_check_runs(model: Model, notes: list[str]) -> list[Trajectory]:
     """The model's own run, and for two classes one more from half way to where the first one ends."""
-    t_end = _end(model)
+    t_end = _check_run_end(model)
     if t_end is not None and model.step is not None:
         notes.append(f"the run was cut at t = {t_end:g}, after {t_end / model.step:.0f} steps; check(model, [run]) takes any run")
     try:
@@ -305,31 +329,31 @@ def _runs(model: Model, notes: list[str]) -> list[Trajectory]:
     except UsageError as error:
         notes.append(f"the model was not run: {error}")
         return []
-    if _checker(type(model)).TWIN:
+    if _check_module(type(model)).TWIN:
         start = (run.x[0] + run.x[-1]) / 2
-        if np.abs(start - run.x[0]).max() > ROUND_OFF * np.abs(run.x).max():
+        if np.abs(start - run.x[0]).max() > ORDER_ROUND_OFF * np.abs(run.x).max():
             try:
-                return [run, simulate(started_at(model, start), t_end=t_end)]
+                return [run, simulate(with_start(model, start), t_end=t_end)]
             except (StepError, UsageError) as error:
                 notes.append(f"a second run from {start} was not possible: {error}")
     return [run]
 
 
-def _end(model: Model) -> float | None:
+def _check_run_end(model: Model) -> float | None:
     """Where to cut a long run whose steps are dear; None where it is run as the model says."""
-    effort = _effort(model)
-    few = effort.most_steps(model) if effort else FEW_STEPS
+    effort = _effort_module(model)
+    few = effort.most_steps(model) if effort else MAX_CHECK_STEPS
     if model.step is None or model.t_end is None or model.t_end <= few * model.step:
         return None
-    return few * model.step if effort or not read(one_step_problem(model)).affine else None
+    return few * model.step if effort or not read_step_structure(one_step_problem(model)).affine else None
 
 
-def _effort(model: Model) -> Any:
+def _effort_module(model: Model) -> Any:
     """The module of a class that says how many steps a check takes, where all are dear; else None."""
     return class_of(model).optional("hypotheses.effort")
 
 
-def started_at(model: Model, x0: np.ndarray) -> Model:
+def with_start(model: Model, x0: np.ndarray) -> Model:
     """The model from another start."""
     other = copy(model)
     other._set(**{f"{model.letter}0": ca.SX(ca.DM(x0))}, exact=None)

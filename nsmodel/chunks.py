@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.archive import LIST, Member, digest_of_stream, members_of, write_archive
-from nsmodel.errors import LaterFormatError, StorageError
-from nsmodel.fields import MANIFEST as FIELDS
-from nsmodel.fields import UNFINISHED, refuse_other_types
-from nsmodel.manifest import MANIFEST, bound_to, is_signed, read_manifest, signed
-from nsmodel.storage import STAMP, Metadata, dumps, inside, loads, make_folder, read_json, stream_beside, write_json
-from nsmodel.stored import Layout, blocks, opened, read_npz
+from nsmodel.archive import LIST_PREFIXES, ArchiveMember, archive_members, stream_sha256, write_archive
+from nsmodel.errors import NewerFormatError, StorageError
+from nsmodel.fields import MANIFEST_FIELDS as FIELDS
+from nsmodel.fields import UNFINISHED_FIELDS, check_field_types
+from nsmodel.manifest import MANIFEST_FILE, has_valid_checksum, read_manifest, settings_digest, with_checksum
+from nsmodel.storage import FORMAT_STAMP, Metadata, atomic_stream, dumps, loads, make_folder, path_inside, read_json, write_json
+from nsmodel.stored import ArchiveLayout, array_blocks, open_archive, read_npz
 
-WHOLE = "trajectory.npz"
-_AFRESH = "remove the folder, or give another, to start afresh"
-_CHUNK = re.compile(r"chunk-\d{6,}\.npz")
+JOINED_FILE = "trajectory.npz"
+_START_AFRESH_HINT = "remove the folder, or give another, to start afresh"
+_CHUNK_NAME_PATTERN = re.compile(r"chunk-\d{6,}\.npz")
 
 
 class ChunkStore:
@@ -41,19 +41,19 @@ class ChunkStore:
         StorageError where the directory cannot be made or written: now, and not when hours of work are to be saved.
         """
         self.directory = Path(directory)
-        self._manifest = _manifest([], {}, {})
+        self._manifest = _make_manifest([], {}, {})
         make_folder(self.directory, f"into {directory}")
 
     @classmethod
     def open(cls, directory: str | Path) -> ChunkStore:
         """Open the run in ``directory``, and check that each chunk is the one its manifest lists, byte for byte."""
         folder = Path(directory)
-        if not (folder / MANIFEST).exists():
-            raise StorageError(f"nothing to resume in {directory}: no {MANIFEST}; start the run without resuming")
-        manifest = read_manifest(folder, FIELDS, what="run", afresh=_AFRESH)
+        if not (folder / MANIFEST_FILE).exists():
+            raise StorageError(f"nothing to resume in {directory}: no {MANIFEST_FILE}; start the run without resuming")
+        manifest = read_manifest(folder, FIELDS, what="run", afresh=_START_AFRESH_HINT)
         store = cls(directory)
         if not manifest["chunks"]:
-            raise StorageError(f"{folder / MANIFEST} lists no chunk; {_AFRESH}")
+            raise StorageError(f"{folder / MANIFEST_FILE} lists no chunk; {_START_AFRESH_HINT}")
         store._manifest = manifest
         store._verify()
         return store
@@ -73,28 +73,28 @@ class ChunkStore:
         Lists (see LIST) have another all the same.
         """
         data = {name: np.asarray(array) for name, array in arrays.items()}
-        if _lengths(_layout(data)) is None:
+        if _array_lengths(_array_layout(data)) is None:
             shapes = ", ".join(f"{name} {array.shape}" for name, array in data.items()) or "no array"
             raise StorageError(f"a chunk in {self.directory} needs arrays of one number of rows, got {shapes}")
         if self._manifest["chunks"]:
-            _same_layout(self._first(), _layout(data), self.directory)
+            _check_same_layout(self._first_layout(), _array_layout(data), self.directory)
         else:
             # An older run's manifest must not describe the chunks that are overwritten from here on.
-            (self.directory / MANIFEST).unlink(missing_ok=True)
+            (self.directory / MANIFEST_FILE).unlink(missing_ok=True)
         chunks = self._manifest["chunks"]
-        self._commit([*chunks, self._written(len(chunks) + 1, data, _run_of(checkpoint))], checkpoint, metadata)
+        self._commit([*chunks, self._write_chunk(len(chunks) + 1, data, _run_digest(checkpoint))], checkpoint, metadata)
 
-    def _written(self, number: int, data: Mapping[str, np.ndarray], run: str) -> dict[str, Any]:
+    def _write_chunk(self, number: int, data: Mapping[str, np.ndarray], run: str) -> dict[str, Any]:
         """Write a chunk; and what the manifest says of it."""
-        path = inside(self.directory, f"chunk-{number:06d}.npz", "nsmodel")
-        members = members_of(data, path)
-        with stream_beside(path) as stream:
+        path = path_inside(self.directory, f"chunk-{number:06d}.npz", "nsmodel")
+        members = archive_members(data, path)
+        with atomic_stream(path) as stream:
             write_archive(stream, members, {"run": run})
-            return {"file": path.name, **(_lengths(_layout(data)) or {}), "sha256": digest_of_stream(stream)}
+            return {"file": path.name, **(_array_lengths(_array_layout(data)) or {}), "sha256": stream_sha256(stream)}
 
     def read(self) -> dict[str, np.ndarray]:
         """The arrays of all chunks, joined in memory."""
-        parts = [read_npz(file)[0] for file in self._files()]
+        parts = [read_npz(file)[0] for file in self._chunk_paths()]
         return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
     def join(self, metadata: Metadata) -> None:
@@ -104,92 +104,93 @@ class ChunkStore:
         """
         if not self._manifest["chunks"]:
             raise StorageError(f"nothing to join in {self.directory}: no chunk was appended")
-        path = inside(self.directory, WHOLE, "nsmodel")
-        layout, files, total = self._layout(), self._files(), _total(self._manifest["chunks"])
-        members = {name: Member(dtype, shape, blocks(files, name)) for name, (dtype, shape) in layout.items()}
-        whole: dict[str, Any] = {"file": WHOLE, **total}
-        with stream_beside(path) as stream:
+        path = path_inside(self.directory, JOINED_FILE, "nsmodel")
+        layout, files, total = self._whole_layout(), self._chunk_paths(), _total_lengths(self._manifest["chunks"])
+        members = {name: ArchiveMember(dtype, shape, array_blocks(files, name)) for name, (dtype, shape) in layout.items()}
+        whole: dict[str, Any] = {"file": JOINED_FILE, **total}
+        with atomic_stream(path) as stream:
             write_archive(stream, members, metadata)
-            whole["sha256"] = digest_of_stream(stream)
+            whole["sha256"] = stream_sha256(stream)
             # The file may take the place of a chunk: whoever is killed from here on must know both.
             self._commit(self._manifest["chunks"], self._manifest["checkpoint"], metadata, whole)
         self._manifest["chunks"] = [whole]
         self._commit([whole], self._manifest["checkpoint"], metadata)
         for stale in self.directory.iterdir():
-            if _CHUNK.fullmatch(stale.name):
+            if _CHUNK_NAME_PATTERN.fullmatch(stale.name):
                 stale.unlink()
 
     def shorten(self, rows: int, listed: int) -> None:
         """Take the last rows of the whole run away, and the last of its lists: what was cut off at its end is made anew."""
-        if len(self._manifest["chunks"]) > 1 or _CHUNK.fullmatch(self._manifest["chunks"][0]["file"]):
+        if len(self._manifest["chunks"]) > 1 or _CHUNK_NAME_PATTERN.fullmatch(self._manifest["chunks"][0]["file"]):
             self.join(self._manifest["metadata"])
         away = {"rows": rows, "listed": listed}
-        arrays = {name: array[: len(array) - away[_length(name)]] for name, array in self.read().items()}
+        arrays = {name: array[: len(array) - away[_length_key(name)]] for name, array in self.read().items()}
         metadata = {**self._manifest["metadata"], "status": "running", "message": ""}
         checkpoint = {**self._manifest["checkpoint"], "cut": None}
-        self._commit([self._written(1, arrays, _run_of(checkpoint))], checkpoint, metadata)
+        self._commit([self._write_chunk(1, arrays, _run_digest(checkpoint))], checkpoint, metadata)
 
     def discard(self) -> None:
         """Forget the run: its manifest and its chunks are removed."""
-        (self.directory / MANIFEST).unlink(missing_ok=True)
-        for file in self._files():
+        (self.directory / MANIFEST_FILE).unlink(missing_ok=True)
+        for file in self._chunk_paths():
             file.unlink(missing_ok=True)
-        self._manifest = _manifest([], {}, {})
+        self._manifest = _make_manifest([], {}, {})
 
-    def _files(self) -> list[Path]:
-        return [self._file(chunk) for chunk in self._manifest["chunks"]]
+    def _chunk_paths(self) -> list[Path]:
+        return [self._chunk_path(chunk) for chunk in self._manifest["chunks"]]
 
-    def _file(self, chunk: Mapping[str, Any]) -> Path:
+    def _chunk_path(self, chunk: Mapping[str, Any]) -> Path:
         """A chunk's file, by a name that chunks have."""
-        if chunk["file"] != WHOLE and not _CHUNK.fullmatch(chunk["file"]):
-            by = self.directory / MANIFEST
+        if chunk["file"] != JOINED_FILE and not _CHUNK_NAME_PATTERN.fullmatch(chunk["file"]):
+            by = self.directory / MANIFEST_FILE
             raise StorageError(
-                f"{by} lists the file {chunk['file']!r:.80}, which is no chunk of a run: it was changed; {_AFRESH}"
+                f"{by} lists the file {chunk['file']!r:.80}, which is no chunk of a run: it was changed; {_START_AFRESH_HINT}"
             )
-        return inside(self.directory, chunk["file"], str(self.directory / MANIFEST))
+        return path_inside(self.directory, chunk["file"], str(self.directory / MANIFEST_FILE))
 
     def _commit(
         self, chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata, joined: Metadata | None = None
     ) -> None:  # fmt: skip
-        manifest = loads(dumps(_manifest(chunks, checkpoint, metadata) | ({} if joined is None else {"joined": joined})))
-        write_json(inside(self.directory, MANIFEST, "nsmodel"), signed(manifest))
+        manifest = loads(dumps(_make_manifest(chunks, checkpoint, metadata) | ({} if joined is None else {"joined": joined})))
+        write_json(path_inside(self.directory, MANIFEST_FILE, "nsmodel"), with_checksum(manifest))
         self._manifest = manifest
 
     def _verify(self) -> None:
         """Compare each chunk with its hash and its run; where a join was cut off after its file took its place, finish it."""
         whole = self._manifest.pop("joined", None)
-        if whole is not None and (file := self._file(whole)).is_file() and _digest_of(file) == whole["sha256"]:
+        if whole is not None and (file := self._chunk_path(whole)).is_file() and _file_sha256(file) == whole["sha256"]:
             self._manifest["chunks"] = [whole]
-        run = _run_of(self._manifest["checkpoint"])
+        run = _run_digest(self._manifest["checkpoint"])
         if self._manifest["run"] != run:
-            raise StorageError(f"{self.directory / MANIFEST} and its checkpoint belong to two runs; {_AFRESH}")
-        for file, chunk in zip(self._files(), self._manifest["chunks"], strict=True):
-            if _digest_of(file) != chunk["sha256"]:
-                other = _belongs_to(file)
+            raise StorageError(f"{self.directory / MANIFEST_FILE} and its checkpoint belong to two runs; {_START_AFRESH_HINT}")
+        for file, chunk in zip(self._chunk_paths(), self._manifest["chunks"], strict=True):
+            if _file_sha256(file) != chunk["sha256"]:
+                other = _run_digest_of_file(file)
                 what = "it belongs to another run" if other not in (None, run) else "it was changed, or exchanged for another,"
                 raise StorageError(
-                    f"{file} is not the file that {MANIFEST} lists: {what} after it was "
-                    f"written; put it back from a copy, or {_AFRESH}"
+                    f"{file} is not the file that {MANIFEST_FILE} lists: {what} after it was "
+                    f"written; put it back from a copy, or {_START_AFRESH_HINT}"
                 )
-            found = opened(file)
-            if _lengths(found.layout) != {key: chunk[key] for key in ("rows", "listed") if key in chunk}:
-                raise StorageError(f"{file} has other numbers of rows than {MANIFEST} says; {_AFRESH}")
-        if self._manifest["rows"] != _total(self._manifest["chunks"])["rows"]:
+            found = open_archive(file)
+            if _array_lengths(found.layout) != {key: chunk[key] for key in ("rows", "listed") if key in chunk}:
+                raise StorageError(f"{file} has other numbers of rows than {MANIFEST_FILE} says; {_START_AFRESH_HINT}")
+        if self._manifest["rows"] != _total_lengths(self._manifest["chunks"])["rows"]:
             raise StorageError(
-                f"{self.directory / MANIFEST} counts {self._manifest['rows']} rows, its chunks have others; {_AFRESH}"
+                f"{self.directory / MANIFEST_FILE} counts {self._manifest['rows']} rows, its chunks have others; "
+                f"{_START_AFRESH_HINT}"
             )
 
-    def _layout(self) -> Layout:
+    def _whole_layout(self) -> ArchiveLayout:
         """Data type and shape of each array of the whole run."""
-        total = _total(self._manifest["chunks"])
-        return {name: (dtype, (total[_length(name)], *shape[1:])) for name, (dtype, shape) in self._first().items()}
+        total = _total_lengths(self._manifest["chunks"])
+        return {name: (dtype, (total[_length_key(name)], *shape[1:])) for name, (dtype, shape) in self._first_layout().items()}
 
-    def _first(self) -> Layout:
+    def _first_layout(self) -> ArchiveLayout:
         """Of the first chunk."""
-        return opened(self._files()[0]).layout
+        return open_archive(self._chunk_paths()[0]).layout
 
 
-def unfinished(directory: str | Path) -> dict[str, Any] | None:
+def unfinished_manifest(directory: str | Path) -> dict[str, Any] | None:
     """The manifest in ``directory`` if it is that of a run that can be continued, by this version or the one that wrote it.
 
     None where there is none.
@@ -198,72 +199,72 @@ def unfinished(directory: str | Path) -> dict[str, Any] | None:
         StorageError: a later version wrote it, it is damaged beside chunks that nothing else lists, or it is that of a sweep.
     """
     folder = Path(directory)
-    if not (folder / MANIFEST).exists():
+    if not (folder / MANIFEST_FILE).exists():
         return None
-    path = inside(folder, MANIFEST, "nsmodel")
+    path = path_inside(folder, MANIFEST_FILE, "nsmodel")
     try:
         manifest = read_json(path)
-        if not (isinstance(manifest, dict) and is_signed(manifest)):
-            raise StorageError(f"{path} was changed after it was written; {_AFRESH}")
+        if not (isinstance(manifest, dict) and has_valid_checksum(manifest)):
+            raise StorageError(f"{path} was changed after it was written; {_START_AFRESH_HINT}")
     except StorageError as error:
-        if isinstance(error, LaterFormatError) or any(_CHUNK.fullmatch(file.name) for file in folder.iterdir()):
+        if isinstance(error, NewerFormatError) or any(_CHUNK_NAME_PATTERN.fullmatch(file.name) for file in folder.iterdir()):
             raise
         return None
     if "design" in manifest:
         raise StorageError(f"{folder} holds a sweep; give another folder")
-    refuse_other_types(manifest, UNFINISHED, path)
+    check_field_types(manifest, UNFINISHED_FIELDS, path)
     return manifest if manifest["status"] in ("running", "interrupted") else None
 
 
-def _run_of(checkpoint: Metadata) -> str:
+def _run_digest(checkpoint: Metadata) -> str:
     """The digest of the run whose checkpoint this is."""
-    return bound_to(checkpoint.get("settings"))
+    return settings_digest(checkpoint.get("settings"))
 
 
-def _belongs_to(path: Path) -> Any:
+def _run_digest_of_file(path: Path) -> Any:
     """The digest of the run that a file says it belongs to; None where it says none."""
     try:
-        return opened(path).metadata.get("run")
+        return open_archive(path).metadata.get("run")
     except StorageError:
         return None
 
 
-def _layout(data: Mapping[str, np.ndarray]) -> Layout:
+def _array_layout(data: Mapping[str, np.ndarray]) -> ArchiveLayout:
     return {name: (array.dtype, array.shape) for name, array in data.items()}
 
 
-def _digest_of(path: Path) -> str:
+def _file_sha256(path: Path) -> str:
     """SHA-256 of a file."""
     try:
         with path.open("rb") as stream:
-            return digest_of_stream(stream)
+            return stream_sha256(stream)
     except FileNotFoundError as error:
-        raise StorageError(f"{path} does not exist; put it back from a copy, or {_AFRESH}") from error
+        raise StorageError(f"{path} does not exist; put it back from a copy, or {_START_AFRESH_HINT}") from error
     except OSError as error:
-        raise StorageError(f"{path} cannot be read ({error}); put it back from a copy, or {_AFRESH}") from error
+        raise StorageError(f"{path} cannot be read ({error}); put it back from a copy, or {_START_AFRESH_HINT}") from error
 
 
-def _length(name: str) -> str:
+def _length_key(name: str) -> str:
     """What the length of an array is called in the manifest."""
-    return "listed" if name.startswith(LIST) else "rows"
+    return "listed" if name.startswith(LIST_PREFIXES) else "rows"
 
 
-def _lengths(layout: Layout) -> dict[str, int] | None:
+def _array_lengths(layout: ArchiveLayout) -> dict[str, int] | None:
     """The number of rows, and the length of the lists where there are any; None where arrays do not agree."""
     found: dict[str, set[int]] = {"rows": set()}
     for name, (_, shape) in layout.items():
-        found.setdefault(_length(name), set()).add(shape[0] if shape else -1)
+        found.setdefault(_length_key(name), set()).add(shape[0] if shape else -1)
     agree = all(len(numbers) == 1 and min(numbers) >= 0 for numbers in found.values())
     return {key: numbers.pop() for key, numbers in found.items()} if agree else None
 
 
-def _total(chunks: list[dict[str, Any]]) -> dict[str, int]:
+def _total_lengths(chunks: list[dict[str, Any]]) -> dict[str, int]:
     """The lengths of the whole run."""
     keys = [key for key in ("rows", "listed") if all(key in chunk for chunk in chunks)]
     return {key: sum(chunk[key] for chunk in chunks) for key in keys}
 
 
-def _same_layout(first: Layout, other: Layout, where: Path) -> None:
+def _check_same_layout(first: ArchiveLayout, other: ArchiveLayout, where: Path) -> None:
     one, two = ({name: (dtype, shape[1:]) for name, (dtype, shape) in header.items()} for header in (first, other))
     for name in sorted(one.keys() | two.keys()):
         if one.get(name) != two.get(name):
@@ -271,6 +272,6 @@ def _same_layout(first: Layout, other: Layout, where: Path) -> None:
             raise StorageError(f"array '{name}' in {where} differs from chunk one: expected {expected}, got {got}")
 
 
-def _manifest(chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> dict[str, Any]:
+def _make_manifest(chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> dict[str, Any]:
     state = {"checkpoint": checkpoint, "metadata": metadata, "status": metadata.get("status", "running")}
-    return {**STAMP, "run": _run_of(checkpoint), "chunks": chunks, **({"rows": 0} | _total(chunks)), **state}
+    return {**FORMAT_STAMP, "run": _run_digest(checkpoint), "chunks": chunks, **({"rows": 0} | _total_lengths(chunks)), **state}

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.archive import LIST
+from nsmodel.archive import LIST_PREFIXES
 from nsmodel.classes.registry import class_named
-from nsmodel.extras import extra
+from nsmodel.extras import import_extra
 from nsmodel.model.base import Model
 from nsmodel.storage import dumps
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 
-COORDINATES = ("time", "state", "multiplier", "input", "body")  # Of an xarray.Dataset.
+DATASET_COORDINATES = ("time", "state", "multiplier", "input", "body")  # Of an xarray.Dataset.
 # What its arrays have beside time.
-ALONG = {name: "multiplier" for name in ("multipliers", "y", "reactions", "gap")}
-ALONG |= {name: "state" for name in ("v", "selection", "defect")}
-ALONG |= {"inputs": "input", "inputs_begin": "input", "pressure": "body"}
+COLUMN_AXES = {name: "multiplier" for name in ("multipliers", "y", "reactions", "gap")}
+COLUMN_AXES |= {name: "state" for name in ("v", "selection", "defect")}
+COLUMN_AXES |= {"inputs": "input", "inputs_begin": "input", "pressure": "body"}
 
 
 def model_type(run: Trajectory) -> type[Model]:
@@ -32,13 +32,13 @@ def model_type(run: Trajectory) -> type[Model]:
 
 def state_names(run: Trajectory) -> list[str]:
     """Return one name for each column of ``run.x``."""
-    return _names(run.metadata.get("state_names"), "x", run.x.shape[1])
+    return _names_or_numbered(run.metadata.get("state_names"), "x", run.x.shape[1])
 
 
 def multiplier_names(run: Trajectory) -> list[str]:
     """Return one name for each column of ``run.multipliers``; none where the run has no multipliers."""
     width = run.multipliers.shape[1] if "multipliers" in run.arrays else 0
-    return _names(run.metadata.get("multiplier_names"), "l", width)
+    return _names_or_numbered(run.metadata.get("multiplier_names"), "l", width)
 
 
 def input_names(run: Trajectory) -> list[str]:
@@ -66,20 +66,20 @@ def units_of(run: Trajectory) -> dict[str, str]:
     return units
 
 
-def extrapolated(run: Trajectory) -> np.ndarray:
+def extrapolated_rows(run: Trajectory) -> np.ndarray:
     """Return, for each row (N+1,), whether error control has moved its state off what its step gave."""
     return run.arrays.get("correction", np.zeros(len(run.t))) > 0
 
 
-def _names(given: Sequence[str] | None, stem: str, width: int) -> list[str]:
+def _names_or_numbered(given: Sequence[str] | None, stem: str, width: int) -> list[str]:
     return list(given) if given is not None and len(given) == width else [f"{stem}_{i}" for i in range(width)]
 
 
-def _free(name: str, taken: Container[str], prefix: str) -> str:
+def _unused_name(name: str, taken: Container[str], prefix: str) -> str:
     return f"{prefix}:{name}" if name in taken else name
 
 
-def of_csv(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
+def csv_columns(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
     """Yield (name, column) of the CSV file; no name comes twice."""
     multipliers = multiplier_names(run)
     named = {"x": state_names(run), "multipliers": [f"multiplier:{name}" for name in multipliers]}
@@ -89,30 +89,30 @@ def of_csv(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
         named[name] = [f"{prefix}:{one}" for one in input_names(run)]
     first = [name for name in ("t", "x", "multipliers", "y", "residual") if name in run.arrays]
     taken: set[str] = set()
-    for name in dict.fromkeys([*first, *(name for name in run.arrays if not name.startswith(LIST))]):
+    for name in dict.fromkeys([*first, *(name for name in run.arrays if not name.startswith(LIST_PREFIXES))]):
         array = run.arrays[name]
         indices = np.ndindex(array.shape[1:])
         titles = named.get(name) or [name + "".join(f"_{i}" for i in index) for index in indices]
         for title, column in zip(titles, array.reshape(len(array), len(titles)).T, strict=True):
-            yield (free := _free(title, taken, "array")), column
+            yield (free := _unused_name(title, taken, "array")), column
             taken.add(free)
 
 
-def dataset(run: Trajectory) -> Any:
+def run_dataset(run: Trajectory) -> Any:
     """The run as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
-    xarray = extra("xarray")
+    xarray = import_extra("xarray")
     units = {name: {"units": unit} for name, unit in units_of(run).items()}
     coords = {"state": state_names(run), "multiplier": multiplier_names(run), "input": input_names(run)}
     sizes, data = {name: len(names) for name, names in coords.items()}, {}
     for name, column in zip(state_names(run), run.x.T, strict=True):
-        data[_free(name, {*run.arrays, *COORDINATES}, "state")] = ("time", column, units.get(name))
+        data[_unused_name(name, {*run.arrays, *DATASET_COORDINATES}, "state")] = ("time", column, units.get(name))
     for name, array in run.arrays.items():
         if name not in ("t", "x"):
-            own = ALONG.get(name, "")
+            own = COLUMN_AXES.get(name, "")
             shared = array.ndim == 2 and bool(own) and array.shape[1] == sizes.get(own, array.shape[1])
-            along = next((stem.rstrip("_") for stem in LIST if name.startswith(stem)), "time")
+            along = next((stem.rstrip("_") for stem in LIST_PREFIXES if name.startswith(stem)), "time")
             rest = [own] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
-            data[_free(name, COORDINATES, "array")] = ((along, *rest), array, units.get(name))
+            data[_unused_name(name, DATASET_COORDINATES, "array")] = ((along, *rest), array, units.get(name))
     used = {dim for dims, *_ in data.values() for dim in dims}
     known = {"time": ("time", run.t, units.get("t"))} | {dim: names for dim, names in coords.items() if dim in used and names}
     # netCDF has no attribute that is true, None or nested.
@@ -121,10 +121,10 @@ def dataset(run: Trajectory) -> Any:
     return xarray.Dataset(data, known, attrs)
 
 
-def frame(run: Trajectory) -> Any:
+def run_frame(run: Trajectory) -> Any:
     """The table of the CSV file as a ``pandas.DataFrame`` by time; MissingExtraError where pandas is not installed."""
-    pandas = extra("pandas")
-    columns, units = dict(of_csv(run)), units_of(run)
+    pandas = import_extra("pandas")
+    columns, units = dict(csv_columns(run)), units_of(run)
     own = {name: units.get(name) or units.get(name.partition(":")[2]) for name in columns}
     found = pandas.DataFrame(columns).set_index("t")
     found.attrs = {"title": run.title, "units": {name: unit for name, unit in own.items() if unit}}

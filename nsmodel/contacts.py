@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 
 
 class Contacts(NamedTuple):
@@ -17,10 +17,10 @@ class Contacts(NamedTuple):
     second: np.ndarray
     reaction: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
-def in_order(contacts: Contacts) -> Contacts:
+def sort_contacts(contacts: Contacts) -> Contacts:
     """The contacts sorted by family, first and second member."""
     order = np.lexsort((contacts.second, contacts.first, contacts.family))
     return Contacts(*(part[order] for part in contacts))

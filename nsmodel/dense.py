@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import UsageError
 
-UNKNOWN = -2  # Code of a row before the first piece.
-Arrays = Mapping[str, np.ndarray]
+UNKNOWN_INDEX = -2  # Code of a row before the first piece.
+RunArrays = Mapping[str, np.ndarray]
 
 
 class At(NamedTuple):
@@ -23,7 +23,7 @@ class At(NamedTuple):
     multipliers: np.ndarray
     y: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 class Event(NamedTuple):
@@ -47,10 +47,10 @@ class Event(NamedTuple):
     impulse: np.ndarray
     width: float
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
-def times_of(given: Any) -> np.ndarray:
+def as_times(given: Any) -> np.ndarray:
     """Times (k,) from a number or k of them; UsageError for what is neither."""
     try:
         times = np.asarray(given, float)
@@ -61,7 +61,7 @@ def times_of(given: Any) -> np.ndarray:
     return np.atleast_1d(times)
 
 
-def polynomials(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
+def evaluate_polynomials(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
     """sum_k c_k s^k for each row, of the piece of its number: coefficients (K, n, p + 1), number (k,), s (k,) -> (k, n)."""
     orders = np.ascontiguousarray(coefficients.transpose(2, 1, 0)).take(number, axis=2)
     total = orders[-1]
@@ -71,31 +71,31 @@ def polynomials(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> 
     return total.T
 
 
-def integrals(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
+def integrate_polynomials(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
     """The integrals of the same from 0 to s."""
-    return s[:, None] * polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), number, s)
+    return s[:, None] * evaluate_polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), number, s)
 
 
-def pieces_at(arrays: Arrays, t: np.ndarray) -> np.ndarray:
+def piece_numbers_at(arrays: RunArrays, t: np.ndarray) -> np.ndarray:
     """The number of the piece that each time is in; at an event that which begins there."""
     return np.clip(np.searchsorted(arrays["piece_start"], t, side="right") - 1, 0, None)
 
 
-def local(arrays: Arrays, number: np.ndarray, t: np.ndarray) -> np.ndarray:
+def local_times(arrays: RunArrays, number: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Times in the units of their pieces."""
     return (t - arrays["piece_start"][number]) / arrays["piece_unit"][number]
 
 
-def at(arrays: Arrays, t: np.ndarray, number: np.ndarray | None = None) -> At:
+def evaluate_pieces(arrays: RunArrays, t: np.ndarray, number: np.ndarray | None = None) -> At:
     """The run at times t (k,), on the pieces of these numbers."""
-    number = pieces_at(arrays, t) if number is None else number
-    s = local(arrays, number, t)
-    x, l, y = (polynomials(arrays[f"piece_{name}"], number, s) for name in ("x", "multipliers", "y"))
+    number = piece_numbers_at(arrays, t) if number is None else number
+    s = local_times(arrays, number, t)
+    x, l, y = (evaluate_polynomials(arrays[f"piece_{name}"], number, s) for name in ("x", "multipliers", "y"))
     n, v = arrays["x"].shape[1], arrays["v"].shape[1] if "v" in arrays else 0
     return At(t, x[:, :n], x[:, n : n + v], l, y)
 
 
-def between(arrays: Arrays, t: np.ndarray) -> At:
+def interpolate_rows(arrays: RunArrays, t: np.ndarray) -> At:
     """A run by time stepping at times t (k,): x on straight lines between rows, the others those of the step.
 
     At a row it is that row, bit for bit; what the row of the start does not know (NaN) is that of the first step.
@@ -107,14 +107,14 @@ def between(arrays: Arrays, t: np.ndarray) -> At:
     line = np.where(share == 1, x[right], x[left] + share * (x[right] - x[left]))
     first = min(1, len(rows) - 1)
 
-    def of_step(array: np.ndarray) -> np.ndarray:
+    def step_values(array: np.ndarray) -> np.ndarray:
         return np.where((k == 0)[:, None] & np.isnan(array[k]), array[first], array[k])
 
-    v, l, y = (of_step(arrays[name]) if name in arrays else np.zeros((len(t), 0)) for name in ("v", "multipliers", "y"))
+    v, l, y = (step_values(arrays[name]) if name in arrays else np.zeros((len(t), 0)) for name in ("v", "multipliers", "y"))
     return At(t, line, v, l, y)
 
 
-def inputs_at(arrays: Arrays, t: np.ndarray, *, after: bool = False) -> np.ndarray:
+def inputs_at(arrays: RunArrays, t: np.ndarray, *, after: bool = False) -> np.ndarray:
     """Inputs (k, nu) just before times, or just ``after``: on lines between what the step that ends at a row saw at both ends."""
     rows = arrays["t"]
     k = np.clip(np.searchsorted(rows, t, side="right" if after else "left"), min(1, len(rows) - 1), len(rows) - 1)
@@ -123,7 +123,7 @@ def inputs_at(arrays: Arrays, t: np.ndarray, *, after: bool = False) -> np.ndarr
     return arrays["inputs_begin"][k] + share * (arrays["inputs"][k] - arrays["inputs_begin"][k])
 
 
-def events(arrays: Arrays) -> tuple[Event, ...]:
+def find_mode_changes(arrays: RunArrays) -> tuple[Event, ...]:
     """All changes of the mode up to the last row, in order."""
     starts, codes = arrays["piece_start"], arrays["piece_codes"]
     x0, widths = arrays["x"][:1], arrays.get("piece_event_width", np.zeros(len(starts)))
@@ -131,16 +131,16 @@ def events(arrays: Arrays) -> tuple[Event, ...]:
     found = []
     for k in numbers:
         t = starts[k : k + 1]
-        after = at(arrays, t, np.array([k]))
-        before = at(arrays, t, np.array([k - 1])) if k else after._replace(x=x0)
+        after = evaluate_pieces(arrays, t, np.array([k]))
+        before = evaluate_pieces(arrays, t, np.array([k - 1])) if k else after._replace(x=x0)
         row = int(np.searchsorted(arrays["t"], t[0]))
         x, _, l, y = ((one[0], other[0]) for one, other in zip(before[1:], after[1:], strict=True))
-        index = codes[k - 1] if k else np.full_like(codes[k], UNKNOWN)
+        index = codes[k - 1] if k else np.full_like(codes[k], UNKNOWN_INDEX)
         found.append(Event(float(t[0]), row, index, codes[k], *x, *l, *y, arrays["piece_impulse"][k], float(widths[k])))
     return tuple(found)
 
 
-def drawn(arrays: Arrays, points: int, begin: float, end: float) -> dict[str, np.ndarray]:
+def sample_pieces(arrays: RunArrays, points: int, begin: float, end: float) -> dict[str, np.ndarray]:
     """About so many rows from ``begin`` to ``end`` for a picture: each piece from end to end, so that what jumps is there twice.
 
     The energy is on lines between its rows.
@@ -152,7 +152,7 @@ def drawn(arrays: Arrays, points: int, begin: float, end: float) -> dict[str, np
     counts = np.maximum(2, np.ceil(points * (right - left) / (end - begin))).astype(int)
     t = np.concatenate([np.linspace(a, b, n) for a, b, n in zip(left, right, counts, strict=True)])
     number = np.repeat(inside, counts)
-    found = at(arrays, t, number)
+    found = evaluate_pieces(arrays, t, number)
     own = {"piece_start": starts, "t": t, "x": found.x, "y": found.y, "index_set": arrays["piece_codes"][number]}
     own["multipliers"] = found.multipliers
     if "reactions" in arrays:

@@ -37,15 +37,15 @@ class StepError(NsmodelError, RuntimeError):
         self.trajectory: Any = None
 
 
-class FinalError(StepError):
+class UnrecoverableStepError(StepError):
     """What no other way of stepping, and no shorter step, goes beyond."""
 
 
-class BlockError(FinalError):
+class BlockError(UnrecoverableStepError):
     """A block sets what it must not."""
 
 
-class EmptyLawError(FinalError):
+class EmptyLawError(UnrecoverableStepError):
     """The ends of a law that move leave it no value at a time."""
 
 
@@ -63,7 +63,7 @@ class StorageError(NsmodelError, OSError):
     trajectory: Any = None
 
 
-class LaterFormatError(StorageError):
+class NewerFormatError(StorageError):
     """A file of a format that only a later version knows."""
 
 

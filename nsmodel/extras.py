@@ -8,7 +8,7 @@ from typing import Any
 from nsmodel.errors import MissingExtraError
 
 
-def extra(package: str) -> Any:
+def import_extra(package: str) -> Any:
     """Return the package, which has an extra of its name; MissingExtraError where it is not installed."""
     try:
         return import_module(package)

@@ -1,7 +1,7 @@
 """What the metadata of files must be: one table of names and types for runs, one for sweeps, one for manifests.
 
-A type is a `Kind`, None, a list [type], a dictionary of any names (`Each`), a dictionary of these names {name: type}, or one of
-several (type, type). Names that stand in no table are the user's own: they are read as they are.
+A type is a `FieldType`, None, a list [type], a dictionary of any names (`MappingOf`), a dictionary of these names {name: type},
+or one of several (type, type). Names that stand in no table are the user's own: they are read as they are.
 """
 
 from __future__ import annotations
@@ -16,104 +16,133 @@ from nsmodel.errors import StorageError
 
 
 @dataclass(frozen=True)
-class Kind:
+class FieldType:
     """Values of one kind, in words, and what tells them."""
 
-    words: str
+    description: str
     holds: Callable[[Any], bool]
 
 
 @dataclass(frozen=True)
-class Each:
+class MappingOf:
     """A dictionary of any names, with values of one type."""
 
     of: Any
 
 
 @dataclass(frozen=True)
-class All:
+class MappingWith:
     """A dictionary that has each of these names, and may have others."""
 
     of: Mapping[str, Any]
-    may: Mapping[str, Any] = field(default_factory=dict)
+    optional: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _is_number(value: Any) -> bool:
+def _is_json_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-TEXT = Kind("a text", lambda value: isinstance(value, str))
-COUNT = Kind("a whole number >= 0", lambda value: type(value) is int and 0 <= value < 1 << 63)
-POSITIVE = Kind("a whole number >= 1", lambda value: type(value) is int and 1 <= value < 1 << 63)
-NUMBER = Kind("a number", _is_number)
-FINITE = Kind("a finite number", lambda value: _is_number(value) and isfinite(value))
-FLAG = Kind("true or false", lambda value: isinstance(value, bool))
-ANY = Kind("anything", lambda value: True)
-_QUANTITY = All({"of": [TEXT], "size": POSITIVE, "code": TEXT})
-_LINES = [[[NUMBER]]]
-_ARCH = All({"bodies": [COUNT], "at": [[NUMBER]], "exit": (TEXT, None), "pressed": COUNT, "ends": [TEXT]})
-_STANDSTILL = All({"since": NUMBER, "bodies": COUNT, "for_good": (TEXT, None), "arches": [_ARCH]})
+TEXT_TYPE = FieldType("a text", lambda value: isinstance(value, str))
+COUNT_TYPE = FieldType("a whole number >= 0", lambda value: type(value) is int and 0 <= value < 1 << 63)
+POSITIVE_TYPE = FieldType("a whole number >= 1", lambda value: type(value) is int and 1 <= value < 1 << 63)
+NUMBER_TYPE = FieldType("a number", _is_json_number)
+FINITE_TYPE = FieldType("a finite number", lambda value: _is_json_number(value) and isfinite(value))
+FLAG_TYPE = FieldType("true or false", lambda value: isinstance(value, bool))
+ANY_TYPE = FieldType("anything", lambda value: True)
+_QUANTITY_FIELDS = MappingWith({"of": [TEXT_TYPE], "size": POSITIVE_TYPE, "code": TEXT_TYPE})
+_LINES_TYPE = [[[NUMBER_TYPE]]]
+_ARCH_FIELDS = MappingWith(
+    {"bodies": [COUNT_TYPE], "at": [[NUMBER_TYPE]], "exit": (TEXT_TYPE, None), "pressed": COUNT_TYPE, "ends": [TEXT_TYPE]}
+)
+_STANDSTILL_FIELDS = MappingWith(
+    {"since": NUMBER_TYPE, "bodies": COUNT_TYPE, "for_good": (TEXT_TYPE, None), "arches": [_ARCH_FIELDS]}
+)
 
-TOTALS = {
+TOTALS_FIELDS = {
     **dict.fromkeys(
         "steps index_set_changes accepted rejected extrapolated at_least_step pieces collocated events order "
-        "entered touches left most_contacts redundant".split(), (COUNT, None),
+        "entered touches left most_contacts redundant".split(), (COUNT_TYPE, None),
     ),
     **dict.fromkeys(
         "worst_residual worst_residual_t newton newton_max largest_error least_step estimate worst_estimate worst_estimate_t "
-        "rtol least_gap least_gap_t largest_pressure largest_pressure_t least_eigenvalue".split(), (NUMBER, None),
+        "rtol least_gap least_gap_t largest_pressure largest_pressure_t least_eigenvalue".split(), (NUMBER_TYPE, None),
     ),
-    "largest_pressure_body": (COUNT, None), "unique": Each(COUNT), "impacts": Each(Each(ANY)), "ended": TEXT,
-    "last_x": [NUMBER], "last_v": [[NUMBER]], "rest_from": ([NUMBER], None), "overrun": (None, All({"gap": NUMBER, "t": NUMBER})),
-    "stretches": [All({"start": NUMBER, "until": NUMBER})],
-    "undecided": All({"count": COUNT, "t": NUMBER, "width": NUMBER, "of": TEXT, "crosses": FLAG}),
+    "largest_pressure_body": (COUNT_TYPE, None), "unique": MappingOf(COUNT_TYPE), "impacts": MappingOf(MappingOf(ANY_TYPE)),
+    "ended": TEXT_TYPE, "last_x": [NUMBER_TYPE], "last_v": [[NUMBER_TYPE]], "rest_from": ([NUMBER_TYPE], None),
+    "overrun": (None, MappingWith({"gap": NUMBER_TYPE, "t": NUMBER_TYPE})),
+    "stretches": [MappingWith({"start": NUMBER_TYPE, "until": NUMBER_TYPE})],
+    "undecided": MappingWith({"count": COUNT_TYPE, "t": NUMBER_TYPE, "width": NUMBER_TYPE, "of": TEXT_TYPE,
+                              "crosses": FLAG_TYPE}),
 }  # fmt: skip
-RUN = {
-    "status": TEXT, "message": TEXT, **dict.fromkeys("title model_class paper scheme model_hash run".split(), (TEXT, None)),
+RUN_FIELDS = {
+    "status": TEXT_TYPE, "message": TEXT_TYPE,
+    **dict.fromkeys("title model_class paper scheme model_hash run".split(), (TEXT_TYPE, None)),
     **{
-        name: [TEXT]
+        name: [TEXT_TYPE]
         for name in "state_names multiplier_names index_names input_names law_kinds used left_out warnings families".split()
     },
-    "stems": Each([COUNT]), "units": Each(TEXT), "input_groups": Each([TEXT]), "versions": Each(TEXT),
-    "parameters": Each(NUMBER), "weights": [NUMBER], "outputs": Each(_QUANTITY), "between_rows": Each((COUNT, _QUANTITY)),
-    "save_every": POSITIVE, "steps": COUNT, "tolerance": NUMBER, "solver_counts": Each(COUNT), "totals": (TOTALS, None),
-    "of_pairs": [FLAG], "constraint_bodies": [[COUNT]], "body_numbers": Each([ANY]),
-    "scene": (None, {"radii": [FINITE], "walls": _LINES, "exits": _LINES, "exit_names": [TEXT]}),
-    "bodies": All({"count": COUNT, "d": COUNT, "there": COUNT, "waiting": COUNT, "left": COUNT},
-                  {"empty_at": (NUMBER, None), "standstill": (_STANDSTILL, None)}),
-    "convergence": (None, {"element": TEXT, "finite": (FLAG, None), "reason": (TEXT, None), "margin": (NUMBER, None),
-                           "distance": (NUMBER, None), "n_0": (COUNT, None), "t_0": (NUMBER, None)}),
-    "certificate": (None, {"kind": TEXT, "pieces": COUNT, "proved": COUNT, "not_proved": COUNT, "conditions": [TEXT],
-                           "failures": [TEXT], "error": (None, All({"state": TEXT, "bound": NUMBER, "until": NUMBER})),
-                           "no_error_bound": (TEXT, None), "share": NUMBER, "depth": NUMBER, "reach": NUMBER}),
+    "stems": MappingOf([COUNT_TYPE]), "units": MappingOf(TEXT_TYPE), "input_groups": MappingOf([TEXT_TYPE]),
+    "versions": MappingOf(TEXT_TYPE), "parameters": MappingOf(NUMBER_TYPE), "weights": [NUMBER_TYPE],
+    "outputs": MappingOf(_QUANTITY_FIELDS), "between_rows": MappingOf((COUNT_TYPE, _QUANTITY_FIELDS)),
+    "save_every": POSITIVE_TYPE, "steps": COUNT_TYPE, "tolerance": NUMBER_TYPE, "solver_counts": MappingOf(COUNT_TYPE),
+    "totals": (TOTALS_FIELDS, None), "of_pairs": [FLAG_TYPE], "constraint_bodies": [[COUNT_TYPE]],
+    "body_numbers": MappingOf([ANY_TYPE]),
+    "scene": (None, {"radii": [FINITE_TYPE], "walls": _LINES_TYPE, "exits": _LINES_TYPE, "exit_names": [TEXT_TYPE]}),
+    "bodies": MappingWith({"count": COUNT_TYPE, "d": COUNT_TYPE, "there": COUNT_TYPE, "waiting": COUNT_TYPE, "left": COUNT_TYPE},
+                  {"empty_at": (NUMBER_TYPE, None), "standstill": (_STANDSTILL_FIELDS, None)}),
+    "convergence": (None, {"element": TEXT_TYPE, "finite": (FLAG_TYPE, None), "reason": (TEXT_TYPE, None),
+                           "margin": (NUMBER_TYPE, None), "distance": (NUMBER_TYPE, None), "n_0": (COUNT_TYPE, None),
+                           "t_0": (NUMBER_TYPE, None)}),
+    "certificate": (None, {"kind": TEXT_TYPE, "pieces": COUNT_TYPE, "proved": COUNT_TYPE, "not_proved": COUNT_TYPE,
+                           "conditions": [TEXT_TYPE], "failures": [TEXT_TYPE],
+                           "error": (None, MappingWith({"state": TEXT_TYPE, "bound": NUMBER_TYPE, "until": NUMBER_TYPE})),
+                           "no_error_bound": (TEXT_TYPE, None), "share": NUMBER_TYPE, "depth": NUMBER_TYPE,
+                           "reach": NUMBER_TYPE}),
 }  # fmt: skip
-SWEEP = All(
+SWEEP_FIELDS = MappingWith(
     {
-        "dims": [TEXT], "along": Each([COUNT]), "shape": [POSITIVE], "keep": [TEXT], "outputs": Each(TEXT), "units": Each(TEXT),
-        "plan": TEXT, "title": (TEXT, None), "model_class": (TEXT, None), "messages": Each(TEXT), "settings": Each(ANY),
-        "entropy": (COUNT, None), "low_discrepancy": (FLAG, None), "ways": [TEXT],
+        "dims": [TEXT_TYPE], "along": MappingOf([COUNT_TYPE]), "shape": [POSITIVE_TYPE], "keep": [TEXT_TYPE],
+        "outputs": MappingOf(TEXT_TYPE), "units": MappingOf(TEXT_TYPE),
+        "plan": TEXT_TYPE, "title": (TEXT_TYPE, None), "model_class": (TEXT_TYPE, None), "messages": MappingOf(TEXT_TYPE),
+        "settings": MappingOf(ANY_TYPE), "entropy": (COUNT_TYPE, None), "low_discrepancy": (FLAG_TYPE, None), "ways": [TEXT_TYPE],
     },
-    {"labels": Each([TEXT]), "sweep": TEXT, "values": TEXT},
+    {"labels": MappingOf([TEXT_TYPE]), "sweep": TEXT_TYPE, "values": TEXT_TYPE},
 )  # fmt: skip
-PART = All({"shape": [POSITIVE], "messages": Each(TEXT), "sweep": TEXT, "values": TEXT})
-_CHUNK = All({"file": TEXT, "rows": COUNT, "sha256": TEXT}, {"listed": COUNT})
-MANIFEST = All({
-    "version": TEXT, "chunks": [_CHUNK], "rows": COUNT, "checkpoint": Each(ANY), "metadata": RUN, "status": TEXT, "run": TEXT,
-})  # fmt: skip
-CHECKPOINT = All(
-    {"k": COUNT, "t": NUMBER, "totals": TOTALS, "counts": Each(COUNT), "settings": Each(ANY)},
-    {"cut": (None, All({"rows": COUNT, "listed": COUNT}))},
+SWEEP_PART_FIELDS = MappingWith(
+    {"shape": [POSITIVE_TYPE], "messages": MappingOf(TEXT_TYPE), "sweep": TEXT_TYPE, "values": TEXT_TYPE}
 )
-UNFINISHED = All({"checkpoint": All({"t": NUMBER}), "metadata": All({"versions": All({"nsmodel": TEXT})}), "status": TEXT})
-SWEEP_MANIFEST = All({
-    "version": TEXT, "shape": [POSITIVE], "settings": Each(ANY), "sweep": TEXT,
-    "design": All({"dims": [TEXT], "sizes": [POSITIVE], "columns": [[ANY]], "items": Each([TEXT]), "entropy": COUNT}),
+_CHUNK_FIELDS = MappingWith({"file": TEXT_TYPE, "rows": COUNT_TYPE, "sha256": TEXT_TYPE}, {"listed": COUNT_TYPE})
+MANIFEST_FIELDS = MappingWith({
+    "version": TEXT_TYPE, "chunks": [_CHUNK_FIELDS], "rows": COUNT_TYPE, "checkpoint": MappingOf(ANY_TYPE),
+    "metadata": RUN_FIELDS, "status": TEXT_TYPE, "run": TEXT_TYPE,
+})  # fmt: skip
+CHECKPOINT_FIELDS = MappingWith(
+    {
+        "k": COUNT_TYPE,
+        "t": NUMBER_TYPE,
+        "totals": TOTALS_FIELDS,
+        "counts": MappingOf(COUNT_TYPE),
+        "settings": MappingOf(ANY_TYPE),
+    },
+    {"cut": (None, MappingWith({"rows": COUNT_TYPE, "listed": COUNT_TYPE}))},
+)
+UNFINISHED_FIELDS = MappingWith(
+    {
+        "checkpoint": MappingWith({"t": NUMBER_TYPE}),
+        "metadata": MappingWith({"versions": MappingWith({"nsmodel": TEXT_TYPE})}),
+        "status": TEXT_TYPE,
+    }
+)
+SWEEP_MANIFEST_FIELDS = MappingWith({
+    "version": TEXT_TYPE, "shape": [POSITIVE_TYPE], "settings": MappingOf(ANY_TYPE), "sweep": TEXT_TYPE,
+    "design": MappingWith({"dims": [TEXT_TYPE], "sizes": [POSITIVE_TYPE], "columns": [[ANY_TYPE]],
+                          "items": MappingOf([TEXT_TYPE]), "entropy": COUNT_TYPE}),
 })  # fmt: skip
 
 
-def refuse_other_types(data: Any, of: Any, path: str | Path) -> None:
+def check_field_types(data: Any, of: Any, path: str | Path) -> None:
     """Raise StorageError, with the field's name, where metadata are not of their type."""
-    fault = next(faults(data, of), None)
+    fault = next(type_faults(data, of), None)
     if fault is not None:
         field, value, expected = fault
         raise StorageError(
@@ -121,41 +150,41 @@ def refuse_other_types(data: Any, of: Any, path: str | Path) -> None:
         )
 
 
-def faults(value: Any, of: Any, field: str = "") -> Iterator[tuple[str, Any, str]]:
+def type_faults(value: Any, of: Any, field: str = "") -> Iterator[tuple[str, Any, str]]:
     """Yield (field, value, what is expected) where ``value`` is not of the type ``of``."""
     if isinstance(of, tuple):
-        inner = [one for one in of if isinstance(one, dict | All | Each)]
+        inner = [one for one in of if isinstance(one, dict | MappingWith | MappingOf)]
         if isinstance(value, dict) and len(inner) == 1:
-            yield from faults(value, inner[0], field)
-        elif not any(next(faults(value, one), None) is None for one in of):
-            yield field, value, _words(of)
-    elif isinstance(of, Kind) or of is None:
+            yield from type_faults(value, inner[0], field)
+        elif not any(next(type_faults(value, one), None) is None for one in of):
+            yield field, value, _describe_type(of)
+    elif isinstance(of, FieldType) or of is None:
         if not (value is None if of is None else of.holds(value)):
-            yield field, value, _words(of)
+            yield field, value, _describe_type(of)
     elif isinstance(of, list):
         if not isinstance(value, list):
-            yield field, value, _words(of)
+            yield field, value, _describe_type(of)
             return
         for i, one in enumerate(value):
-            yield from faults(one, of[0], f"{field}[{i}]")
+            yield from type_faults(one, of[0], f"{field}[{i}]")
     elif not isinstance(value, dict):
-        yield field, value, _words(of)
-    elif isinstance(of, Each):
+        yield field, value, _describe_type(of)
+    elif isinstance(of, MappingOf):
         for name, one in value.items():
-            yield from faults(one, of.of, f"{field}['{name}']")
+            yield from type_faults(one, of.of, f"{field}['{name}']")
     else:
-        names = {**of.of, **of.may} if isinstance(of, All) else of
+        names = {**of.of, **of.optional} if isinstance(of, MappingWith) else of
         for name, one in names.items():
             inner = f"{field}['{name}']" if field else name
             if name in value:
-                yield from faults(value[name], one, inner)
-            elif isinstance(of, All) and name in of.of:
-                yield inner, "missing", _words(one)
+                yield from type_faults(value[name], one, inner)
+            elif isinstance(of, MappingWith) and name in of.of:
+                yield inner, "missing", _describe_type(one)
 
 
-def _words(of: Any) -> str:
+def _describe_type(of: Any) -> str:
     if isinstance(of, tuple):
-        return " or ".join(map(_words, of))
+        return " or ".join(map(_describe_type, of))
     if isinstance(of, list):
-        return f"a list, each {_words(of[0])}" if of[0] is not ANY else "a list"
-    return "none" if of is None else of.words if isinstance(of, Kind) else "a dictionary"
+        return f"a list, each {_describe_type(of[0])}" if of[0] is not ANY_TYPE else "a list"
+    return "none" if of is None else of.description if isinstance(of, FieldType) else "a dictionary"

@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.defaults import LEAST_TOLERANCE
+from nsmodel.defaults import MIN_TOLERANCE
 from nsmodel.errors import UsageError
+from nsmodel.later import former_names
 from nsmodel.model.arguments import step_array
 from nsmodel.model.base import Model
-from nsmodel.signals.drive import Drive
+from nsmodel.signals.drive import InputSchedule
 
-SAME = 1e-12  # Lengths that differ by less than this part are one: matrices, not times.
+SAME_STEP_TOLERANCE = 1e-12  # Lengths that differ by less than this part are one: matrices, not times.
 
 
 @dataclass(frozen=True)
-class Grid:
+class TimeGrid:
     """N steps: t_k = k h with a shorter last step where T/h is not whole within 1e-9, or given steps and their sums.
 
     ``drive``: the inputs along it; ``asked``: the longest step, where the grid was made for their edges; ``any_step``: steps of
@@ -30,8 +31,8 @@ class Grid:
     last: float
     steps: np.ndarray | None = None
     times: np.ndarray | None = None
-    asked: float | None = None
-    drive: Drive | None = None
+    requested_step: float | None = None
+    drive: InputSchedule | None = None
     any_step: bool = False
 
     @property
@@ -40,7 +41,7 @@ class Grid:
         return np.array([self.h]) if self.steps is None else np.unique(self.steps)
 
     @property
-    def varies(self) -> bool:
+    def has_varying_steps(self) -> bool:
         """Whether steps have several lengths."""
         return self.any_step or self.lengths.size > 1
 
@@ -69,35 +70,35 @@ class Grid:
         return self.times[rows], self.steps[rows - 1], self.steps[np.minimum(rows, self.N - 1)]
 
 
-def steps_within(lengths: np.ndarray, h: float) -> np.ndarray:
+def count_equal_steps(lengths: np.ndarray, h: float) -> np.ndarray:
     """How many equal steps, not longer than h, are of these lengths together."""
     return np.maximum(np.ceil(lengths / h * (1 - 1e-9)), 1).astype(int)
 
 
-def parted(ends: np.ndarray, counts: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+def subdivide_intervals(ends: np.ndarray, counts: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """When so many equal steps from one end to the next begin, and how long they are: h, where that is nearly so."""
     lengths = np.diff(ends) / counts
     part = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return np.repeat(ends[:-1], counts) + np.repeat(lengths, counts) * part, np.repeat(_as_one(lengths, h), counts)
+    return np.repeat(ends[:-1], counts) + np.repeat(lengths, counts) * part, np.repeat(_merge_equal_lengths(lengths, h), counts)
 
 
-def _between(ends: np.ndarray, h: float, more: int) -> Grid:
+def _grid_between_ends(ends: np.ndarray, h: float, more: int) -> TimeGrid:
     """Equal steps, not longer than h, from one end to the next, and so many more; those of nearly one length have one."""
-    times, steps = parted(ends, steps_within(np.diff(ends), h) + more, h)
+    times, steps = subdivide_intervals(ends, count_equal_steps(np.diff(ends), h) + more, h)
     times = np.append(times, ends[-1])
-    return Grid(steps.size, float(steps[0]), float(steps[-1]), steps, times, asked=h, any_step=more > 0)
+    return TimeGrid(steps.size, float(steps[0]), float(steps[-1]), steps, times, requested_step=h, any_step=more > 0)
 
 
-def _as_one(lengths: np.ndarray, h: float) -> np.ndarray:
+def _merge_equal_lengths(lengths: np.ndarray, h: float) -> np.ndarray:
     """Lengths, each that of the least one that it is nearly the same as; h where it is nearly that."""
-    known, where = np.unique(np.where(np.abs(lengths - h) <= SAME * h, h, lengths), return_inverse=True)
-    begins = np.append(True, known[1:] > known[:-1] * (1 + SAME))
+    known, where = np.unique(np.where(np.abs(lengths - h) <= SAME_STEP_TOLERANCE * h, h, lengths), return_inverse=True)
+    begins = np.append(True, known[1:] > known[:-1] * (1 + SAME_STEP_TOLERANCE))
     return known[begins][np.cumsum(begins) - 1][where]
 
 
 def make_grid(
     model: Model, step: float | None, steps: Sequence[float] | None, t_end: float | None, *, driven: bool = False
-) -> Grid:
+) -> TimeGrid:
     """Return the grid of a run; ``step``, ``steps`` and ``t_end`` override the model's own; ``driven``: by the model's inputs.
 
     Raises:
@@ -112,12 +113,12 @@ def make_grid(
         if t_end is not None:
             raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
         times = np.concatenate([[0.0], np.cumsum(array)])
-        drive = driving(model, float(times[-1])) if driven else None
+        drive = input_schedule(model, float(times[-1])) if driven else None
         if drive is not None and drive.moving:
             raise UsageError("steps: a block places edges of a pwm, which given steps do not know; give step= instead")
         if drive is not None:
-            _refuse_straddled(times, drive.points)
-        return _with(Grid(array.size, float(array[0]), float(array[-1]), array, times), drive)
+            _check_edges_hit(times, drive.points)
+        return _with_schedule(TimeGrid(array.size, float(array[0]), float(array[-1]), array, times), drive)
     h = model.step if step is None else float(step)
     if h is None:
         raise UsageError("no time step: give the model step=, or the run step=H (--step H)")
@@ -125,30 +126,30 @@ def make_grid(
     ratio = T / h
     if ratio > 1e12:
         raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
-    drive = driving(model, T) if driven else None
+    drive = input_schedule(model, T) if driven else None
     if drive is not None and (drive.points.size or drive.moving):
-        return _with(_between(np.concatenate([[0.0], drive.points, [T]]), h, drive.moving), drive)
+        return _with_schedule(_grid_between_ends(np.concatenate([[0.0], drive.points, [T]]), h, drive.moving), drive)
     N = max(round(ratio), 1)
     if abs(ratio - N) <= 1e-9 * N:
-        return _with(Grid(N, h, h), drive)
+        return _with_schedule(TimeGrid(N, h, h), drive)
     N = int(np.floor(ratio)) + 1
-    return _with(Grid(N, h, T - (N - 1) * h), drive)
+    return _with_schedule(TimeGrid(N, h, T - (N - 1) * h), drive)
 
 
-def driving(model: Model, t_end: float) -> Drive:
+def input_schedule(model: Model, t_end: float) -> InputSchedule:
     """What drives a model up to t_end; ModelError where a signal is none up to there."""
-    return Drive.of(model.inputs, t_end, [block.ticks(t_end) for block in model.blocks])
+    return InputSchedule.of(model.inputs, t_end, [block.ticks(t_end) for block in model.blocks])
 
 
-def _with(grid: Grid, drive: Drive | None) -> Grid:
+def _with_schedule(grid: TimeGrid, drive: InputSchedule | None) -> TimeGrid:
     """The grid with what drives along it, which must have as many steps as that says."""
     if drive is None:
         return grid
-    drive.refuse_count(grid.N)
+    drive.check_step_counts(grid.N)
     return replace(grid, drive=drive)
 
 
-def _refuse_straddled(times: np.ndarray, points: np.ndarray) -> None:
+def _check_edges_hit(times: np.ndarray, points: np.ndarray) -> None:
     """Refuse given steps of which one goes over an edge of an input."""
     k = np.searchsorted(times, points)
     off = np.minimum(np.abs(times[np.minimum(k, len(times) - 1)] - points), np.abs(times[np.maximum(k - 1, 0)] - points))
@@ -163,14 +164,14 @@ def check_times(**times: Any) -> None:
     """Refuse a time, given by its name, that is neither None nor a finite number > 0."""
     for name, value in times.items():
         if value is not None and not (is_number(value) and 0 < value < np.inf):
-            raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
+            raise UsageError(f"{name} = {format_value(value)}; expected a finite number > 0")
 
 
-def refuse_tolerance(tolerance: Any) -> None:
+def check_tolerance(tolerance: Any) -> None:
     """Refuse what is no largest accepted residual."""
-    if not (is_number(tolerance) and LEAST_TOLERANCE <= tolerance < 1):
+    if not (is_number(tolerance) and MIN_TOLERANCE <= tolerance < 1):
         raise UsageError(
-            f"tolerance = {written(tolerance)}; expected a number between {LEAST_TOLERANCE:g} and 1: "
+            f"tolerance = {format_value(tolerance)}; expected a number between {MIN_TOLERANCE:g} and 1: "
             "doubles hold no more than 16 digits"
         )
 
@@ -182,6 +183,9 @@ def is_number(value: Any) -> bool:
     return isinstance(value, float | np.floating | np.integer)
 
 
-def written(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A value as a message shows it."""
     return f"{value:g}" if is_number(value) else repr(value)[:60]
+
+
+__getattr__ = former_names(__name__, Grid="TimeGrid")

@@ -12,28 +12,28 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.model.base import Model
-from nsmodel.once import once
-from nsmodel.pickled import Pickled
-from nsmodel.proof.graph import column
+from nsmodel.once import cached_per_object
+from nsmodel.pickled import Picklable
+from nsmodel.proof.graph import stack_column
 from nsmodel.version import VERSION
 
 # What only names or describes a run does not change its numbers; the grid is a setting of its own, and so are inputs.
-DESCRIPTIVE = frozenset("exact title units scene t_end step steps t p parameters vectors inputs".split())
+DESCRIPTIVE_FIELDS = frozenset("exact title units scene t_end step steps t p parameters vectors inputs".split())
 
 # Models have not always had these: where they are 0 or empty the hash is what it was.
-LATER = frozenset({"blocks", "e", "force", "outputs"})
-PYTHON = platform.python_version()
-WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
-INTERPRETED = "interpreted"
-FOR_ALL = "one library for all values"  # How the way of compiled steps ends whose parameters are set when they run.
+FIELDS_ADDED_SINCE = frozenset({"blocks", "e", "force", "outputs"})
+PYTHON_VERSION = platform.python_version()
+BACKEND_SETTING = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
+INTERPRETED_BACKEND = "interpreted"
+ALL_VALUES_SUFFIX = "one library for all values"  # How the way of compiled steps ends whose parameters are set when they run.
 
 
-def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, way: str) -> dict[str, Any]:
+def run_settings(model: Model, grid: TimeGrid, solver: str, tolerance: float, save_every: int, backend: str) -> dict[str, Any]:
     """All that a run's numbers depend on, t_end excepted: a run may be continued to a later end."""
-    step = grid.h if grid.steps is None else grid.asked or f"{grid.N} given steps, {digest_of([grid.steps])}"
-    driven = {"inputs": digest_of([dict(model.inputs)])} if model.inputs else {}
+    step = grid.h if grid.steps is None else grid.requested_step or f"{grid.N} given steps, {content_digest([grid.steps])}"
+    driven = {"inputs": content_digest([dict(model.inputs)])} if model.inputs else {}
     return {
         "model": fingerprint(model, grid),
         "step": step,
@@ -41,62 +41,62 @@ def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every
         "solver": solver,
         "tolerance": tolerance,
         "save every": save_every,
-        WAY: way,
+        BACKEND_SETTING: backend,
         **{f"version of {name}": number for name, number in versions().items()},
     }
 
 
-def difference(there: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+def settings_difference(saved: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
     """Name the first setting that differs: "another step (0.1 there, 0.2 now)"; None where all agree."""
     for key, value in now.items():
-        if there.get(key) != value:
-            return "another model" if key == "model" else f"another {key} ({there.get(key)} there, {value} now)"
+        if saved.get(key) != value:
+            return "another model" if key == "model" else f"another {key} ({saved.get(key)} there, {value} now)"
     return None
 
 
-def fingerprint(model: Model, grid: Grid) -> str:
+def fingerprint(model: Model, grid: TimeGrid) -> str:
     """A hash of the bound model's expressions, laws and numbers."""
-    digest, own = _of_model(model).copy(), class_of(model).optional("identity")
+    digest, own = _model_hash(model).copy(), class_of(model).optional("identity")
     if own is not None:
-        _add(digest, list(own.given(model, grid)))
+        _update_digest(digest, list(own.given(model, grid)))
     return digest.hexdigest()[:16]
 
 
-@once
-def _of_model(model: Model) -> Any:
+@cached_per_object
+def _model_hash(model: Model) -> Any:
     """The hash so far of all that a model is but its grid."""
     digest = hashlib.sha256()
-    left = DESCRIPTIVE if model.inputs else DESCRIPTIVE | {"u", "input_groups"}
-    left |= {name for name in LATER if _is_nothing(vars(model).get(name))}
-    _add(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in left}])
+    left = DESCRIPTIVE_FIELDS if model.inputs else DESCRIPTIVE_FIELDS | {"u", "input_groups"}
+    left |= {name for name in FIELDS_ADDED_SINCE if _is_zero_or_empty(vars(model).get(name))}
+    _update_digest(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in left}])
     return digest
 
 
-def _is_nothing(value: Any) -> bool:
+def _is_zero_or_empty(value: Any) -> bool:
     return value.is_zero() if isinstance(value, ca.SX) else not value
 
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     casadi = ca.__version__  # pyright: ignore[reportAttributeAccessIssue]
-    return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": PYTHON}
+    return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": PYTHON_VERSION}
 
 
-def digest_of(items: list[Any]) -> str:
+def content_digest(items: list[Any]) -> str:
     """A hash of numbers, texts, expressions and what is made of them; functions have none."""
     digest = hashlib.sha256()
-    _add(digest, items)
+    _update_digest(digest, items)
     return digest.hexdigest()[:16]
 
 
-def _add(digest: Any, items: list[Any]) -> None:
+def _update_digest(digest: Any, items: list[Any]) -> None:
     def add(item: Any) -> None:
         if isinstance(item, ca.SX):
-            digest.update(ca.Function("e", [column(ca.symvar(item))], [item]).serialize().encode())
+            digest.update(ca.Function("e", [stack_column(ca.symvar(item))], [item]).serialize().encode())
         elif is_dataclass(item) and not isinstance(item, type):
             for field in fields(item):
                 add(getattr(item, field.name))
-        elif isinstance(item, Pickled):
+        elif isinstance(item, Picklable):
             add(item.made_of)
         elif isinstance(item, Mapping):
             for key, value in item.items():

@@ -1,15 +1,15 @@
-"""A package whose names are imported when they are first asked for."""
+"""Names of a module that are imported at their first use, and names that it had."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 
-def later(package: str, names: Mapping[str, Sequence[str]]) -> None:
+def lazy_attributes(package: str, names: Mapping[str, Sequence[str]]) -> None:
     """Let a package have names that are taken from its modules at their first use.
 
     A name may be that of a module too, as with the function ``simulate`` of the module ``simulate``: the function has it.
@@ -20,7 +20,7 @@ def later(package: str, names: Mapping[str, Sequence[str]]) -> None:
     """
     module_of = {name: module for module, listed in names.items() for name in listed}
 
-    class Package(ModuleType):
+    class LazyPackage(ModuleType):
         def __getattr__(self, name: str) -> Any:
             if name not in module_of:
                 raise AttributeError(f"module {package!r} has no attribute {name!r}")
@@ -34,4 +34,20 @@ def later(package: str, names: Mapping[str, Sequence[str]]) -> None:
         def __dir__(self) -> list[str]:
             return sorted({*vars(self), *module_of})
 
-    sys.modules[package].__class__ = Package
+    sys.modules[package].__class__ = LazyPackage
+
+
+def former_names(module: str, **names: str) -> Callable[[str], Any]:
+    """Return a ``__getattr__`` of a module for names that it had: pickles of earlier versions find what they name.
+
+    Args:
+        module: its ``__name__``.
+        names: {former name: name}.
+    """
+
+    def __getattr__(name: str) -> Any:
+        if name in names:
+            return getattr(sys.modules[module], names[name])
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return __getattr__

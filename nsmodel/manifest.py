@@ -5,31 +5,31 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nsmodel.archive import digest_of_document
+from nsmodel.archive import document_digest
 from nsmodel.errors import StorageError
-from nsmodel.fields import refuse_other_types
-from nsmodel.storage import FORMAT, Metadata, format_of, inside, read_json
+from nsmodel.fields import check_field_types
+from nsmodel.storage import FILE_FORMAT, Metadata, file_format, path_inside, read_json
 
-MANIFEST = "manifest.json"
+MANIFEST_FILE = "manifest.json"
 
 
-def bound_to(*settings: Any) -> str:
+def settings_digest(*settings: Any) -> str:
     """The digest of a run or of a sweep: of this format and of all that its numbers depend on, as JSON holds it."""
-    return digest_of_document({"format": FORMAT, "settings": list(settings)})
+    return document_digest({"format": FILE_FORMAT, "settings": list(settings)})
 
 
-def signed(manifest: Metadata) -> dict[str, Any]:
+def with_checksum(manifest: Metadata) -> dict[str, Any]:
     """A manifest with its checksum."""
-    return {**manifest, "checksum": digest_of_document(manifest)}
+    return {**manifest, "checksum": document_digest(manifest)}
 
 
-def is_signed(manifest: Any) -> bool:
+def has_valid_checksum(manifest: Any) -> bool:
     """Whether a manifest has the checksum that it should, which is taken away; that of older formats is shorter."""
-    there = manifest.pop("checksum", None)
-    return isinstance(there, str) and len(there) >= _SHORT and digest_of_document(manifest).startswith(there)
+    checksum = manifest.pop("checksum", None)
+    return isinstance(checksum, str) and len(checksum) >= _MIN_CHECKSUM_LENGTH and document_digest(manifest).startswith(checksum)
 
 
-_SHORT = 16
+_MIN_CHECKSUM_LENGTH = 16
 
 
 def read_manifest(folder: Path, fields: Any, *, what: str, afresh: str) -> dict[str, Any]:
@@ -43,20 +43,20 @@ def read_manifest(folder: Path, fields: Any, *, what: str, afresh: str) -> dict[
     Raises:
         StorageError: it was changed, is another's, or of another format than this version writes.
     """
-    path = inside(folder, MANIFEST, "nsmodel")
+    path = path_inside(folder, MANIFEST_FILE, "nsmodel")
     manifest = read_json(path)
     if not isinstance(manifest, dict):
         raise StorageError(f"{path} is not a manifest; {afresh}")
-    if format_of(manifest, path) < FORMAT:
+    if file_format(manifest, path) < FILE_FORMAT:
         about = manifest.get("metadata") or manifest.get("settings")
         versions = about.get("versions") if isinstance(about, dict) else None
         by = versions.get("nsmodel") if isinstance(versions, dict) else None
         named = f"nsmodel {by}" if isinstance(by, str) else "an older nsmodel"
         raise StorageError(
-            f"{path} is of format {format_of(manifest, path)}, written by {named}: its files can be read, but this version does "
-            f"not continue the {what}; go on with {named}, or {afresh}"
+            f"{path} is of format {file_format(manifest, path)}, written by {named}: its files can be read, but this version "
+            f"does not continue the {what}; go on with {named}, or {afresh}"
         )
-    if not is_signed(manifest):
+    if not has_valid_checksum(manifest):
         raise StorageError(f"{path} was changed after it was written; {afresh}")
-    refuse_other_types(manifest, fields, path)
+    check_field_types(manifest, fields, path)
     return manifest

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 
-def shown_by(name: str) -> Callable[[Any], str]:
+def html_repr(name: str) -> Callable[[Any], str]:
     """The ``_repr_html_`` of a class: the function ``html`` of a module of `nsmodel.rich`, imported at first use."""
 
     def _repr_html_(self: Any) -> str:
@@ -18,7 +18,7 @@ def shown_by(name: str) -> Callable[[Any], str]:
     return _repr_html_
 
 
-def watched() -> bool:
+def has_live_display() -> bool:
     """Whether somebody sees what is written over itself on standard error: at a terminal, or in a notebook."""
     return sys.stderr.isatty() or in_notebook()
 

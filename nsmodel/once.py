@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 T = TypeVar("T", bound=Callable[..., Any])
 
 
-def once(function: T) -> T:
+def cached_per_object(function: T) -> T:
     """The function of an object that does not change, computed once for each object and forgotten with it.
 
     What it returns is shared: it must not be changed, nor hold on to the object.
@@ -18,11 +18,11 @@ def once(function: T) -> T:
     known: dict[int, tuple[weakref.ref[Any], Any]] = {}
 
     @wraps(function)
-    def of(made: Any) -> Any:
+    def cached(made: Any) -> Any:
         at = id(made)
         if at not in known or known[at][0]() is not made:
             value = function(made)
             known[at] = weakref.ref(made, lambda _: known.pop(at, None)), value
         return known[at][1]
 
-    return of  # pyright: ignore[reportReturnType]
+    return cached  # pyright: ignore[reportReturnType]

@@ -19,10 +19,10 @@ from typing import Any, Self
 import casadi as ca
 
 from nsmodel.errors import UsageError
-from nsmodel.model_files import PREFIX, defined_in
+from nsmodel.model_files import MODULE_PREFIX, defined_in
 
 
-class Pickled:
+class Picklable:
     """What can be pickled and deep-copied although it holds expressions and frozen mappings.
 
     A function in it must have a name to be found by in another process: that of a module, or of a model file, which is run there.
@@ -36,11 +36,11 @@ class Pickled:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle; UsageError for a function without such a name."""
         stream, serializer = io.BytesIO(), ca.StringSerializer()
-        pickler = _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL)
+        pickler = _ExpressionPickler(stream, protocol=pickle.HIGHEST_PROTOCOL)
         try:
             pickler.dump(self)
-        except _NamelessError as error:
-            raise UsageError(_nameless(self, error.function)) from None
+        except _UnnamedFunctionError as error:
+            raise UsageError(_unnamed_function_message(self, error.function)) from None
         serializer.pack(pickler.expressions)
         return _unpickled, (stream.getvalue(), serializer.encode())
 
@@ -60,13 +60,13 @@ class Pickled:
         return other
 
 
-class _NamelessError(Exception):
+class _UnnamedFunctionError(Exception):
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function.__qualname__)
         self.function = function
 
 
-class _Pickler(pickle.Pickler):
+class _ExpressionPickler(pickle.Pickler):
     """Writes numbers in place of expressions, and keeps these."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -85,14 +85,14 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, obj: Any) -> Any:
         if isinstance(obj, MappingProxyType):
             return _frozen, (dict(obj),)
-        if isinstance(obj, Pickled):
+        if isinstance(obj, Picklable):
             new = copyreg.__newobj__  # pyright: ignore[reportAttributeAccessIssue]
             return new, (type(obj),), vars(obj)
-        return _by_file(obj) if isinstance(obj, FunctionType | type) else NotImplemented
+        return _reduce_by_file(obj) if isinstance(obj, FunctionType | type) else NotImplemented
 
 
-class _Unpickler(pickle.Unpickler):
-    """Reads what `_Pickler` wrote."""
+class _ExpressionUnpickler(pickle.Unpickler):
+    """Reads what `_ExpressionPickler` wrote."""
 
     def __init__(self, stream: io.BytesIO, expressions: Sequence[ca.SX]) -> None:
         super().__init__(stream)
@@ -103,33 +103,33 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _unpickled(stream: bytes, expressions: str) -> Any:
-    return _Unpickler(io.BytesIO(stream), ca.StringDeserializer(expressions).unpack()).load()
+    return _ExpressionUnpickler(io.BytesIO(stream), ca.StringDeserializer(expressions).unpack()).load()
 
 
 def _frozen(items: dict[Any, Any]) -> MappingProxyType:
     return MappingProxyType(items)
 
 
-def _by_file(item: Any) -> Any:
+def _reduce_by_file(item: Any) -> Any:
     """How to find a function or class again that no import finds: one of a model file, or of a neighbour that it imported."""
     module = sys.modules.get(item.__module__)
-    if module is not None and not item.__module__.startswith(PREFIX) and _called(vars(module), item):
+    if module is not None and not item.__module__.startswith(MODULE_PREFIX) and _is_found_by_name(vars(module), item):
         return NotImplemented
-    there = item.__globals__ if isinstance(item, FunctionType) else {} if module is None else vars(module)
-    if "__file__" in there and _called(there, item):
-        return defined_in, (there["__file__"], item.__qualname__)
+    namespace = item.__globals__ if isinstance(item, FunctionType) else {} if module is None else vars(module)
+    if "__file__" in namespace and _is_found_by_name(namespace, item):
+        return defined_in, (namespace["__file__"], item.__qualname__)
     if isinstance(item, FunctionType):
-        raise _NamelessError(item)
+        raise _UnnamedFunctionError(item)
     return NotImplemented
 
 
-def _called(names: dict[str, Any], item: Any) -> bool:
+def _is_found_by_name(names: dict[str, Any], item: Any) -> bool:
     """Whether the item is what these names call by its own name."""
     first, *rest = item.__qualname__.split(".")
     return reduce(lambda found, name: getattr(found, name, None), rest, names.get(first)) is item
 
 
-def _nameless(owner: Pickled, function: FunctionType) -> str:
+def _unnamed_function_message(owner: Picklable, function: FunctionType) -> str:
     parts = {name: [value, *getattr(value, "__dict__", {}).values()] for name, value in vars(owner).items()}
     label = next((name for name, held in parts.items() if any(part is function for part in held)), type(owner).__name__)
     code = function.__code__

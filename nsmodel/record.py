@@ -8,18 +8,20 @@ import numpy as np
 
 from nsmodel.model.base import Model
 from nsmodel.scheme import derived_columns
-from nsmodel.solve.layout import Layout
+from nsmodel.solve.layout import RowLayout
 
-BLOCK = 4096  # Rows that are taken apart at a time.
-UNSET = -2  # Index-set code of a row that no step has computed.
-INNER = frozenset({"state", "l", "y", "residual", "newton", "multipliers", "outputs"})
-VECTORS = frozenset("v gap defect selection inputs inputs_begin".split())  # Two-dimensional even where they have one column.
+ROWS_PER_BLOCK = 4096  # Rows that are taken apart at a time.
+UNSET_INDEX = -2  # Index-set code of a row that no step has computed.
+INNER_COLUMNS = frozenset({"state", "l", "y", "residual", "newton", "multipliers", "outputs"})
+VECTOR_COLUMNS = frozenset(
+    "v gap defect selection inputs inputs_begin".split()
+)  # Two-dimensional even where they have one column.
 
 
-class Record:
+class RowRecord:
     """Packed rows (see `solve.layout`), index sets and times; ``capacity`` rows, then it is ``full`` and must be cleared."""
 
-    def __init__(self, model: Model, layout: Layout, m: int, capacity: int) -> None:
+    def __init__(self, model: Model, layout: RowLayout, m: int, capacity: int) -> None:
         self.model, self.layout = model, layout
         self.rows, self.index = np.empty((capacity, layout.width)), np.empty((capacity, m), np.int8)
         self.t, self.h, self.h_next = (np.empty(capacity) for _ in range(3))
@@ -40,17 +42,17 @@ class Record:
     def known(self, k: int, t: float, h_next: float, state: np.ndarray, records: dict[str, np.ndarray]) -> None:
         """Add a row that no step computed: the start."""
         r = self.filled
-        self.rows[r], self.index[r] = np.nan, UNSET
+        self.rows[r], self.index[r] = np.nan, UNSET_INDEX
         self.rows[r, : state.size] = state
         for name, value in records.items():
             self.rows[r, self.layout.slices[name]] = value
-        self._close(k, t, np.nan, h_next)
+        self._finish_row(k, t, np.nan, h_next)
 
     def add(self, k: int, t: float, h: float, h_next: float, row: np.ndarray, index: np.ndarray) -> None:
         """Add the row k that the step h has reached at t; ``h_next`` starts there."""
         self.rows[self.filled] = row
         self.index[self.filled] = index
-        self._close(k, t, h, h_next)
+        self._finish_row(k, t, h, h_next)
 
     def extend(self, numbers: np.ndarray, t: Any, h: Any, h_next: Any) -> None:
         """Take up the rows of these numbers, which were written into ``rows`` and ``index`` from ``filled`` on."""
@@ -59,7 +61,7 @@ class Record:
         self.filled = r.stop
         self.full = self.filled == len(self.t)
 
-    def _close(self, k: int, t: float, h: float, h_next: float) -> None:
+    def _finish_row(self, k: int, t: float, h: float, h_next: float) -> None:
         r = self.filled
         self.t[r], self.h[r], self.h_next[r], self.number[r] = t, h, h_next, k
         self.filled = r + 1
@@ -77,27 +79,27 @@ class Record:
     def columns(self, newton: bool) -> dict[str, np.ndarray]:
         """The rows as the arrays of a trajectory, until ``clear``; ``newton``: with the iterations of each step."""
         r, slices = slice(0, self.filled), self.layout.slices
-        own = {name: at for name, at in slices.items() if name not in INNER}
-        apart = self._apart({
+        own = {name: at for name, at in slices.items() if name not in INNER_COLUMNS}
+        copied = self._copy_columns({
             "x": slice(0, len(self.model.names)),
             "multipliers": slices.get("multipliers", slices["l"]),
             "y": slices.get("outputs", slices["y"]),
             "residual": self.layout.residual,
             **({"newton": self.layout.newton} if newton else {}),
-            **{name: at if name in VECTORS or at.stop - at.start != 1 else at.start for name, at in own.items()},
+            **{name: at if name in VECTOR_COLUMNS or at.stop - at.start != 1 else at.start for name, at in own.items()},
         })  # fmt: skip
         arrays = {
-            "t": self.t[r], "x": apart["x"], "multipliers": apart["multipliers"], "y": apart["y"],
-            "index_set": self.index[r], "residual": apart["residual"], "step": self.h[r],
-        } | apart  # fmt: skip
+            "t": self.t[r], "x": copied["x"], "multipliers": copied["multipliers"], "y": copied["y"],
+            "index_set": self.index[r], "residual": copied["residual"], "step": self.h[r],
+        } | copied  # fmt: skip
         return arrays | derived_columns(self.model, arrays, self.h_next[r])
 
-    def _apart(self, columns: dict[str, slice | int]) -> dict[str, np.ndarray]:
+    def _copy_columns(self, columns: dict[str, slice | int]) -> dict[str, np.ndarray]:
         """Columns of the packed rows, each in memory of its own; copied by blocks of rows that a processor's cache holds."""
         rows = self.rows[: self.filled]
         out = {name: np.empty_like(rows[:, at], order="C") for name, at in columns.items()}
-        for start in range(0, self.filled, BLOCK):
-            block = slice(start, start + BLOCK)
+        for start in range(0, self.filled, ROWS_PER_BLOCK):
+            block = slice(start, start + ROWS_PER_BLOCK)
             for name, at in columns.items():
                 out[name][block] = rows[block, at]
         return out

@@ -11,22 +11,22 @@ from typing import Any
 from nsmodel import lock
 from nsmodel.chunks import ChunkStore
 from nsmodel.classes.registry import class_of
-from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import FinalError, StepError, UsageError
-from nsmodel.grid import Grid, make_grid
-from nsmodel.identity import WAY
-from nsmodel.model.arguments import shown
+from nsmodel.defaults import DEFAULT_TOLERANCE
+from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
+from nsmodel.grid import TimeGrid, make_grid
+from nsmodel.identity import BACKEND_SETTING
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
-from nsmodel.model.driven import driven_by
+from nsmodel.model.driven import with_inputs
 from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 from nsmodel.proof.graph import OpaqueExpression
-from nsmodel.run.controlled import Controlled
-from nsmodel.run.event_driven import EventDriven, problem_of, with_reason
-from nsmodel.run.loop import Run, keep_unfinished
-from nsmodel.run.on_grid import OnGrid
+from nsmodel.run.controlled import ErrorControlledPropagator
+from nsmodel.run.event_driven import EventDrivenPropagator, event_driven_problem, plan_with_reason
+from nsmodel.run.loop import RunLoop, check_not_unfinished
+from nsmodel.run.on_grid import FixedGridPropagator
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.walk import There, noting_inputs, noting_known_times
+from nsmodel.run.walk import ResumedBackend, plan_with_inputs, plan_with_known_times
 from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.trajectory import Trajectory
 
@@ -40,7 +40,7 @@ def simulate(
     parameters: Values | None = None,
     inputs: Signals | None = None,
     solver: str = "auto",
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     save_every: int = 1,
     out: str | Path | None = None,
     resume: bool = False,
@@ -96,17 +96,17 @@ def simulate(
         step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol, method, times, certify,
         inputs,
     )  # fmt: skip
-    with contextlib.nullcontext() if options.folder is None else lock.held(options.folder):
-        return arranged(model, options).go(progress)
+    with contextlib.nullcontext() if options.folder is None else lock.hold_folder(options.folder):
+        return make_run(model, options).go(progress)
 
 
-def prepare(model: Model, **options: Any) -> Run:
+def prepare(model: Model, **options: Any) -> RunLoop:
     """Return a run that has all its set-up behind it: ``run.go()``, once, then ``run.cpu_seconds`` is what its steps took.
 
     The options are those of ``simulate`` but ``out``, ``resume`` and ``progress``.
     """
-    run = arranged(model, Options(**options))
-    run.walk.warm_up()
+    run = make_run(model, Options(**options))
+    run.propagator.warm_up()
     return run
 
 
@@ -118,7 +118,7 @@ def explain(
     parameters: Values | None = None,
     inputs: Signals | None = None,
     solver: str = "auto",
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     compiled: bool | str = "auto",
     rtol: float | None = None,
     method: str = "auto",
@@ -132,29 +132,29 @@ def explain(
     Raises:
         UsageError: as in `simulate`.
     """
-    asked: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
-    options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
-    whole, bound = _bound(model, options)
+    requested: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
+    options = Options(**requested, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
+    symbolic_model, bound = _driven_and_bound(model, options)
     if rtol is not None:
-        controlled: Any = _with_rtol(bound, options, whole).walk
+        controlled: Any = _run_with_rtol(bound, options, symbolic_model).propagator
         return controlled.plan.text(controlled.problem)
-    walk = _over_grid(bound, options, _grid(bound, options), lambda: None, whole)
-    return walk.plan.text(walk.problem)
+    propagator = _fixed_grid_propagator(bound, options, _make_run_grid(bound, options), lambda: None, symbolic_model)
+    return propagator.plan.text(propagator.problem)
 
 
-def arranged(model: Model, options: Options) -> Run:
+def make_run(model: Model, options: Options) -> RunLoop:
     """Return the run that these options ask for; see ``simulate``."""
-    whole, bound = _bound(model, options)
+    symbolic_model, bound = _driven_and_bound(model, options)
     if options.rtol is not None:
-        return _with_rtol(bound, options, whole)
+        return _run_with_rtol(bound, options, symbolic_model)
     if options.atol is not None:
-        return _controlled(bound, options)
-    folder = _Folder(options)
-    grid = _grid(bound, options)
-    return Run(_over_grid(bound, options, grid, folder.way, whole), options, folder.store())
+        return _error_controlled_run(bound, options)
+    folder = _RunFolder(options)
+    grid = _make_run_grid(bound, options)
+    return RunLoop(_fixed_grid_propagator(bound, options, grid, folder.way, symbolic_model), options, folder.store())
 
 
-class _Folder:
+class _RunFolder:
     """The folder of a run, opened when it is first asked for: a model that cannot be run leaves it as it was."""
 
     def __init__(self, options: Options) -> None:
@@ -166,17 +166,17 @@ class _Folder:
         out, resume = self._options.folder, self._options.resume
         if self._store is None and out is not None:
             if not resume:
-                keep_unfinished(out)
+                check_not_unfinished(out)
             self._store = ChunkStore.open(out) if resume else ChunkStore(out)
         return self._store
 
     def way(self) -> str | None:
         """How the run that is resumed was stepped; None for a new one."""
         store = self.store()
-        return store.manifest["checkpoint"]["settings"].get(WAY) if store and store.manifest["chunks"] else None
+        return store.manifest["checkpoint"]["settings"].get(BACKEND_SETTING) if store and store.manifest["chunks"] else None
 
 
-class _GoesOn(Run):
+class _RunWithFallback(RunLoop):
     """An event-driven run that, where it stops, is made anew by time stepping, with a warning that says why."""
 
     def go(self, progress: bool = False) -> Trajectory:
@@ -184,52 +184,52 @@ class _GoesOn(Run):
         try:
             return super().go(progress)
         except StepError as error:
-            if self.options.times is not None or isinstance(error, FinalError):
+            if self.options.times is not None or isinstance(error, UnrecoverableStepError):
                 raise
             reason, stopped = f"it stopped: {error}", error
         try:
-            other = _stepped(self.walk.model, replace(self.options, resume=False), reason)
+            other = _time_stepping_run(self.propagator.model, replace(self.options, resume=False), reason)
         except UsageError:  # what is asked for is not for time stepping
             raise stopped from None
         if self.store is not None:
             self.store.discard()
-        other.walk.warnings.append(f"event-driven integration: {reason}; all rows are by time stepping")
+        other.propagator.warnings.append(f"event-driven integration: {reason}; all rows are by time stepping")
         run = other.go(progress)
         self.cpu_seconds += other.cpu_seconds
         return run
 
 
-def _with_rtol(model: Model, options: Options, whole: Model) -> Run:
+def _run_with_rtol(model: Model, options: Options, symbolic_model: Model) -> RunLoop:
     """An event-driven run where it applies and ``method`` lets it; ``whole``: the model with its parameters as symbols."""
     if options.method == METHODS[2]:
-        return _controlled(model, options)
+        return _error_controlled_run(model, options)
     try:
-        problem = problem_of(model)
-        _refuse_of_steps(options)
-        folder = _Folder(options)
+        problem = event_driven_problem(model)
+        _check_no_step_options(options)
+        folder = _RunFolder(options)
         resumed = options.resume and not options.certified
-        walk = EventDriven(model, options, problem, lambda: folder.way() if resumed else None, whole)
+        propagator = EventDrivenPropagator(model, options, problem, lambda: folder.way() if resumed else None, symbolic_model)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
         if options.method == METHODS[1] or options.times is not None or options.certified:
             raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error
-        run = _stepped(model, options, str(error))
+        run = _time_stepping_run(model, options, str(error))
         if isinstance(error, StepError):
-            run.walk.warnings.append(f"event-driven integration does not start: {error}; all rows are by time stepping")
+            run.propagator.warnings.append(f"event-driven integration does not start: {error}; all rows are by time stepping")
         return run
     if options.certified:  # of all pieces at once
         if options.folder is not None:
-            keep_unfinished(options.folder)
-        return Run(walk, options, None)
-    return (Run if options.method == METHODS[1] else _GoesOn)(walk, options, folder.store())
+            check_not_unfinished(options.folder)
+        return RunLoop(propagator, options, None)
+    return (RunLoop if options.method == METHODS[1] else _RunWithFallback)(propagator, options, folder.store())
 
 
-def _refuse_of_steps(options: Options) -> None:
+def _check_no_step_options(options: Options) -> None:
     """Refuse what belongs to time stepping."""
     given = {
         "step": options.step is not None, "steps": options.steps is not None,
         f"solver '{options.solver}'": options.solver != "auto",
     }  # fmt: skip
-    name = next((name for name, there in given.items() if there), None)
+    name = next((name for name, is_given in given.items() if is_given), None)
     if name is not None:
         raise UsageError(
             f"{name} and rtol are both given: an event-driven run has no time steps; leave {name} out, or take "
@@ -237,47 +237,57 @@ def _refuse_of_steps(options: Options) -> None:
         )
 
 
-def _stepped(model: Model, options: Options, reason: str) -> Run:
+def _time_stepping_run(model: Model, options: Options, reason: str) -> RunLoop:
     """Time stepping under error control, and why it is not event-driven."""
-    run = _controlled(model, options)
-    run.walk.plan = with_reason(run.walk.plan, reason)
+    run = _error_controlled_run(model, options)
+    run.propagator.plan = plan_with_reason(run.propagator.plan, reason)
     return run
 
 
-def _controlled(model: Model, options: Options) -> Run:
-    if _on_grid(model) is not OnGrid:
+def _error_controlled_run(model: Model, options: Options) -> RunLoop:
+    if _propagator_factory(model) is not FixedGridPropagator:
         raise UsageError("rtol and atol do not apply to many bodies, whose contacts change at nearly every step; give step=")
     if options.steps is not None or options.resume or options.save_every != 1:
         name = "steps" if options.steps is not None else "resume" if options.resume else "save_every"
         raise UsageError(f"{name} and rtol are both given: error control chooses the steps, and keeps them all; leave one out")
     if options.folder is not None:
-        keep_unfinished(options.folder)
-    return Run(Controlled(model, options), options, None)
+        check_not_unfinished(options.folder)
+    return RunLoop(ErrorControlledPropagator(model, options), options, None)
 
 
-def _bound(model: Any, options: Options) -> tuple[Model, Model]:
+def _driven_and_bound(model: Any, options: Options) -> tuple[Model, Model]:
     """The model as it is driven, and with numbers for its parameters."""
     if not isinstance(model, Model):
-        raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
-    driven = driven_by(model, options.inputs)
+        raise UsageError(
+            f"expected a model such as LureSystem(...), not {describe_argument(model)}; a file is read with nsmodel.load(path)"
+        )
+    driven = with_inputs(model, options.inputs)
     return driven, driven.bind(options.parameters)
 
 
-def _grid(model: Model, options: Options) -> Grid:
+def _make_run_grid(model: Model, options: Options) -> TimeGrid:
     return make_grid(model, options.step, options.steps, options.t_end, driven=bool(model.inputs))
 
 
-def _over_grid(model: Model, options: Options, grid: Grid, there: There, whole: Model) -> Any:
+def _fixed_grid_propagator(
+    model: Model, options: Options, grid: TimeGrid, resumed_backend: ResumedBackend, symbolic_model: Model
+) -> Any:
     """The walk over a grid; ``whole``: the model with its parameters as symbols."""
-    own: Any = _on_grid(model)
-    walk = own(model, options, grid, there, *([whole] if own is OnGrid and whole.p.numel() else []))
+    own: Any = _propagator_factory(model)
+    propagator = own(
+        model,
+        options,
+        grid,
+        resumed_backend,
+        *([symbolic_model] if own is FixedGridPropagator and symbolic_model.p.numel() else []),
+    )
     if options.step is not None and options.step > (end := grid.time(grid.N)):
-        walk.warnings.append(f"step = {options.step:g} is longer than the whole run, {end:g}: no step has that length")
-    walk.plan = noting_inputs(noting_known_times(walk.plan, model, ends=False), grid.drive)
-    return walk
+        propagator.warnings.append(f"step = {options.step:g} is longer than the whole run, {end:g}: no step has that length")
+    propagator.plan = plan_with_inputs(plan_with_known_times(propagator.plan, model, ends=False), grid.drive)
+    return propagator
 
 
-def _on_grid(model: Model) -> Callable[[Any, Options, Grid, There], Any]:
+def _propagator_factory(model: Model) -> Callable[[Any, Options, TimeGrid, ResumedBackend], Any]:
     """The walk of a model over a grid: its class's own, where it has one."""
     own = class_of(model).optional("walk")
-    return OnGrid if own is None else own.OnGrid
+    return FixedGridPropagator if own is None else own.ManyBodiesPropagator

@@ -7,34 +7,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.brief import in_short, number
+from nsmodel.brief import describe_shortly, format_number
 from nsmodel.classes.registry import class_of
-from nsmodel.defaults import TOLERANCE
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import is_number, written
-from nsmodel.hypotheses.quick import refuse_start
+from nsmodel.grid import format_value, is_number
+from nsmodel.hypotheses.quick import check_start
 from nsmodel.model.base import Model
-from nsmodel.model.driven import driven_by
-from nsmodel.model.inputs import Signals, by_name
+from nsmodel.model.driven import with_inputs
+from nsmodel.model.inputs import Signals, signals_by_name
 from nsmodel.model.parameters import Values
-from nsmodel.quantities import Outputs
-from nsmodel.record import Record
-from nsmodel.run.one_in_c import InC
+from nsmodel.quantities import OutputColumns
+from nsmodel.record import RowRecord
+from nsmodel.run.one_in_c import CompiledSteps
 from nsmodel.run.options import Options
 from nsmodel.run.row import Row
 from nsmodel.run.schemes import make_stepper
-from nsmodel.run.step_inputs import Free, StepInputs, numbers
-from nsmodel.run.told import of_model, of_scheme
-from nsmodel.run.walk import is_numerical, unsolvable
+from nsmodel.run.step_inputs import FreeInput, StepInputs, finite_numbers
+from nsmodel.run.told import model_metadata, scheme_metadata
+from nsmodel.run.walk import is_numerical_error, unsolvable_step_error
 from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve.build import Starter, start_state
-from nsmodel.solve.stepper import StepResult, Warm
+from nsmodel.solve.build import ReactionInitialiser, completed_start_state
+from nsmodel.solve.stepper import StepResult, WarmStart
 from nsmodel.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from nsmodel.codegen.rollout import Alone
+    from nsmodel.codegen.rollout import SingleStepper
 
-ROWS = 1024  # Of a record, at first.
+INITIAL_RECORD_ROWS = 1024  # Of a record, at first.
 INF = np.inf
 
 
@@ -49,10 +49,10 @@ class ModelStepper:
     """
 
     def __init__(self, model: Model, options: Options, *, record: bool) -> None:
-        given = {**model.inputs, **by_name(options.inputs, model.input_groups)}
+        given = {**model.inputs, **signals_by_name(options.inputs, model.input_groups)}
         self.free = tuple(name for name, signal in given.items() if signal is None)
-        zeros = {name: Free(np.zeros(len(model.input_groups[name]))) for name in self.free}
-        self._model: Any = driven_by(model, {**(options.inputs or {}), **zeros}).bind(options.parameters)
+        zeros = {name: FreeInput(np.zeros(len(model.input_groups[name]))) for name in self.free}
+        self._model: Any = with_inputs(model, {**(options.inputs or {}), **zeros}).bind(options.parameters)
         own: Any = self._model
         if class_of(own).optional("walk") is not None:
             raise UsageError("stepper: many bodies enter and leave as they go; take simulate")
@@ -60,24 +60,27 @@ class ModelStepper:
         if not (is_number(h) and 0 < h < np.inf):
             raise UsageError("stepper: no time step: give the model step=, or step=H here")
         self.h, self._tolerance, self._keeps = float(h), options.tolerance, record
-        refuse_start(own)
+        check_start(own)
         self._problem = one_step_problem(own)
         self._inputs = StepInputs(own, self.free)
-        state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
+        state = completed_start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
         few = not any(signal.moving for signal in own.inputs.values())
         self._step = make_stepper(own, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
-        start, self._in_c, self._n = self._problem.start, InC(own, self.h, options), len(own.names)
+        start, self._in_c, self._n = self._problem.start, CompiledSteps(own, self.h, options), len(own.names)
         self._starter = None
         if start is not None:
-            self._starter = self._in_c.starter(Starter(start, options.tolerance, h=self.h, state=state))
+            self._starter = self._in_c.starter(ReactionInitialiser(start, options.tolerance, h=self.h, state=state))
         one = own.u.numel() == self._inputs.at.size == 1 and start is None and not (self._inputs.driven or record)
-        self._alone = self._in_c.alone(self._step.layout, self._step.cold().index.size) if one else None
+        self._alone = self._in_c.alone(self._step.layout, self._step.cold_start().index.size) if one else None
         self.reset()
 
     def __repr__(self) -> str:
         """Return one line: title, time, steps, states."""
         title = self._model.title or "untitled"
-        return f"ModelStepper({title!r}, t = {number(self.t)}, {self.k} steps of {number(self.h)}, x = {in_short(self.x)})"
+        return (
+            f"ModelStepper({title!r}, t = {format_number(self.t)}, {self.k} steps of {format_number(self.h)}, "
+            f"x = {describe_shortly(self.x)})"
+        )
 
     # -- where it is
 
@@ -94,7 +97,7 @@ class ModelStepper:
     @property
     def held(self) -> dict[str, Any]:
         """What blocks hold, by name: their memory and outputs, in the step that has led here."""
-        return self._inputs.kept(self._place[2])
+        return self._inputs.kept(self._current_values[2])
 
     @property
     def next_tick(self) -> float:
@@ -102,7 +105,7 @@ class ModelStepper:
         return self._inputs.next_tick(self.t)
 
     @property
-    def _place(self) -> tuple[np.ndarray, ...]:
+    def _current_values(self) -> tuple[np.ndarray, ...]:
         """States, multipliers and inputs of the step that has led here."""
         both = self._state[self._step.layout.inputs]
         return self._state[: self._n], self._warm.l, both[both.size // 2 :]
@@ -116,15 +119,17 @@ class ModelStepper:
         rows = initial_rows(self._model, self.h)
         state, n = rows[-1][0].copy(), self._n
         if x0 is not None:
-            state[:n] = numbers("x0", x0, n)
+            state[:n] = finite_numbers("x0", x0, n)
         if (ticks := self._inputs.ticks) is not None and len(rows) == 1:  # else the ticks at 0 lie behind
             at = self._step.layout.inputs
             state[at] = np.tile(ticks.before(state[:n], self._inputs.both[: self._inputs.both.size // 2]), 2)
-        self._state = start_state(self._problem, state, self.h, self._tolerance)
-        self._warm: Warm = self._step.cold()
+        self._state = completed_start_state(self._problem, state, self.h, self._tolerance)
+        self._warm: WarmStart = self._step.cold_start()
         self._base, self._last, self.k = float(t), self.h, len(rows) - 1
         self._since = self.k
-        self._record = Record(self._model, self._step.layout, self._warm.index.size, ROWS) if self._keeps else None
+        self._record = (
+            RowRecord(self._model, self._step.layout, self._warm.index.size, INITIAL_RECORD_ROWS) if self._keeps else None
+        )
         if self._record is not None:
             rows[-1] = self._state, rows[-1][1] if x0 is None else {}
             for k, (known, records) in enumerate(rows):
@@ -141,7 +146,7 @@ class ModelStepper:
         """Take up what ``checkpoint`` gave, ``saved``; the rows recorded after it are forgotten."""
         self._base, self._since, self._last, self.k = saved["base"], saved["since"], saved["last"], saved["k"]
         self._state = np.array(saved["state"], float)
-        self._warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
+        self._warm = WarmStart(np.array(saved["l"], float), np.array(saved["index"], np.int8))
         if self._record is not None:
             self._record.filled = int(np.searchsorted(self._record.number[: self._record.filled], self.k, side="right"))
 
@@ -161,7 +166,7 @@ class ModelStepper:
             StepError: no solver reached the tolerance.
         """
         if self._alone is not None and type(u) is float and u_end is None and h is None and -INF < u < INF:
-            row = self._quickly(self._alone, u)
+            row = self._step_in_c(self._alone, u)
             if row is not None:
                 return row
         if h is None:
@@ -169,14 +174,14 @@ class ModelStepper:
         elif is_number(h) and 0 < h < np.inf:
             length = float(h)
         else:
-            raise UsageError(f"h = {written(h)}; expected a finite number > 0")
+            raise UsageError(f"h = {format_value(h)}; expected a finite number > 0")
         begin = self._inputs.given(u)
         end = begin if u_end is None else self._inputs.given(u_end)
         if not self._inputs.driven:
-            return self._one(begin, end, length)
-        ends = self._inputs.ends(self.k, self.t, length, begin, self._place)
+            return self._take_step(begin, end, length)
+        ends = self._inputs.ends(self.k, self.t, length, begin, self._current_values)
         if len(ends) == 1:
-            return self._one(begin, end, length)
+            return self._take_step(begin, end, length)
         if not split:
             raise UsageError(
                 f"an input jumps or bends, or a block ticks, at t = {ends[0]:.10g}: step at most {ends[0] - self.t:.10g}, "
@@ -186,15 +191,15 @@ class ModelStepper:
         try:
             while True:  # A tick may place edges in what is left.
                 first, last = (begin + (time - t) / length * (end - begin) for time in (self.t, ends[0]))
-                row = self._one(first, last, ends[0] - self.t)
+                row = self._take_step(first, last, ends[0] - self.t)
                 if len(ends) == 1:
                     return row
-                ends = self._inputs.ends(self.k, self.t, ends[-1] - self.t, begin, self._place)
+                ends = self._inputs.ends(self.k, self.t, ends[-1] - self.t, begin, self._current_values)
         except StepError:
             self.restore(kept)
             raise
 
-    def _quickly(self, alone: Alone, u: float) -> Row | None:
+    def _step_in_c(self, alone: SingleStepper, u: float) -> Row | None:
         """A step on the grid of the model's one input, in C; None where it is off the grid or not certified."""
         layout, k, warm = self._step.layout, self.k, self._warm
         if self._since != k or self._base or self._last != self.h:
@@ -204,13 +209,13 @@ class ModelStepper:
             return None
         packed, index, _ = found
         self._since = self.k = k + 1
-        self._state, self._warm = packed[layout.state], Warm(packed[layout.l], index)
+        self._state, self._warm = packed[layout.state], WarmStart(packed[layout.l], index)
         return Row((k + 1) * self.h, packed, index, layout, self._n)
 
-    def _one(self, begin: np.ndarray, end: np.ndarray, h: float) -> Row:
+    def _take_step(self, begin: np.ndarray, end: np.ndarray, h: float) -> Row:
         layout, state, k, t = self._step.layout, self._state.copy(), self.k, self.t
         if self._inputs.both.size:
-            limits, jumps = self._inputs.limits(k, t, h, begin, end, self._place)
+            limits, jumps = self._inputs.limits(k, t, h, begin, end, self._current_values)
             state[layout.inputs] = limits
             if jumps and self._starter is not None:
                 state = self._starter(t, h, state)
@@ -219,20 +224,20 @@ class ModelStepper:
             try:
                 found = self._step(t, h, state, self._warm, k)
             except Exception as error:
-                if not is_numerical(error):
+                if not is_numerical_error(error):
                     raise
-                raise unsolvable(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
+                raise unsolvable_step_error(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
         if h != self._last:
             self._base, self._since, self._last = t, 0, h
         self._since, self.k = self._since + 1, k + 1
         self._state, self._warm = found.row[layout.state], found.warm
         if self._record is not None:
-            self._note(self._record, self.t, h, found)
+            self._record_step(self._record, self.t, h, found)
         return Row(self.t, found.row, found.warm.index, layout, self._n)
 
     # -- a record
 
-    def _note(self, record: Record, t: float, h: float, found: StepResult) -> None:
+    def _record_step(self, record: RowRecord, t: float, h: float, found: StepResult) -> None:
         if record.filled == 1 and (size := self._inputs.both.size):  # at the start u is that of the first step
             at = self._step.layout.inputs
             record.rows[0, at] = np.tile(found.row[at][: size // 2], 2)
@@ -246,10 +251,16 @@ class ModelStepper:
         """The steps since the start or the last reset, as a run; UsageError where they are not recorded."""
         if self._record is None:
             raise UsageError("stepper: no rows are kept; give record=True")
-        about = {"steps": self.k, "status": "done", "message": "", "warnings": [], **of_scheme(self._problem, self._tolerance)}
-        metadata = of_model(self._model) | about
+        about = {
+            "steps": self.k,
+            "status": "done",
+            "message": "",
+            "warnings": [],
+            **scheme_metadata(self._problem, self._tolerance),
+        }
+        metadata = model_metadata(self._model) | about
         arrays = self._record.columns(newton=False)
-        return Trajectory(arrays | Outputs.of(self._model, self._problem.multiplier_names)(arrays), metadata)
+        return Trajectory(arrays | OutputColumns.of(self._model, self._problem.multiplier_names)(arrays), metadata)
 
 
 def stepper(
@@ -259,7 +270,7 @@ def stepper(
     parameters: Values | None = None,
     inputs: Signals | None = None,
     solver: str = "auto",
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     compiled: bool | str = "auto",
     record: bool = False,
 ) -> ModelStepper:

@@ -26,15 +26,15 @@ from typing import IO, Any
 
 import numpy as np
 
-from nsmodel.errors import LaterFormatError, StorageError
+from nsmodel.errors import NewerFormatError, StorageError
 from nsmodel.version import VERSION
 
 Metadata = Mapping[str, Any]
 
-FORMAT = 3  # Rises with every change of what files hold.
-STAMP = {"format": FORMAT, "version": VERSION}
-READERS = 50  # So often a file is given its name while somebody reads the one that had it.
-PART = ".part-"  # Names of files not yet whole begin so.
+FILE_FORMAT = 3  # Rises with every change of what files hold.
+FORMAT_STAMP = {"format": FILE_FORMAT, "version": VERSION}
+MAX_RENAME_TRIES = 50  # So often a file is given its name while somebody reads the one that had it.
+PART_PREFIX = ".part-"  # Names of files not yet whole begin so.
 _NON_FINITE = re.compile(r"\\*(nan|inf|-inf)")
 
 
@@ -44,15 +44,15 @@ def dumps(data: Any, indent: int | None = None) -> str:
     Tuples and NumPy arrays become lists. A string that reads like one of those three gets a backslash in front, so that
     ``loads`` gives back what went in.
     """
-    return json.dumps(_encode(data, "data"), sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent)
+    return json.dumps(_encode_json(data, "data"), sort_keys=True, ensure_ascii=False, allow_nan=False, indent=indent)
 
 
 def loads(text: str) -> Any:
     """Inverse of ``dumps``; ValueError where ``text`` is not JSON."""
-    return _decode(json.loads(text, parse_constant=_no_constant))
+    return _decode_json(json.loads(text, parse_constant=_reject_constant))
 
 
-def _no_constant(name: str) -> Any:
+def _reject_constant(name: str) -> Any:
     raise ValueError(f"{name} is no number of JSON")
 
 
@@ -63,21 +63,21 @@ def write_json(path: str | Path, data: Any) -> None:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` and a line end."""
-    with stream_beside(Path(path)) as stream:
-        stream.write(utf8(f"{text}\n"))
+    with atomic_stream(Path(path)) as stream:
+        stream.write(encode_utf8(f"{text}\n"))
 
 
 def read_json(path: str | Path) -> Any:
     """Read what ``write_json`` wrote."""
     try:
-        refuse_special(Path(path))
+        check_regular_file(Path(path))
         data = loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise StorageError(f"{path} does not exist; check the path") from error
     except (OSError, ValueError, RecursionError) as error:
         raise StorageError(f"{path} is not a readable JSON file ({error}); write it again") from error
     if isinstance(data, dict):
-        format_of(data, path)
+        file_format(data, path)
     return data
 
 
@@ -88,14 +88,14 @@ def write_csv(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
         shapes = ", ".join(f"{name} {column.shape}" for name, column in data.items()) or "no column"
         raise StorageError(f"cannot write {path}: it needs 1-D columns of one length, got {shapes}")
     rows = len(next(iter(data.values())))
-    with stream_beside(Path(path)) as stream:
+    with atomic_stream(Path(path)) as stream:
         stream.write(_csv_lines([list(data)]))
         for start in range(0, rows, 4096):
             block = [column[start : start + 4096].tolist() for column in data.values()]
             stream.write(_csv_lines(zip(*block, strict=True)))
 
 
-def refuse_unwritable(path: str | Path) -> None:
+def check_writable(path: str | Path) -> None:
     """Make the folder of a file; StorageError where it cannot be written: now, and not when hours of work are to be saved."""
     make_folder(Path(path).parent, path)
 
@@ -110,26 +110,27 @@ def make_folder(folder: Path, what: Any) -> None:
         raise StorageError(f"cannot write {what}: no permission; take a folder that is writable")
 
 
-def format_of(data: Metadata, path: str | Path) -> int:
+def file_format(data: Metadata, path: str | Path) -> int:
     """The format of a file, 1 to FORMAT; StorageError where it is none, or one that this version does not know."""
     number = data.get("format", 1)
     if type(number) is not int or number < 1:
-        raise StorageError(f"{path}: format is {number!r:.40}; expected a whole number, 1 to {FORMAT}: it was changed")
-    if number > FORMAT:
+        raise StorageError(f"{path}: format is {number!r:.40}; expected a whole number, 1 to {FILE_FORMAT}: it was changed")
+    if number > FILE_FORMAT:
         by = f"nsmodel {data['version']}" if "version" in data else "a later nsmodel"
-        raise LaterFormatError(
-            f"{path} is of format {number}, written by {by}; nsmodel {VERSION} knows formats up to {FORMAT}: read it with {by}"
+        raise NewerFormatError(
+            f"{path} is of format {number}, written by {by}; nsmodel {VERSION} knows formats up to {FILE_FORMAT}: read it with "
+            f"{by}"
         )
     return number
 
 
-def refuse_special(path: Path) -> None:
+def check_regular_file(path: Path) -> None:
     """Raise OSError for a pipe, a socket or a device, which would be waited for."""
     if stat.S_IFMT(path.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
         raise OSError("it is no file")
 
 
-def inside(folder: Path, name: str, by: str) -> Path:
+def path_inside(folder: Path, name: str, by: str) -> Path:
     """The path of a file that is named ``by`` a file in a folder; StorageError unless it is a plain name, and no link."""
     if name in ("", ".", "..") or Path(name).name != name or set(name) & set("/\\:\0"):
         raise StorageError(f"{by} names the file {name!r:.80}; expected a plain name, of a file in {folder}: it was changed")
@@ -140,12 +141,12 @@ def inside(folder: Path, name: str, by: str) -> Path:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_atomically(path: Path) -> Iterator[Path]:
     """Give a path to write to that becomes ``path``; after an error nothing remains, and an OSError is a StorageError.
 
     Several programs may write one file: each has its own beside it, the last one stays. A pipe or a device is written itself.
     """
-    part = path.with_name(f"{PART}{secrets.token_hex(4)}-{path.name}")
+    part = path.with_name(f"{PART_PREFIX}{secrets.token_hex(4)}-{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and not (path.is_file() or path.is_dir()):
@@ -153,7 +154,7 @@ def replacing(path: Path) -> Iterator[Path]:
             return
         try:
             yield part
-            _named(part, path)
+            _rename_into_place(part, path)
         except BaseException:
             part.unlink(missing_ok=True)
             raise
@@ -163,9 +164,9 @@ def replacing(path: Path) -> Iterator[Path]:
         raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
 
 
-def _named(part: Path, path: Path) -> None:
+def _rename_into_place(part: Path, path: Path) -> None:
     """Give the whole file its name; where files that are open keep theirs (Windows), wait a moment for who reads the old one."""
-    for _ in range(READERS if sys.platform == "win32" else 0):
+    for _ in range(MAX_RENAME_TRIES if sys.platform == "win32" else 0):
         try:
             part.replace(path)
             return
@@ -175,9 +176,9 @@ def _named(part: Path, path: Path) -> None:
 
 
 @contextmanager
-def stream_beside(path: Path) -> Iterator[IO[bytes]]:
+def atomic_stream(path: Path) -> Iterator[IO[bytes]]:
     """Give a stream that becomes the file ``path`` once all is written and synced."""
-    with replacing(path) as part, part.open("wb" if part == path else "xb+") as stream:
+    with replace_atomically(path) as part, part.open("wb" if part == path else "xb+") as stream:
         yield stream
         stream.flush()
         if part != path:
@@ -187,24 +188,24 @@ def stream_beside(path: Path) -> Iterator[IO[bytes]]:
 def _csv_lines(rows: Iterable[Iterable[Any]]) -> bytes:
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return utf8(text.getvalue())
+    return encode_utf8(text.getvalue())
 
 
-def utf8(text: str) -> bytes:
+def encode_utf8(text: str) -> bytes:
     """Text as UTF-8; what has none, such as a file's name in another encoding, is escaped as JSON does it."""
     return text.encode(errors="backslashreplace")
 
 
-def _encode(value: Any, where: str) -> Any:
+def _encode_json(value: Any, where: str) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise StorageError(f"{where} has the key {key!r}; JSON keys are strings: use {str(key)!r}")
-        return {str(key): _encode(entry, f"{where}[{key!r}]") for key, entry in value.items()}
+        return {str(key): _encode_json(entry, f"{where}[{key!r}]") for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_encode(entry, f"{where}[{index}]") for index, entry in enumerate(value)]
+        return [_encode_json(entry, f"{where}[{index}]") for index, entry in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):
         return str(float(value))
     if isinstance(value, str):
@@ -214,11 +215,11 @@ def _encode(value: Any, where: str) -> Any:
     raise StorageError(f"{where} is a {type(value).__name__}; keep numbers, strings, lists, dictionaries or None there")
 
 
-def _decode(value: Any) -> Any:
+def _decode_json(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _decode(entry) for key, entry in value.items()}
+        return {key: _decode_json(entry) for key, entry in value.items()}
     if isinstance(value, list):
-        return [_decode(entry) for entry in value]
+        return [_decode_json(entry) for entry in value]
     if isinstance(value, str) and _NON_FINITE.fullmatch(value):
         return value[1:] if value.startswith("\\") else float(value)
     return value

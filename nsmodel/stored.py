@@ -24,24 +24,26 @@ from typing import IO, Any
 
 import numpy as np
 
-from nsmodel.archive import CHUNK, KINDS, METADATA, digest_of, digest_of_document
+from nsmodel.archive import DIGEST_CHUNK_BYTES, DTYPE_ITEMSIZES, METADATA_MEMBER, chunk_digest, document_digest
 from nsmodel.errors import StorageError, UnverifiedWarning
-from nsmodel.storage import STAMP, format_of, loads, refuse_special
+from nsmodel.storage import FORMAT_STAMP, check_regular_file, file_format, loads
 
-DIGESTS_SINCE = 3  # The first format with digests.
-AGAIN = "run the model again, or put back a copy"
-Layout = dict[str, tuple[np.dtype, tuple[int, ...]]]
-_LOCAL = struct.Struct("<4s22xHH")  # Of a local header of a zip file: its mark, the lengths of the name and of what is beside it.
-_MAGIC = b"\x93NUMPY\x01\x00"
-_HEADER = re.compile(
+FIRST_DIGEST_FORMAT = 3  # The first format with digests.
+RERUN_HINT = "run the model again, or put back a copy"
+ArchiveLayout = dict[str, tuple[np.dtype, tuple[int, ...]]]
+_LOCAL_HEADER = struct.Struct(
+    "<4s22xHH"
+)  # Of a local header of a zip file: its mark, the lengths of the name and of what is beside it.
+_NPY_MAGIC = b"\x93NUMPY\x01\x00"
+_NPY_HEADER = re.compile(
     rb"\{'descr': '([<|>=]?)([a-zA-Z])(\d{1,9})', 'fortran_order': (True|False), "
     rb"'shape': \(((?:\d{1,18}, ?)*(?:\d{1,18})?)\), \} *\n"
 )
-_MOST_AXES = 32  # Of an array, in any NumPy.
+_MAX_AXES = 32  # Of an array, in any NumPy.
 
 
 @dataclass(frozen=True)
-class Stored:
+class ArchivedArray:
     """An array in a file.
 
     Attributes:
@@ -69,25 +71,25 @@ class Stored:
         """Its bytes, chunk after chunk, each verified; of older formats verified at the end."""
         stream.seek(self.begin)
         found = self.crc[0]
-        for k, at in enumerate(range(0, self.size, CHUNK)):
-            block = stream.read(min(CHUNK, self.size - at))
+        for k, at in enumerate(range(0, self.size, DIGEST_CHUNK_BYTES)):
+            block = stream.read(min(DIGEST_CHUNK_BYTES, self.size - at))
             if self.digests is None:
                 found = zlib.crc32(block, found)
             else:
-                self.refuse_other(k, block)
+                self.check_chunk(k, block)
             yield block
         if self.digests is None and found != self.crc[1]:
-            raise self._changed("")
+            raise self._changed_error("")
 
-    def refuse_other(self, k: int, block: Any) -> None:
+    def check_chunk(self, k: int, block: Any) -> None:
         """Raise StorageError unless this is chunk k."""
-        if self.digests is not None and digest_of(block) != self.digests[k]:
-            raise self._changed(f", bytes {k * CHUNK} to {k * CHUNK + len(block)}")
+        if self.digests is not None and chunk_digest(block) != self.digests[k]:
+            raise self._changed_error(f", bytes {k * DIGEST_CHUNK_BYTES} to {k * DIGEST_CHUNK_BYTES + len(block)}")
 
-    def refuse_other_whole(self, raw: Any) -> None:
+    def check_whole(self, raw: Any) -> None:
         """Raise StorageError unless these are its bytes, of a file that has no digests."""
         if zlib.crc32(raw, self.crc[0]) != self.crc[1]:
-            raise self._changed("")
+            raise self._changed_error("")
 
     def read(self, stream: IO[bytes]) -> np.ndarray:
         """The array, in memory."""
@@ -101,11 +103,11 @@ class Stored:
         """The array that has these bytes."""
         array = raw.view(self.dtype).reshape(self.shape) if raw.size else np.zeros(self.shape, self.dtype)
         if self.dtype.kind == "U" and (raw.view("<u4") > sys.maxunicode).any():
-            raise self._changed(", which holds no text,")
+            raise self._changed_error(", which holds no text,")
         return array
 
-    def _changed(self, where: str) -> StorageError:
-        return StorageError(f"{self.path}: array '{self.name}'{where} was changed after it was written; {AGAIN}")
+    def _changed_error(self, where: str) -> StorageError:
+        return StorageError(f"{self.path}: array '{self.name}'{where} was changed after it was written; {RERUN_HINT}")
 
 
 @dataclass(frozen=True)
@@ -115,33 +117,33 @@ class Archive:
     path: Path
     format: int
     metadata: dict[str, Any]
-    arrays: dict[str, Stored]
+    arrays: dict[str, ArchivedArray]
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ArchiveLayout:
         """Data type and shape of each array."""
         return {name: (one.dtype, one.shape) for name, one in self.arrays.items()}
 
     @property
-    def verified(self) -> bool:
+    def has_digests(self) -> bool:
         """Whether it has digests."""
-        return self.format >= DIGESTS_SINCE
+        return self.format >= FIRST_DIGEST_FORMAT
 
-    def warn(self, stacklevel: int) -> None:
+    def warn_unverified(self, stacklevel: int) -> None:
         """Say where it cannot be verified."""
-        if not self.verified:
+        if not self.has_digests:
             text = f"{self.path} is of format {self.format}, which has no digests: what it holds is read, not verified"
             warnings.warn(text, UnverifiedWarning, stacklevel + 1)
 
 
-def opened(path: str | Path) -> Archive:
+def open_archive(path: str | Path) -> Archive:
     """Read what an archive says of itself, and no array.
 
     Raises:
         StorageError: it is missing, damaged, foreign, or of a later format.
     """
-    with _reading(Path(path)) as stream:
-        return _archive(Path(path), stream)
+    with _open_for_reading(Path(path)) as stream:
+        return _read_archive_header(Path(path), stream)
 
 
 def read_npz(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -152,85 +154,85 @@ def read_npz(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 def read_archive(path: str | Path) -> tuple[Archive, dict[str, np.ndarray]]:
     """Read an archive, and its arrays into memory; StorageError as of ``opened``."""
-    with _reading(Path(path)) as stream:
-        archive = _archive(Path(path), stream)
+    with _open_for_reading(Path(path)) as stream:
+        archive = _read_archive_header(Path(path), stream)
         return archive, {name: one.read(stream) for name, one in archive.arrays.items()}
 
 
-def blocks(files: list[Path], name: str) -> Iterator[bytes]:
+def array_blocks(files: list[Path], name: str) -> Iterator[bytes]:
     """Yield the bytes of array ``name``, verified, file after file."""
     for path in files:
-        with _reading(path) as stream:
-            yield from _archive(path, stream).arrays[name].blocks(stream)
+        with _open_for_reading(path) as stream:
+            yield from _read_archive_header(path, stream).arrays[name].blocks(stream)
 
 
-class OnDisk:
+class ArrayPartOnDisk:
     """A part of an array in a file: compared with its digests, and read, when its values are asked for."""
 
-    def __init__(self, view: np.ndarray, refuse: Callable[[int, int], None], begin: int) -> None:
-        self._view, self._refuse, self._begin = view, refuse, begin
+    def __init__(self, view: np.ndarray, check: Callable[[int, int], None], begin: int) -> None:
+        self._view, self._check, self._begin = view, check, begin
         self.shape, self.dtype, self.ndim = view.shape, view.dtype, view.ndim
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the values, not where they lie."""
         return np.array, (np.array(self.values),)
 
-    def reshape(self, *shape: Any) -> OnDisk:
+    def reshape(self, *shape: Any) -> ArrayPartOnDisk:
         """The same in another shape."""
-        return OnDisk(self._view.reshape(*shape), self._refuse, self._begin)
+        return ArrayPartOnDisk(self._view.reshape(*shape), self._check, self._begin)
 
-    def take(self, index: int, axis: int) -> OnDisk:
+    def take(self, index: int, axis: int) -> ArrayPartOnDisk:
         """The part at one index of an axis."""
-        return OnDisk(self._view[(*(slice(None),) * axis, index, ...)], self._refuse, self._begin)
+        return ArrayPartOnDisk(self._view[(*(slice(None),) * axis, index, ...)], self._check, self._begin)
 
     @property
     def values(self) -> np.ndarray:
         """The values, verified; not to be written to. StorageError where they were changed."""
-        for low, high in _spans(self._view):
-            self._refuse(low - self._begin, high - self._begin)
+        for low, high in _address_spans(self._view):
+            self._check(low - self._begin, high - self._begin)
         return self._view
 
 
-def _spans(view: np.ndarray) -> Iterator[tuple[int, int]]:
+def _address_spans(view: np.ndarray) -> Iterator[tuple[int, int]]:
     """The addresses between which a view lies, in parts where it leaves out whole chunks."""
     if not view.size:
         return
     axis = max(range(view.ndim), key=lambda k: view.strides[k] if view.shape[k] > 1 else 0, default=None)
-    if axis is None or view.strides[axis] <= CHUNK or view.shape[axis] == 1:
+    if axis is None or view.strides[axis] <= DIGEST_CHUNK_BYTES or view.shape[axis] == 1:
         yield np.lib.array_utils.byte_bounds(view)
         return
     for k in range(view.shape[axis]):
-        yield from _spans(view[(*(slice(None),) * axis, slice(k, k + 1))])
+        yield from _address_spans(view[(*(slice(None),) * axis, slice(k, k + 1))])
 
 
 class StoredArrays(Mapping[str, np.ndarray]):
     """The arrays of a file, mapped: an array is verified when it is asked for, a part of one (see `part`) when its values are."""
 
-    def __init__(self, parts: Mapping[str, OnDisk], refuse: Mapping[str, Callable[[np.ndarray], None]]) -> None:
+    def __init__(self, parts: Mapping[str, ArrayPartOnDisk], checks: Mapping[str, Callable[[np.ndarray], None]]) -> None:
         """``refuse``: {name: what raises StorageError for values that its array cannot have}."""
-        self._parts, self._refuse = parts, dict(refuse)
+        self._parts, self._checks = parts, dict(checks)
 
     @classmethod
     def of(cls, archive: Archive, stream: IO[bytes]) -> StoredArrays:
         """Those of an archive that is open."""
         raw = np.memmap(stream, np.uint8, "r")  # pyright: ignore[reportArgumentType]
-        parts = {name: _on_disk(one, raw[one.begin : one.begin + one.size]) for name, one in archive.arrays.items()}
+        parts = {name: _map_array(one, raw[one.begin : one.begin + one.size]) for name, one in archive.arrays.items()}
         return cls(parts, {})
 
-    def only(self, names: Iterable[str], refuse: Mapping[str, Callable[[np.ndarray], None]]) -> StoredArrays:
+    def only(self, names: Iterable[str], checks: Mapping[str, Callable[[np.ndarray], None]]) -> StoredArrays:
         """Some of them."""
-        return StoredArrays({name: self._parts[name] for name in names}, refuse)
+        return StoredArrays({name: self._parts[name] for name in names}, checks)
 
-    def part(self, name: str) -> OnDisk:
+    def part(self, name: str) -> ArrayPartOnDisk:
         """An array of which parts may be taken before values are asked for."""
         return self._parts[name]
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return an array, verified; StorageError where it was changed."""
         values = self._parts[name].values
-        if name in self._refuse:
-            self._refuse[name](values)
-            self._refuse.pop(name, None)
+        if name in self._checks:
+            self._checks[name](values)
+            self._checks.pop(name, None)
         return values
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -248,42 +250,42 @@ class StoredArrays(Mapping[str, np.ndarray]):
         return len(self._parts)
 
 
-def _on_disk(one: Stored, raw: np.ndarray) -> OnDisk:
+def _map_array(one: ArchivedArray, raw: np.ndarray) -> ArrayPartOnDisk:
     known = bytearray(len(one.digests) if one.digests is not None else 1)
 
-    def refuse(low: int, high: int) -> None:
+    def check_bytes(low: int, high: int) -> None:
         if one.digests is None:
             if not known[0]:
-                one.refuse_other_whole(raw)
+                one.check_whole(raw)
                 known[0] = 1
             return
-        for k in range(low // CHUNK, -(-high // CHUNK)):
+        for k in range(low // DIGEST_CHUNK_BYTES, -(-high // DIGEST_CHUNK_BYTES)):
             if not known[k]:
-                one.refuse_other(k, raw[k * CHUNK : (k + 1) * CHUNK])
+                one.check_chunk(k, raw[k * DIGEST_CHUNK_BYTES : (k + 1) * DIGEST_CHUNK_BYTES])
                 known[k] = 1
 
-    return OnDisk(one.made_of(raw), refuse, np.lib.array_utils.byte_bounds(raw)[0])
+    return ArrayPartOnDisk(one.made_of(raw), check_bytes, np.lib.array_utils.byte_bounds(raw)[0])
 
 
-def mapped(path: Path) -> tuple[Archive, Mapping[str, np.ndarray]]:
+def map_archive(path: Path) -> tuple[Archive, Mapping[str, np.ndarray]]:
     """An archive and its arrays, which are read when they are used and are not to be changed; StorageError as of ``opened``.
 
     On Windows they are read now: a file that is mapped could not be written again.
     """
     if sys.platform == "win32":
         return read_archive(path)
-    with _reading(path) as stream:
-        archive = _archive(path, stream)
+    with _open_for_reading(path) as stream:
+        archive = _read_archive_header(path, stream)
         return archive, StoredArrays.of(archive, stream)
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[IO[bytes]]:
+def _open_for_reading(path: Path) -> Iterator[IO[bytes]]:
     """A file that is being read; StorageError where that fails."""
     try:
         if path.is_dir():
             raise IsADirectoryError
-        refuse_special(path)
+        check_regular_file(path)
         with path.open("rb") as stream:
             yield stream
     except StorageError:
@@ -296,29 +298,31 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
         raise StorageError(f"{path} does not fit in memory ({error}); read it with numpy.load, array by array") from error
     except Exception as error:  # damaged bytes make zipfile and json raise nearly anything
         fault = f"{path} is not a whole npz file ({error or type(error).__name__})"
-        raise StorageError(f"{fault}: it was cut short, changed, or another program wrote it; {AGAIN}") from error
+        raise StorageError(f"{fault}: it was cut short, changed, or another program wrote it; {RERUN_HINT}") from error
 
 
-def _archive(path: Path, stream: IO[bytes]) -> Archive:
+def _read_archive_header(path: Path, stream: IO[bytes]) -> Archive:
     """What an archive says of itself, as far as it is true."""
-    places = _places(stream)
-    if METADATA not in places:
-        raise StorageError(f"{path} has no {METADATA}: nsmodel did not write it; read it with numpy.load")
-    document = _document(stream, *places.pop(METADATA))
-    number = format_of(document, path)
+    places = _member_places(stream)
+    if METADATA_MEMBER not in places:
+        raise StorageError(f"{path} has no {METADATA_MEMBER}: nsmodel did not write it; read it with numpy.load")
+    document = _read_metadata(stream, *places.pop(METADATA_MEMBER))
+    number = file_format(document, path)
     if number == 1 and {"version", "arrays", "digest"} & document.keys():
-        raise ValueError(f"{METADATA} has lost its format")
-    if number >= DIGESTS_SINCE:
-        _refuse_other_digest(path, document)
+        raise ValueError(f"{METADATA_MEMBER} has lost its format")
+    if number >= FIRST_DIGEST_FORMAT:
+        _check_metadata_digest(path, document)
     listed: Any = document.pop("arrays", None) if "format" in document else [name.removesuffix(".npy") for name in places]
-    described = listed if number >= DIGESTS_SINCE else [{"name": name} for name in listed]
+    described = listed if number >= FIRST_DIGEST_FORMAT else [{"name": name} for name in listed]
     if list(places) != [f"{one['name']}.npy" for one in described]:
-        raise ValueError(f"it holds {', '.join([*places, METADATA])}, not what was written")
-    arrays = {one["name"]: _stored(path, stream, one, *place) for one, place in zip(described, places.values(), strict=True)}
-    return Archive(path, number, {key: value for key, value in document.items() if key not in STAMP}, arrays)
+        raise ValueError(f"it holds {', '.join([*places, METADATA_MEMBER])}, not what was written")
+    arrays = {
+        one["name"]: _read_array_header(path, stream, one, *place) for one, place in zip(described, places.values(), strict=True)
+    }
+    return Archive(path, number, {key: value for key, value in document.items() if key not in FORMAT_STAMP}, arrays)
 
 
-def _places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
+def _member_places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
     """{name of a member: (its first byte, its length, its checksum)}, of members that lie one behind the other, as they are."""
     found: dict[str, tuple[int, int, int]] = {}
     with zipfile.ZipFile(stream) as archive:
@@ -329,8 +333,8 @@ def _places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
             if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 1 or entry.file_size != entry.compress_size:
                 raise ValueError(f"its member {entry.filename} is compressed or encrypted")
             stream.seek(entry.header_offset)
-            mark, *lengths = _LOCAL.unpack(stream.read(_LOCAL.size))
-            begin = entry.header_offset + _LOCAL.size + sum(lengths)
+            mark, *lengths = _LOCAL_HEADER.unpack(stream.read(_LOCAL_HEADER.size))
+            begin = entry.header_offset + _LOCAL_HEADER.size + sum(lengths)
             if mark != b"PK\3\4" or entry.header_offset < free or begin + entry.file_size > archive.start_dir:
                 raise ValueError(f"its member {entry.filename} is not where it says")
             free = begin + entry.file_size
@@ -338,44 +342,44 @@ def _places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
     return found
 
 
-def _document(stream: IO[bytes], begin: int, size: int, crc: int) -> dict[str, Any]:
+def _read_metadata(stream: IO[bytes], begin: int, size: int, crc: int) -> dict[str, Any]:
     """The metadata."""
     stream.seek(begin)
     text = stream.read(size)
     if zlib.crc32(text) != crc:
-        raise ValueError(f"{METADATA} was changed")
+        raise ValueError(f"{METADATA_MEMBER} was changed")
     document = loads(text.decode())
     if not isinstance(document, dict):
-        raise ValueError(f"{METADATA} is no dictionary")
+        raise ValueError(f"{METADATA_MEMBER} is no dictionary")
     return document
 
 
-def _refuse_other_digest(path: Path, document: dict[str, Any]) -> None:
+def _check_metadata_digest(path: Path, document: dict[str, Any]) -> None:
     digest = document.pop("digest", None)
-    if digest != digest_of_document(document):
+    if digest != document_digest(document):
         what = "has no digest, as files of its format have" if digest is None else "has not the digest that it says"
-        raise StorageError(f"{path}: {METADATA} {what}: it was changed after it was written; {AGAIN}")
+        raise StorageError(f"{path}: {METADATA_MEMBER} {what}: it was changed after it was written; {RERUN_HINT}")
 
 
-def _stored(path: Path, stream: IO[bytes], one: dict[str, Any], begin: int, size: int, crc: int) -> Stored:
+def _read_array_header(path: Path, stream: IO[bytes], one: dict[str, Any], begin: int, size: int, crc: int) -> ArchivedArray:
     """An array: its header, which must say what the metadata say, and which leaves the bytes that type and shape take."""
     name = one["name"]
     stream.seek(begin)
-    head = stream.read(len(_MAGIC) + 2)
-    head += stream.read(int.from_bytes(head[len(_MAGIC) :], "little"))
-    said = _HEADER.fullmatch(head[len(_MAGIC) + 2 :])
-    if not head.startswith(_MAGIC) or said is None:
+    head = stream.read(len(_NPY_MAGIC) + 2)
+    head += stream.read(int.from_bytes(head[len(_NPY_MAGIC) :], "little"))
+    said = _NPY_HEADER.fullmatch(head[len(_NPY_MAGIC) + 2 :])
+    if not head.startswith(_NPY_MAGIC) or said is None:
         raise ValueError(f"array '{name}' has no header of one type and one shape")
     order, kind, bytes_each, fortran, sizes = (part.decode() for part in said.groups())
     texts = kind == "U" and one.keys() == {"name"}  # Labels of older sweeps.
-    if int(bytes_each) not in KINDS.get(kind, ()) and not (texts and 0 < int(bytes_each) < size):
+    if int(bytes_each) not in DTYPE_ITEMSIZES.get(kind, ()) and not (texts and 0 < int(bytes_each) < size):
         raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}; files hold numbers and booleans")
     if order != ("|" if (kind, bytes_each) in (("b", "1"), ("i", "1"), ("u", "1")) else "<"):
         raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}, in another byte order; expected <")
     if fortran == "True":
         raise ValueError(f"array '{name}' is in Fortran order; expected C order")
     dtype, shape = np.dtype(f"{order}{kind}{bytes_each}"), tuple(int(one) for one in sizes.replace(",", " ").split())
-    if len(shape) > _MOST_AXES or prod(max(one, 1) for one in shape) * dtype.itemsize >= 1 << 62:
+    if len(shape) > _MAX_AXES or prod(max(one, 1) for one in shape) * dtype.itemsize >= 1 << 62:
         raise ValueError(f"array '{name}' has shape {shape}")
     if prod(shape) * dtype.itemsize != size - len(head):
         raise ValueError(f"array '{name}' of type {dtype} and shape {shape} has {size - len(head)} bytes")
@@ -383,6 +387,6 @@ def _stored(path: Path, stream: IO[bytes], one: dict[str, Any], begin: int, size
     if digests is not None:
         if (one["type"], one["shape"]) != (dtype.str, list(shape)):
             raise ValueError(f"array '{name}' is of type {dtype.str} and shape {shape}, not {one['type']} and {one['shape']}")
-        if len(digests) != -(-(size - len(head)) // CHUNK):
+        if len(digests) != -(-(size - len(head)) // DIGEST_CHUNK_BYTES):
             raise ValueError(f"array '{name}' has {len(digests)} digests")
-    return Stored(path, name, dtype, shape, begin + len(head), digests, (zlib.crc32(head), crc))
+    return ArchivedArray(path, name, dtype, shape, begin + len(head), digests, (zlib.crc32(head), crc))

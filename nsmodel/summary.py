@@ -13,27 +13,27 @@ from nsmodel.columns import model_type, multiplier_names, state_names, units_of
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
-_WIDTH = 100
-_LABEL = 18  # The column of labels.
-_STATES_SHOWN = 8
-_ARCH_SHOWN = 8
-_SPANS_SHOWN = 4
-FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change again.
+_SUMMARY_TABLE_WIDTH = 100
+_LABEL_WIDTH = 18  # The column of labels.
+_MAX_STATES = 8
+_MAX_ARCH_BODIES = 8
+_MAX_SPANS = 4
+STANDSTILL_REASONS = {  # How a run of many bodies knows that nothing will ever change again.
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
 }
-CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step", "estimate")
-PIECES = ("rtol", "order", "pieces", "collocated", "events", "worst_estimate", "worst_estimate_t")
+ERROR_CONTROL_KEYS = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step", "estimate")
+EVENT_DRIVEN_KEYS = ("rtol", "order", "pieces", "collocated", "events", "worst_estimate", "worst_estimate_t")
 
 
-def summary(run: Trajectory) -> dict[str, Any]:
+def run_summary(run: Trajectory) -> dict[str, Any]:
     """The numbers of a run; those of all steps come from metadata["totals"] where it is, since rows may be a sample."""
     arrays, about, units = run.arrays, run.metadata, units_of(run)
     totals = about.get("totals") or {}
     steps = arrays.get("step", np.diff(run.t, prepend=np.nan))
     computed = np.flatnonzero(np.isfinite(steps))
     energy = arrays.get("energy", np.zeros(0))
-    energy = _finite(energy) if energy.ndim == 1 else np.zeros(0)
+    energy = _finite_entries(energy) if energy.ndim == 1 else np.zeros(0)
     return {
         "title": run.title,
         "model_class": about.get("model_class"),
@@ -44,16 +44,16 @@ def summary(run: Trajectory) -> dict[str, Any]:
         "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
-        "error_control": {key: totals[key] for key in CONTROL} if totals.keys() >= {*CONTROL} else None,
-        "event_driven": {key: totals[key] for key in PIECES} if totals.keys() >= {*PIECES} else None,
+        "error_control": {key: totals[key] for key in ERROR_CONTROL_KEYS} if totals.keys() >= {*ERROR_CONTROL_KEYS} else None,
+        "event_driven": {key: totals[key] for key in EVENT_DRIVEN_KEYS} if totals.keys() >= {*EVENT_DRIVEN_KEYS} else None,
         "stretches": list(totals.get("stretches", [])),
         "certificate": about.get("certificate"),
-        "residual": _worst(run, totals, computed),
-        "index_set_changes": _changes(run, totals, computed),
+        "residual": _worst_residual(run, totals, computed),
+        "index_set_changes": _index_set_changes(run, totals, computed),
         "solver_counts": dict(about.get("solver_counts") or {}),
-        "newton": _newton(run, totals, computed),
+        "newton": _newton_iterations(run, totals, computed),
         **_smallest_gap(run),
-        "bodies": _bodies(run, totals),
+        "bodies": _bodies_summary(run, totals),
         "largest_error": totals.get("largest_error"),
         "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.size else None,
         "convergence": about.get("convergence"),
@@ -67,7 +67,7 @@ def summary(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def _worst(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+def _worst_residual(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
     """The largest residual, its time and saved row; None where no step was computed."""
     if not computed.size or "residual" not in run.arrays:
         return None
@@ -81,7 +81,7 @@ def _worst(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dic
     return {"worst": float(residual.max()), "t": float(run.t[row]), "row": row}
 
 
-def _changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> int | None:
+def _index_set_changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> int | None:
     codes = run.arrays.get("index_set", np.zeros((0, 0)))
     if "contact_row" in run.arrays:
         return totals.get("index_set_changes")
@@ -91,7 +91,7 @@ def _changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> i
     return totals.get("index_set_changes", int((codes[1:] != codes[:-1]).any(axis=1).sum()))
 
 
-def _newton(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+def _newton_iterations(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
     if "newton" not in run.arrays or not computed.size:
         return None
     counts = sum((run.metadata.get("solver_counts") or {}).values())
@@ -112,7 +112,7 @@ def _smallest_gap(run: Trajectory) -> dict[str, Any]:
     return {"gap_min": float(gap[row, column]), "gap_min_name": name, "gap_min_t": float(run.t[row])}
 
 
-def _bodies(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
+def _bodies_summary(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
     """Many bodies in short: who is there, what touches at the end, the least gap and the largest pressure of all steps."""
     if "contact_row" not in run.arrays or "bodies" not in run.metadata:
         return None
@@ -123,54 +123,58 @@ def _bodies(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
     return {**run.metadata["bodies"], **found}
 
 
-def _finite(array: np.ndarray) -> np.ndarray:
+def _finite_entries(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
 
-def lines(summary: dict[str, Any]) -> dict[str, list[str]]:
+def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
     """What `summary` returned in words: {label: lines}."""
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
     unit = f" {t['unit']}" if t["unit"] else ""
     counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
     # Adding 0 turns -0 into 0.
-    shown = [(one["name"], f"{one['value'] + 0.0: .6g} {one['unit']}") for one in s["final_state"]]
-    if len(shown) > _STATES_SHOWN:
-        shown = [*shown[: _STATES_SHOWN - 2], (f"... {len(shown) - _STATES_SHOWN + 1} more", ""), shown[-1]]
+    final_states = [(one["name"], f"{one['value'] + 0.0: .6g} {one['unit']}") for one in s["final_state"]]
+    if len(final_states) > _MAX_STATES:
+        final_states = [
+            *final_states[: _MAX_STATES - 2],
+            (f"... {len(final_states) - _MAX_STATES + 1} more", ""),
+            final_states[-1],
+        ]
     sample = "" if s["save_every"] == 1 else f" (1 row saved of {s['save_every']})"
     found: dict[str, str | list[str] | None] = {
         "model class": s["model_class"],
         "scheme": s["scheme"] and str(s["scheme"]),
         "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
         "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
-        "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
-        "error control": s["error_control"] and _control(**s["error_control"]),
-        "event-driven": s["event_driven"] and _event_driven(**s["event_driven"], unit=unit),
-        "time steps": _stretches(s.get("stretches", []), unit),
-        "certificate": s["certificate"] and _certificate(s["certificate"], unit),
-        "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
+        "step size": s["step"] and _step_range_text(s["step"]["min"], s["step"]["max"], unit),
+        "error control": s["error_control"] and _error_control_text(**s["error_control"]),
+        "event-driven": s["event_driven"] and _event_driven_text(**s["event_driven"], unit=unit),
+        "time steps": _fallback_text(s.get("stretches", []), unit),
+        "certificate": s["certificate"] and _proof_lines(s["certificate"], unit),
+        "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_format_time(s['residual']['t'], unit)}",
         "contacts" if s["bodies"] else "index set": (
             None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}"
         ),
-        "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
-        "newton": s["newton"] and _iterations(s["newton"]["mean"], s["newton"]["max"]),
-        "smallest gap": _gap(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
+        "solver calls": _align_pairs([(name, f"{int(count):>8d}") for name, count in counts]),
+        "newton": s["newton"] and _newton_text(s["newton"]["mean"], s["newton"]["max"]),
+        "smallest gap": _gap_text(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
         **_bodies_lines(s["bodies"], unit),
         "largest error": None if s["largest_error"] is None else f"{s['largest_error']:.3g} from the exact state",
         "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
-        "convergence": s["convergence"] and _convergence(s["convergence"], unit),
-        "final state": _aligned(shown),
+        "convergence": s["convergence"] and _convergence_lines(s["convergence"], unit),
+        "final state": _align_pairs(final_states),
         "warnings": s["warnings"],
     }
-    return {label: [words] if isinstance(words, str) else words for label, words in found.items() if words}
+    return {label: [entries] if isinstance(entries, str) else entries for label, entries in found.items() if entries}
 
 
-def text(summary: dict[str, Any]) -> str:
+def summary_text(summary: dict[str, Any]) -> str:
     """What `summary` returned as a table of at most 100 columns."""
-    table = textwrap.wrap(summary["title"], _WIDTH)
-    for label, texts in lines(summary).items():
+    table = textwrap.wrap(summary["title"], _SUMMARY_TABLE_WIDTH)
+    for label, texts in summary_lines(summary).items():
         for i, line in enumerate(texts):
-            first, rest = f"  {label if i == 0 else '':{_LABEL - 2}}", " " * (_LABEL + 2)
-            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
+            first, rest = f"  {label if i == 0 else '':{_LABEL_WIDTH - 2}}", " " * (_LABEL_WIDTH + 2)
+            table += textwrap.wrap(line, _SUMMARY_TABLE_WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
 
 
@@ -187,31 +191,31 @@ def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | l
     if b.get("empty_at") is not None:
         lines["end"] = f"empty at t = {b['empty_at']:.6g}{unit}"
     if b.get("standstill"):
-        lines["standstill"] = _standstill(b["standstill"], unit)
+        lines["standstill"] = _standstill_lines(b["standstill"], unit)
     if gap is not None and np.isfinite(gap):
-        lines["least gap"] = f"{gap:.6g}{_at(b['least_gap_t'], unit)}"
+        lines["least gap"] = f"{gap:.6g}{_format_time(b['least_gap_t'], unit)}"
     if b["largest_pressure_t"] is not None:
-        at = _at(b["largest_pressure_t"], unit)
+        at = _format_time(b["largest_pressure_t"], unit)
         lines["pressure"] = f"at most {b['largest_pressure']:.6g}, on body {b['largest_pressure_body']}{at}"
     return lines
 
 
-def _standstill(found: dict[str, Any], unit: str) -> list[str]:
+def _standstill_lines(found: dict[str, Any], unit: str) -> list[str]:
     """Since when nobody has moved, whether for good, and who holds whom."""
-    end = FOR_GOOD.get(found["for_good"], "nobody has moved by more than rounding since")
+    end = STANDSTILL_REASONS.get(found["for_good"], "nobody has moved by more than rounding since")
     lines = [f"from t = {found['since']:.6g}{unit} on, {found['bodies']} bodies: {end}"]
     for arch in found["arches"]:
         places = [f"{body} at ({', '.join(f'{v:.4g}' for v in at)})" for body, at in zip(arch["bodies"], arch["at"], strict=True)]
-        more = [f"{len(places) - _ARCH_SHOWN} more"] if len(places) > _ARCH_SHOWN else []
+        more = [f"{len(places) - _MAX_ARCH_BODIES} more"] if len(places) > _MAX_ARCH_BODIES else []
         where = "" if arch["exit"] is None else f"before exit '{arch['exit']}' "
         ends = " and ".join(f"'{name}'" for name in arch["ends"])
         lines.append(
-            f"{where}{arch['pressed']} bodies stand behind {', '.join(places[:_ARCH_SHOWN] + more)}; ends: {ends or 'none'}"
+            f"{where}{arch['pressed']} bodies stand behind {', '.join(places[:_MAX_ARCH_BODIES] + more)}; ends: {ends or 'none'}"
         )
     return lines
 
 
-def _control(
+def _error_control_text(
     rtol: float | None, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float,
     estimate: float | None,
 ) -> str:  # fmt: skip
@@ -221,7 +225,7 @@ def _control(
     return head + errors + tail
 
 
-def _event_driven(
+def _event_driven_text(
     rtol: float, order: int, pieces: int, collocated: int, events: int, worst_estimate: float, worst_estimate_t: float | None,
     unit: str,
 ) -> str:  # fmt: skip
@@ -230,21 +234,21 @@ def _event_driven(
     return (
         f"rtol {rtol:g}: {pieces} pieces of order {order}{stiff}, {switches}; local error estimated, at most "
         f"{worst_estimate:.2g} of rtol"
-        f"{_at(worst_estimate_t, unit)}"
+        f"{_format_time(worst_estimate_t, unit)}"
     )
 
 
-def _stretches(stretches: list[dict[str, Any]], unit: str) -> str | None:
+def _fallback_text(intervals: list[dict[str, Any]], unit: str) -> str | None:
     """Where steps went on in place of pieces, and what they err by."""
-    if not stretches:
+    if not intervals:
         return None
-    steps, error = (sum(one[key] for one in stretches) for key in ("steps", "estimate"))
-    spans = ", ".join(f"{one['start']:.6g} to {one['until']:.6g}" for one in stretches[:_SPANS_SHOWN])
-    more = f" and {len(stretches) - _SPANS_SHOWN} more" if len(stretches) > _SPANS_SHOWN else ""
+    steps, error = (sum(one[key] for one in intervals) for key in ("steps", "estimate"))
+    spans = ", ".join(f"{one['start']:.6g} to {one['until']:.6g}" for one in intervals[:_MAX_SPANS])
+    more = f" and {len(intervals) - _MAX_SPANS} more" if len(intervals) > _MAX_SPANS else ""
     return f"{steps} where no piece went on, t = {spans}{unit}{more}; errors estimated, in all {error:.2g} of rtol"
 
 
-def _certificate(about: dict[str, Any], unit: str) -> list[str]:
+def _proof_lines(about: dict[str, Any], unit: str) -> list[str]:
     """What interval arithmetic proves of the pieces, and what it does not."""
     verdict = "proved" if about["proved"] == about["pieces"] else "not proved"
     first = (
@@ -260,31 +264,31 @@ def _certificate(about: dict[str, Any], unit: str) -> list[str]:
     return [first, why, *(f"not proved: {one}" for one in about["failures"]), *([f"and {more} more"] if more else [])]
 
 
-def _at(t: float | None, unit: str) -> str:
+def _format_time(t: float | None, unit: str) -> str:
     return "" if t is None else f" at t = {t:.6g}{unit}"
 
 
-def _gap(value: float | None, name: str, t: float, unit: str) -> str | None:
-    return None if value is None else f"{value:.6g} of '{name}'{_at(t, unit)}"
+def _gap_text(value: float | None, name: str, t: float, unit: str) -> str | None:
+    return None if value is None else f"{value:.6g} of '{name}'{_format_time(t, unit)}"
 
 
-def _iterations(mean: float, most: int) -> str:
+def _newton_text(mean: float, most: int) -> str:
     if mean == most:
         return f"{most} iteration{'s' if most > 1 else ''} at every step"
     return f"{mean:.3g} iterations a step, at most {most}"
 
 
-def _aligned(pairs: Sequence[tuple[str, str]]) -> list[str]:
+def _align_pairs(pairs: Sequence[tuple[str, str]]) -> list[str]:
     width = min(max((len(name) for name, _ in pairs), default=0), 40)
     return [f"{name:{width}}  {value}".rstrip() for name, value in pairs]
 
 
-def _range(low: float, high: float, unit: str) -> str:
+def _step_range_text(low: float, high: float, unit: str) -> str:
     same = high - low <= 1e-9 * abs(high)
     return f"{high:.6g}{unit}" if same else f"{low:.6g} to {high:.6g}{unit}"
 
 
-def _convergence(found: dict[str, Any], unit: str) -> list[str]:
+def _convergence_lines(found: dict[str, Any], unit: str) -> list[str]:
     head = "not shown to be finite"
     if found.get("finite"):
         head = f"in finite time: at rest from t = {found['t_0']:.6g}{unit} on, step {found['n_0']}"

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from nsmodel import columns, dense, summary, windows
-from nsmodel.archive import LIST, write_npz
+from nsmodel.archive import LIST_PREFIXES, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
-from nsmodel.fields import RUN, refuse_other_types
-from nsmodel.notebook import shown_by
-from nsmodel.quantities import evaluated, of_outputs
+from nsmodel.fields import RUN_FIELDS, check_field_types
+from nsmodel.notebook import html_repr
+from nsmodel.quantities import expression_at_rows, resampled_outputs
 from nsmodel.storage import write_csv
 from nsmodel.stored import read_archive
-from nsmodel.words import shown
+from nsmodel.words import escape_invisible
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -40,42 +40,42 @@ class Trajectory:
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]
 
-    _repr_html_ = shown_by("run")
+    _repr_html_ = html_repr("run")
 
     @property
     def t(self) -> np.ndarray:
         """Times (N+1,)."""
-        return self._array("t")
+        return self._get_array("t")
 
     @property
     def x(self) -> np.ndarray:
         """States (N+1, n)."""
-        return self._array("x")
+        return self._get_array("x")
 
     @property
     def multipliers(self) -> np.ndarray:
         """Multipliers l (N+1, m)."""
-        return self._array("multipliers")
+        return self._get_array("multipliers")
 
     @property
     def y(self) -> np.ndarray:
         """Outputs y of the law (N+1, m)."""
-        return self._array("y")
+        return self._get_array("y")
 
     @property
     def index_set(self) -> np.ndarray:
         """Codes (N+1, m') int8: 0 where y_i = 0, -1 and +1 where l_i is at its lower and upper end, -2 at the start."""
-        return self._array("index_set")
+        return self._get_array("index_set")
 
     @property
     def residual(self) -> np.ndarray:
         """Residual of each step without unit (N+1,); inf where it is unknown."""
-        return self._array("residual")
+        return self._get_array("residual")
 
     @property
     def step(self) -> np.ndarray:
         """Length of the step that ended at each row (N+1,)."""
-        return self._array("step")
+        return self._get_array("step")
 
     @property
     def inputs(self) -> np.ndarray:
@@ -83,7 +83,7 @@ class Trajectory:
 
         ``inputs_begin`` are those at its begin, just after the row before. Each is also found under its own name.
         """
-        return self._array("inputs")
+        return self._get_array("inputs")
 
     @property
     def newton(self) -> np.ndarray:
@@ -148,12 +148,12 @@ class Trajectory:
         Raises:
             UsageError: a time that is no number or outside the run.
         """
-        times = dense.times_of(t)
+        times = dense.as_times(t)
         outside = times[~((times >= self.t[0]) & (times <= self.t[-1]))]
         if outside.size:
             raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
         whole = self.is_event_driven and len(self.arrays["piece_start"]) > 0
-        return dense.at(self.arrays, times) if whole else dense.between(self.arrays, times)
+        return dense.evaluate_pieces(self.arrays, times) if whole else dense.interpolate_rows(self.arrays, times)
 
     def evaluate(self, given: Any, units: Mapping[str, str] | None = None) -> Any:
         """Return the values of an expression at the rows, (N+1,) or (N+1, k); or the run with further columns.
@@ -168,7 +168,7 @@ class Trajectory:
         Raises:
             UsageError: a symbol that the run does not have, a name that it has already, a matrix.
         """
-        return evaluated(self, given, units)
+        return expression_at_rows(self, given, units)
 
     def integral(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
         """Return the integral of a quantity from t0 to t1, a number or (k,); left out they are the ends of the run.
@@ -185,15 +185,15 @@ class Trajectory:
             UsageError: a window outside the run, a name that the run does not have; of an event-driven run a quantity that is
                 known at its rows alone, or a multiplier that has an impulse in the window.
         """
-        return windows.integral(windows.sums(self, what, t0, t1))
+        return windows.weighted_integral(windows.window_samples(self, what, t0, t1))
 
     def mean(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
         """Return the mean of ``what``, a quantity, from t0 to t1: its ``integral`` over the length."""
-        return windows.mean(windows.sums(self, what, t0, t1))
+        return windows.weighted_mean(windows.window_samples(self, what, t0, t1))
 
     def rms(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
         """Return the root of the mean of the square of ``what``, a quantity, from t0 to t1; see ``integral``."""
-        return windows.rms(windows.sums(self, what, t0, t1))
+        return windows.weighted_rms(windows.window_samples(self, what, t0, t1))
 
     def spectrum(self, what: Any, t0: float | None = None, t1: float | None = None, *, harmonics: int = 50) -> windows.Spectrum:
         """Return Fourier coefficients of ``what`` from t0 to t1: ``frequency`` (K+1,), ``coefficient`` (K+1,) or (K+1, k).
@@ -211,15 +211,15 @@ class Trajectory:
         """
         if "piece_x" not in self.arrays or not len(self.arrays["piece_start"]):
             return self
-        drawn = replace(self, arrays=dense.drawn(self.arrays, points, *windows.window(self, t0, t1)))
-        return replace(drawn, arrays=drawn.arrays | of_outputs(drawn, self.arrays))
+        drawn = replace(self, arrays=dense.sample_pieces(self.arrays, points, *windows.check_window(self, t0, t1)))
+        return replace(drawn, arrays=drawn.arrays | resampled_outputs(drawn, self.arrays))
 
     @property
     def events(self) -> tuple[dense.Event, ...]:
         """The switches of an event-driven run, in order; UsageError for a run by time stepping, which has none but its rows'."""
         if not self.is_event_driven:
             raise UsageError("events are found by event-driven runs: give rtol; of time steps see run.index_set")
-        return dense.events(self.arrays)
+        return dense.find_mode_changes(self.arrays)
 
     def save(self, path: str | Path) -> None:
         """Write one npz file at ``path`` with all arrays and the metadata; StorageError where that fails."""
@@ -236,14 +236,14 @@ class Trajectory:
             StorageError: a missing, damaged or foreign file.
         """
         archive, arrays = read_archive(path)
-        refuse_other_types(archive.metadata, RUN, path)
-        _refuse_no_run(arrays, archive.metadata, path)
-        archive.warn(stacklevel=2)
+        check_field_types(archive.metadata, RUN_FIELDS, path)
+        _check_run_arrays(arrays, archive.metadata, path)
+        archive.warn_unverified(stacklevel=2)
         return cls(arrays, archive.metadata)
 
     def to_csv(self, path: str | Path) -> None:
         """Write to ``path`` t, states, ``multiplier:NAME``, ``y:NAME``, ``input:NAME``, residual, the other arrays but lists."""
-        write_csv(path, dict(columns.of_csv(self)))
+        write_csv(path, dict(columns.csv_columns(self)))
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` along ``time``: a variable a state, other arrays whole, metadata as attributes.
@@ -251,14 +251,14 @@ class Trajectory:
         Further dimensions are ``multiplier``, ``input`` and ``state`` with their names, and ``body``; units are attributes.
         MissingExtraError where xarray is not installed.
         """
-        return columns.dataset(self)
+        return columns.run_dataset(self)
 
     def to_pandas(self) -> Any:
         """Return the table of ``to_csv`` as a ``pandas.DataFrame``: a row a time, a column a quantity, units in its ``attrs``.
 
         MissingExtraError where pandas is not installed.
         """
-        return columns.frame(self)
+        return columns.run_frame(self)
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
@@ -287,19 +287,19 @@ class Trajectory:
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
-        return summary.summary(self)
+        return summary.run_summary(self)
 
     def summary_text(self, *, messages: bool = True) -> str:
         """Return the run in short as a table of at most 100 columns; ``messages=False`` leaves out warnings and errors."""
-        found = summary.summary(self)
-        return shown(summary.text(found if messages else found | {"warnings": [], "message": ""}))
+        found = summary.run_summary(self)
+        return escape_invisible(summary.summary_text(found if messages else found | {"warnings": [], "message": ""}))
 
-    def _array(self, name: str) -> np.ndarray:
+    def _get_array(self, name: str) -> np.ndarray:
         if name not in self.arrays:
-            raise AttributeError(f"this run has no '{name}'; it has {', '.join(self._found())}")
+            raise AttributeError(f"this run has no '{name}'; it has {', '.join(self._attribute_names())}")
         return self.arrays[name]
 
-    def _found(self) -> list[str]:
+    def _attribute_names(self) -> list[str]:
         stems, names = self.metadata.get("stems", ()), self.metadata.get("state_names", ())
         known = columns.multiplier_names(self) if "multipliers" in self.arrays else ()
         multipliers = [name.partition("[")[0] for i, name in enumerate(known) if name != f"l_{i}"]
@@ -319,13 +319,13 @@ class Trajectory:
         if name in (groups := self.metadata.get("input_groups", {})):
             at = [list(columns.input_names(self)).index(one) for one in groups[name]]
             return self.inputs[:, at[0]] if len(at) == 1 else self.inputs[:, at]
-        if name not in self.arrays and name in self._found():
+        if name not in self.arrays and name in self._attribute_names():
             return self.multiplier(name)
-        return self._array(name)
+        return self._get_array(name)
 
     def __dir__(self) -> list[str]:
         """List the states and arrays among the attributes."""
-        return sorted({*super().__dir__(), *self._found()})
+        return sorted({*super().__dir__(), *self._attribute_names()})
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -338,7 +338,7 @@ class Trajectory:
 
 
 # What the arrays of a run must be: {name: (kinds of number, axes)}.
-_ARRAYS = {
+_ARRAY_TYPES = {
     **dict.fromkeys(("t",), ("if", 1)),
     **dict.fromkeys(("x",), ("if", 2)),
     **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("if", 1)),
@@ -350,17 +350,17 @@ _ARRAYS = {
     **dict.fromkeys("index_set piece_codes".split(), ("i", 2)),
     **dict.fromkeys("piece_event piece_stepped piece_proved stepped".split(), ("b", 1)),
 }
-_KINDS = {"if": "numbers", "bif": "numbers", "f": "floating-point numbers", "i": "whole numbers", "b": "booleans"}
-_TOGETHER = {  # And which go with lists of each kind, see LIST.
+_KIND_NAMES = {"if": "numbers", "bif": "numbers", "f": "floating-point numbers", "i": "whole numbers", "b": "booleans"}
+_REQUIRED_TOGETHER = {  # And which go with lists of each kind, see LIST.
     "piece_": "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_impulse".split(),
     "contact_": ["contact_row", "pressure", "gap_min", *(f"contact_{name}" for name in Contacts._fields)],
 }
 
 
-def _refuse_no_run(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: str | Path) -> None:
+def _check_run_arrays(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: str | Path) -> None:
     """Raise StorageError for arrays that are not those of one run, of one number of rows."""
     needed = ["t", "x"]
-    for kind, names in _TOGETHER.items():
+    for kind, names in _REQUIRED_TOGETHER.items():
         needed += names if any(name.startswith(kind) for name in arrays) else []
     for name in needed:
         if name not in arrays:
@@ -370,11 +370,13 @@ def _refuse_no_run(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
         raise StorageError(f"{path}: array 't' is no list of finite times, one after the other: it is no trajectory")
     lengths = {"": len(t)}
     for name, array in arrays.items():
-        kind = next((start for start in LIST if name.startswith(start)), "")
-        length, (kinds, axes) = len(array) if array.ndim else -1, _ARRAYS.get(name, ("bif", max(array.ndim, 1)))
+        kind = next((start for start in LIST_PREFIXES if name.startswith(start)), "")
+        length, (kinds, axes) = len(array) if array.ndim else -1, _ARRAY_TYPES.get(name, ("bif", max(array.ndim, 1)))
         expected = lengths.setdefault(kind, length)
         if array.dtype.kind not in kinds:
-            raise StorageError(f"{path}: array '{name}' is of type {array.dtype}; expected {_KINDS[kinds]}: it is no trajectory")
+            raise StorageError(
+                f"{path}: array '{name}' is of type {array.dtype}; expected {_KIND_NAMES[kinds]}: it is no trajectory"
+            )
         if array.ndim != axes or length != expected:
             of = f"{axes} axes, the first of {expected} {'entries' if kind else 'rows'}"
             raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {of}: it is no trajectory")

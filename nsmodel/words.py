@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 # Control characters, ends of lines, marks of direction, characters of no width (but the joiners that scripts need).
-UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff]")
+INVISIBLE_CHARACTERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff]")
 
 
 def one_line(text: str) -> str:
@@ -16,18 +16,20 @@ def one_line(text: str) -> str:
     >>> one_line("a" + chr(27) + "[31m" + chr(0x202E) + "b")
     'a [31m b'
     """
-    return UNSEEN.sub(" ", text)
+    return INVISIBLE_CHARACTERS.sub(" ", text)
 
 
-def shown(text: str) -> str:
+def escape_invisible(text: str) -> str:
     r"""The text with an escape for each character that is not seen; lines and tabs stay.
 
-    >>> shown("a" + chr(27) + "[31m" + chr(0x202E) + "b")
+    >>> escape_invisible("a" + chr(27) + "[31m" + chr(0x202E) + "b")
     'a\\x1b[31m\\u202eb'
     """
-    return UNSEEN.sub(lambda match: match[0] if match[0] in "\n\t" else match[0].encode("unicode_escape").decode(), text)
+    return INVISIBLE_CHARACTERS.sub(
+        lambda match: match[0] if match[0] in "\n\t" else match[0].encode("unicode_escape").decode(), text
+    )
 
 
-def print_shown(*parts: Any, **options: Any) -> None:
+def print_escaped(*parts: Any, **options: Any) -> None:
     """``print``, of what may be shown."""
-    builtins.print(*(shown(str(part)) for part in parts), **options)
+    builtins.print(*(escape_invisible(str(part)) for part in parts), **options)

@@ -19,7 +19,7 @@ from nsmodel.codegen import cache, library, piece_runs
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED = REPOSITORY / ".." / "shared"
-QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS)
+QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.COMPILER_FLAGS)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # Workers inherit it: their threads would wait for each other's cores.
 CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 
@@ -112,8 +112,8 @@ def own_cache(tmp_path_factory):
     """Build compiled steps without optimisation, and keep them in a folder of one module's tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.setattr(cache, "FLAGS", QUICK)
-        patch.setattr(cache, "IN_LANES", QUICK)
+        patch.setattr(cache, "COMPILER_FLAGS", QUICK)
+        patch.setattr(cache, "LANES_FLAGS", QUICK)
         yield
 
 
@@ -121,7 +121,7 @@ def own_cache(tmp_path_factory):
 def nothing_built_before():
     """What other tests, or the user, have built decides nowhere whether a run is compiled."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cache, "is_kept", lambda key: False)
+        patch.setattr(cache, "has_cached_library", lambda key: False)
         yield
 
 
@@ -130,9 +130,9 @@ def quickly_built():
     """Where few random models are tried, what is compiled here is built in a third of the time, and computes the same."""
     with pytest.MonkeyPatch.context() as patch:
         if COUNT < FULL:
-            patch.setattr(cache, "FLAGS", QUICK)
-            patch.setattr(cache, "IN_LANES", QUICK)
-            patch.setattr(piece_runs, "FASTER", QUICK)
+            patch.setattr(cache, "COMPILER_FLAGS", QUICK)
+            patch.setattr(cache, "LANES_FLAGS", QUICK)
+            patch.setattr(piece_runs, "PIECE_FLAGS", QUICK)
             patch.setattr(library.compile_library, "__defaults__", (QUICK,))
         yield
 

@@ -146,7 +146,7 @@ def test_atol_alone_has_a_summary():
 @pytest.mark.parametrize("compiled", [False, True])
 def test_where_pieces_do_not_apply_steps_have_a_budget(monkeypatch, compiled):
     """A cone: the estimate tells what a run that had to end allowed itself; method="time-stepping" goes on in earnest."""
-    for of, constant, value in ((stretch, "STRICT", 200), (stretch, "TENFOLD", 100), (controlled, "CHUNK", 50)):
+    for of, constant, value in ((stretch, "STRICT", 200), (stretch, "TENFOLD", 100), (controlled, "LOOSENING_INTERVAL", 50)):
         monkeypatch.setattr(of, constant, value)
     one, f = np.eye(3), ca.vertcat(ca.sin(2 * T), 2 * ca.cos(3 * T), 1.5 * ca.sin(T))
     model = LureSystem(t=T, A=-one, B=one, C=one, f=f, law=second_order_cone(3), x0=[1, 0, 0], t_end=2)
@@ -158,7 +158,7 @@ def test_where_pieces_do_not_apply_steps_have_a_budget(monkeypatch, compiled):
     assert len(earnest) > 1000
     apart = max(np.abs(np.interp(run.t, earnest.t, earnest.x[:, i]) - run.x[:, i]).max() for i in range(3))
     assert apart <= 1e-6 * run.summary()["error_control"]["estimate"]
-    monkeypatch.setattr(controlled, "BUDGET", 220)
+    monkeypatch.setattr(controlled, "STEP_BUDGET", 220)
     with pytest.raises(StepError, match=r"220 steps were accepted.*time-stepping"):
         simulate_any(model, rtol=1e-6, compiled=compiled)
 
@@ -518,7 +518,7 @@ def test_a_step_size_that_comes_back_finds_its_own_matrices():
     grid = make_grid(model, None, [0.01, 0.3, 0.01, 0.01], None)
     state = np.array([1.0, 0.0])
     step = make_stepper(model, "auto", 1e-9, h=0.01, state=state)
-    rollout, warm = Rollout(model, grid, 1e-9), step.cold()
+    rollout, warm = Rollout(model, grid, 1e-9), step.cold_start()
     rows, index = np.empty((4, step.layout.width)), np.empty((4, 1), np.int8)
     first = rollout.advance(0, 2, state, warm, -np.inf, 1, rows, index)
     assert first.steps == 2

@@ -26,9 +26,9 @@ from nsmodel import (
 )
 from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.choose import SOLVERS
-from nsmodel.solve.qp import SOLVERS as QP_SOLVERS
-from nsmodel.solve.stepper import Warm
+from nsmodel.solve.choose import STEP_SOLVERS
+from nsmodel.solve.qp import QP_SOLVERS as QP_SOLVERS
+from nsmodel.solve.stepper import WarmStart
 
 FORCED = ("qpoases", "qrqp", "daqp", "ipopt", "lemke")
 
@@ -143,7 +143,7 @@ def test_a_solver_alone_agrees_with_the_chain(stem, solver, by_auto):
     assert set(run.metadata["solver_counts"]) <= {solver, "none needed"}
 
 
-@pytest.mark.parametrize("solver", [name for name in SOLVERS if name not in (*FORCED, "auto")])
+@pytest.mark.parametrize("solver", [name for name in STEP_SOLVERS if name not in (*FORCED, "auto")])
 @pytest.mark.parametrize("stem", ["diode_bridge", "crowd_room", "friction_chain", "inclusion_8_2", "moving_disc", "cabot_4_1"])
 def test_the_other_solvers_agree_or_stop(stem, solver, by_auto):
     """OSQP and its like end at 1e-3 to 1e-8: the polish makes them exact, or the step is refused."""
@@ -174,7 +174,7 @@ def test_solvers_that_apply_to_any_step_are_right_or_stop(stem, solver, by_auto)
 
 def test_curved_laws_refuse_solvers_for_boxes():
     model = LureSystem(A=-np.eye(3), B=np.eye(3), C=np.eye(3), law=second_order_cone(3), x0=[1, 0, 0], t_end=1, step=0.1)
-    for solver in set(SOLVERS) - {"auto", "ipopt", "semismooth"}:
+    for solver in set(STEP_SOLVERS) - {"auto", "ipopt", "semismooth"}:
         with pytest.raises(UsageError, match="balls, cones or ellipsoids"):
             simulate(model, solver=solver)
 
@@ -270,12 +270,12 @@ def test_a_step_depends_on_its_arguments_alone(name, model):
 
     used, rng, results = fresh(), np.random.default_rng(0), []
     sizes = 0.1 * 1.05 ** np.arange(-10, 10)
-    at, warm, t = state, used.cold(), 0.0
+    at, warm, t = state, used.cold_start(), 0.0
     for h in rng.permutation(sizes):
         before = [a.tobytes() for a in (at, warm.l, warm.index)]
         result = used(t, h, at, warm)
         assert before == [a.tobytes() for a in (at, warm.l, warm.index)]
-        results.append((t, h, at.copy(), Warm(warm.l.copy(), warm.index.copy()), result))
+        results.append((t, h, at.copy(), WarmStart(warm.l.copy(), warm.index.copy()), result))
         at, warm, t = result.row[used.layout.state].copy(), result.warm, t + h
     for i in rng.permutation(len(results)):
         t, h, at, warm, expected = results[i]
@@ -291,7 +291,7 @@ def test_results_do_not_change_when_the_next_step_is_taken(load_case):
     model = load_case("friction_oscillator_relay")
     problem = one_step_problem(model)
     stepper = Stepper(problem, "auto", 1e-9, h=0.1, state=np.array([12.0, 6.0]))
-    first = stepper(0.0, 0.1, np.array([12.0, 6.0]), stepper.cold())
+    first = stepper(0.0, 0.1, np.array([12.0, 6.0]), stepper.cold_start())
     before = first.row.tobytes(), first.warm.l.tobytes()
     stepper(0.1, 0.1, np.array([-3.0, 5.0]), first.warm)
     assert before == (first.row.tobytes(), first.warm.l.tobytes())
@@ -300,7 +300,7 @@ def test_results_do_not_change_when_the_next_step_is_taken(load_case):
 # ---------------------------------------------------------------------------------------------- nothing is printed
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", STEP_SOLVERS)
 def test_solvers_print_nothing(solver, load_case, capfd):
     for stem, stretch in (("diode_bridge", Stretch(1e-5, 30)), ("moving_disc", Stretch(0.02, 30))):
         forced(load_case(stem), stretch, solver)

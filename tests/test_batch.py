@@ -28,18 +28,18 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen import batch, cache, library
-from nsmodel.codegen.all_values import all_values
-from nsmodel.codegen.batch import Batch
-from nsmodel.codegen.rollout import MOST_LOADED
+from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen.batch import StepBatch
+from nsmodel.codegen.rollout import MAX_LOADED
 from nsmodel.codegen.statuses import STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
-from nsmodel.identity import FOR_ALL
-from nsmodel.run.in_c import IN_C, IN_C_FOR_ALL
-from nsmodel.scheme import initial_rows, one_step_problem, start_rows
+from nsmodel.identity import ALL_VALUES_SUFFIX
+from nsmodel.run.in_c import STEPS_IN_C, STEPS_IN_C_FOR_ALL
+from nsmodel.scheme import initial_rows, one_step_problem, symbolic_initial_rows
 from nsmodel.simulate import explain
-from nsmodel.solve.cost import fixed_pays
-from nsmodel.solve.structure import read
+from nsmodel.solve.cost import is_fixed_code_faster
+from nsmodel.solve.structure import read_step_structure
 
 pytestmark = [
     pytest.mark.usefixtures("own_cache"), pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
@@ -135,7 +135,7 @@ def grid_of(model, **options):
 
 
 def made(model, **options):
-    return Batch(model, grid_of(model, **options), 1e-9, in_lanes=False)
+    return StepBatch(model, grid_of(model, **options), 1e-9, in_lanes=False)
 
 
 def values_for(found, count=8):
@@ -170,7 +170,7 @@ def test_a_cell_is_the_interpreted_run(name):
             assert np.isnan(cells.arrays["x"][i]).all() or cells.steps[i] == 0
             continue
         assert cells.status[i] == OK, run
-        np.testing.assert_array_equal(found.rows_kept(every), run.t)
+        np.testing.assert_array_equal(found.kept_times(every), run.t)
         assert cells.steps[i] == run.metadata["totals"]["steps"] - model.tied_to_step
         assert 0 <= cells.worst_residual[i] <= 1e-9
         assert np.isnan(cells.failed_at[i])
@@ -204,7 +204,7 @@ def test_a_cell_is_the_same_to_the_bit_whatever_runs_beside_it(name, monkeypatch
     with ThreadPoolExecutor(4) as pool:
         for i, cells in enumerate(pool.map(lambda i: found.run(values[i : i + 3], kept), [0, 3, 6, 9] * 5)):
             equal(cells, whole, slice(3 * (i % 4), 3 * (i % 4) + 3))
-    monkeypatch.setattr(batch, "SECONDS", 0.0)  # each call into C is as short as it may be: cells are left and gone on with
+    monkeypatch.setattr(batch, "CALL_SECONDS", 0.0)  # each call into C is as short as it may be: cells are left and gone on with
     calls = []
     equal(found.run(values, kept, stop=lambda: calls.append(1)), whole)
     assert len(calls) > 12
@@ -218,7 +218,7 @@ def test_a_compiled_run_is_a_cell(name):
     cell = values_for(found)[5]
     run = simulate(model, t_end=0.5, parameters=dict(zip(found.names, cell, strict=True)), compiled=True)
     cells = found.run(cell[None], ["x", "multipliers", "y", "index_set", "residual"])
-    assert IN_C_FOR_ALL in run.metadata["used"]
+    assert STEPS_IN_C_FOR_ALL in run.metadata["used"]
     assert run.metadata["solver_counts"].keys().isdisjoint({"qpoases", "ipopt"})
     for column, array in cells.arrays.items():
         np.testing.assert_array_equal(array[0], run.arrays[column], err_msg=column)
@@ -231,7 +231,7 @@ def test_the_rows_before_a_step_are_those_of_a_bound_model(name):
     model = SCENES[name]()
     values = np.random.default_rng(0).uniform(0.3, 1.5, model.p.numel())
     h, bound = SYM("h"), model.bind(dict(zip(model.parameters, values, strict=True)))
-    for (own, more), (state, records) in zip(start_rows(model, h), initial_rows(bound, 0.02), strict=True):
+    for (own, more), (state, records) in zip(symbolic_initial_rows(model, h), initial_rows(bound, 0.02), strict=True):
         assert more.keys() == records.keys()
         found = ca.Function("rows", [model.p, h], [own, *more.values()]).call([values, 0.02])
         for got, want in zip(found, [state[: own.numel()], *records.values()], strict=True):
@@ -294,7 +294,7 @@ def test_a_step_without_an_answer_fails_its_cell_alone():
 
 
 def test_what_was_not_reached_says_so(monkeypatch):
-    monkeypatch.setattr(batch, "SECONDS", 0.0)
+    monkeypatch.setattr(batch, "CALL_SECONDS", 0.0)
     found, left = made(lure()), iter([False] * 1000 + [True] * 10**6)
     values = values_for(found, 200)
     cells = found.run(values, ["x"], stop=lambda: next(left))
@@ -313,8 +313,8 @@ def test_nothing_is_kept_but_what_is_asked_for():
     assert cells.arrays["x_0"].base.size == 24
     assert found.run(values_for(found), [], 3).arrays == {}
     assert found.run(np.zeros((0, 4)), ["x", "index_set"]).status.shape == (0,)
-    np.testing.assert_allclose(found.rows_kept(60), [0, 0.6, 1])
-    np.testing.assert_allclose(found.rows_kept(1000), [0, 1])
+    np.testing.assert_allclose(found.kept_times(60), [0, 0.6, 1])
+    np.testing.assert_allclose(found.kept_times(1000), [0, 1])
     for wrong in ({"keep": ["z"]}, {"keep": ["x"], "every": 0}):
         with pytest.raises(UsageError, match=r"'z' is no column|every = 0"):
             found.run(values_for(found), **wrong)
@@ -346,7 +346,9 @@ def test_nothing_is_read_off_the_defaults():
             A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], D=model.p[0], y=SYM("y"), phi=0, x0=[0, 0], t_end=1, step=0.02,
             parameters=dict(zip(ca.vertsplit(model.p), declared.values(), strict=True)),
         )  # fmt: skip
-        return cache._files(all_values(other, grid_of(other), 1e-9)), cache.key_for_all(other, grid_of(other), 1e-9, "cc")
+        return cache._spec_source_texts(spec_for_all_values(other, grid_of(other), 1e-9)), cache.steps_key_for_all(
+            other, grid_of(other), 1e-9, "cc"
+        )
 
     texts, keys = zip(*(text(value) for value in (None, 0.0, 1.0, -3.0)), strict=True)
     assert len(set(keys)) == 1
@@ -358,7 +360,7 @@ def test_the_order_of_parameters_is_part_of_the_key():
     keys = set()
     for order in ({a: 1.0, b: 2.0}, {b: 2.0, a: 1.0}):
         model = LureSystem(A=-a, B=b, C=1, law=relay(1), x0=[1], t_end=1, step=0.01, parameters=order)
-        keys.add(cache.key_for_all(model, grid_of(model), 1e-9, "cc"))
+        keys.add(cache.steps_key_for_all(model, grid_of(model), 1e-9, "cc"))
     assert len(keys) == 2
 
 
@@ -399,7 +401,7 @@ def test_a_problem_of_another_form_is_left_to_others():
     values = np.array([[0.5, 1], [0, 1], [-0.2, 1]])
     cells = made(model).run(values, ["x", "selection"])
     assert cells.status.tolist() == [OK, NOT_SOLVED, NOT_SOLVED]
-    for cell, used in zip(values, (IN_C_FOR_ALL, IN_C, IN_C), strict=True):
+    for cell, used in zip(values, (STEPS_IN_C_FOR_ALL, STEPS_IN_C, STEPS_IN_C), strict=True):
         run = simulate(model, parameters={"b": cell[0], "w": cell[1]}, compiled=True)
         assert used in run.metadata["used"]
         np.testing.assert_allclose(
@@ -424,43 +426,45 @@ def test_long_runs_have_code_of_their_numbers():
     model, given = lure(0.5, 1.0), {"a": 0.5, "w": 1.0}
     bound = model.bind(given)
     problem = one_step_problem(bound)
-    most = next(n for n in 2 ** np.arange(10, 40) if fixed_pays("kernel", read(problem), problem, int(n)))
+    most = next(
+        n for n in 2 ** np.arange(10, 40) if is_fixed_code_faster("kernel", read_step_structure(problem), problem, int(n))
+    )
     assert 10**5 < most < 10**8
     text = explain(model, parameters=given, compiled=True)
-    assert IN_C_FOR_ALL in text
+    assert STEPS_IN_C_FOR_ALL in text
     text = explain(model, parameters=given, t_end=float(most) * model.step, compiled=True)
-    assert IN_C in text
-    assert IN_C_FOR_ALL not in text
+    assert STEPS_IN_C in text
+    assert STEPS_IN_C_FOR_ALL not in text
 
 
 def test_a_run_is_resumed_as_it_began(tmp_path, monkeypatch):
     model, given = lure(), {"a": 0.4, "w": 1.0}
     whole = simulate(model, parameters=given, compiled=True, t_end=2)
     simulate(model, parameters=given, compiled=True, t_end=1, out=tmp_path / "run")
-    monkeypatch.setattr("nsmodel.run.schemes.fixed_pays", lambda *_: True)  # as if it were long now
+    monkeypatch.setattr("nsmodel.run.schemes.is_fixed_code_faster", lambda *_: True)  # as if it were long now
     resumed = simulate(model, parameters=given, compiled=True, t_end=2, out=tmp_path / "run", resume=True)
-    assert IN_C_FOR_ALL in resumed.metadata["used"]
+    assert STEPS_IN_C_FOR_ALL in resumed.metadata["used"]
     np.testing.assert_array_equal(resumed.x, whole.x)
-    assert FOR_ALL in made(model).way
+    assert ALL_VALUES_SUFFIX in made(model).way
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="no /proc")
 def test_libraries_do_not_pile_up(tmp_path, monkeypatch):
     """Of models that are all kept no more than some have their libraries loaded, and no more than some files stay."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("nsmodel.codegen.rollout.MOST_LOADED", 3)
-    monkeypatch.setattr(cache, "MOST", 4)
+    monkeypatch.setattr("nsmodel.codegen.rollout.MAX_LOADED", 3)
+    monkeypatch.setattr(cache, "MAX_LIBRARIES", 4)
     models = [LureSystem(A=-1 - k, B=1, C=1, law=relay(1), x0=[1], t_end=0.1, step=0.01) for k in range(6)]
     runs = [simulate(model, compiled=True) for model in models]
     gc.collect()
     with open("/proc/self/maps", encoding="utf-8") as lines:
         loaded = {line.split()[-1] for line in lines if str(tmp_path) in line}
-    assert 0 < len(loaded) <= 3 < MOST_LOADED
+    assert 0 < len(loaded) <= 3 < MAX_LOADED
     assert len(list((tmp_path / "nsmodel").glob("*.so"))) <= 4 + 3
     np.testing.assert_array_equal(simulate(models[0], compiled=True).x, runs[0].x)
 
 
 def test_runs_do_not_contract_sums():
     """A fused product and sum has other bits, and processors differ in whether they have it."""
-    assert "-ffp-contract=off" in library.FLAGS
+    assert "-ffp-contract=off" in library.COMPILER_FLAGS
     assert "-ffp-contract=off" in QUICK

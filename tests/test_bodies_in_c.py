@@ -16,12 +16,12 @@ from test_many_bodies import discs, misfit, scattered
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
-from nsmodel.codegen.bodies_step import CompiledStep
+from nsmodel.codegen.bodies_step import CompiledBodiesStep
 from nsmodel.codegen.library import compiler
 from nsmodel.codegen.statuses import NO_ROOM, STATUSES
 from nsmodel.crowd import Noise
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.solve.many_bodies import COLD, BodiesStepper
+from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepper
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
@@ -29,8 +29,8 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 def steps(model, count, *, step=None):
     """``count`` compiled steps from the start: (q, the step's answer) each."""
     bound = model.bind()
-    step = CompiledStep(bound, 1e-9) if step is None else step
-    q, warm = bound.bodies.q0, COLD
+    step = CompiledBodiesStep(bound, 1e-9) if step is None else step
+    q, warm = bound.bodies.q0, COLD_BODIES_START
     for k in range(count):
         found = step(k * model.step, model.step, q, warm, k)
         yield q, found
@@ -73,7 +73,7 @@ def test_a_step_agrees_with_the_interpreted_one_and_repeats():
     model = scattered(80, 3, step=0.05)
     interpreted = BodiesStepper(BodiesProblem(model.bind()), "auto", 1e-9)
     for k, (q, found) in enumerate(steps(model, 15)):
-        other = interpreted(k * model.step, model.step, q, COLD, k)
+        other = interpreted(k * model.step, model.step, q, COLD_BODIES_START, k)
         assert found.q == pytest.approx(other.q, abs=1e-11)
         assert found.gap_min == pytest.approx(other.gap_min, abs=1e-11)
         assert found.residual < 1e-11
@@ -150,7 +150,7 @@ def test_a_row_beyond_the_first_cut_off_is_not_missed():
         constraints=dict(model.constraints) | {"piston": Family(model.constraints["pair"].first.q[0] - 26 * t,
                                                                 model.constraints["pair"].first)},
     )  # fmt: skip
-    step = CompiledStep(moving.bind(), 1e-9)
+    step = CompiledBodiesStep(moving.bind(), 1e-9)
     found = step(0.0, 0.1, moving.bodies.q0)
     assert step.report.repeats > 0  # nothing wants to move: the first look sees the piston alone
     assert found.q == pytest.approx(np.array([[2.6, 0], [3.6, 0], [4.6, 0]]), abs=1e-12)
@@ -164,7 +164,7 @@ def test_a_step_that_has_no_answer_is_refused():
         bodies=squeezed.bodies, t=t, t_end=1, step=0.1,
         constraints={"left": Family(i.q[0] - t - i.r, i), "right": Family(0.9 - i.q[0] - i.r, i)},
     )  # fmt: skip
-    step = CompiledStep(closing.bind(), 1e-9)
+    step = CompiledBodiesStep(closing.bind(), 1e-9)
     q = closing.bodies.q0
     assert step(0.0, 0.1, q).q == pytest.approx(np.array([[0.5, 0]]))
     with pytest.raises(StepError):
@@ -172,7 +172,7 @@ def test_a_step_that_has_no_answer_is_refused():
     assert np.isnan(step(0.0, 0.1, q * np.nan).q).all()  # nobody is there
     points = discs([(0.0, 0), (1, 0), (1, 0)], [1.0, 1.0, 1.0], step=0.1)  # two in one place: no gradient
     with pytest.raises(StepError):
-        CompiledStep(points.bind(), 1e-9)(0.0, 0.1, points.bodies.q0)
+        CompiledBodiesStep(points.bind(), 1e-9)(0.0, 0.1, points.bodies.q0)
 
 
 def test_chains_of_given_pairs_and_hyperstatic_lattices():
@@ -185,7 +185,7 @@ def test_chains_of_given_pairs_and_hyperstatic_lattices():
     )  # fmt: skip
     interpreted = BodiesStepper(BodiesProblem(chain.bind()), "auto", 1e-9)
     for k, (q, found) in enumerate(steps(chain, 10)):
-        assert found.q == pytest.approx(interpreted(0.1 * k, 0.1, q, COLD, k).q, abs=1e-10)
+        assert found.q == pytest.approx(interpreted(0.1 * k, 0.1, q, COLD_BODIES_START, k).q, abs=1e-10)
     k = np.arange(100)
     places = np.column_stack([k % 10 + 0.5 * (k // 10 % 2), k // 10 * np.sqrt(3) / 2])  # touching, more contacts than unknowns
     packed = discs(places, np.full(100, 0.5 - 1e-12), lambda t, q: [5, 4] - q, step=0.01)
@@ -195,7 +195,7 @@ def test_chains_of_given_pairs_and_hyperstatic_lattices():
 
 def test_memory_grows_as_needed():
     model = scattered(60, 0, step=0.05)
-    step = CompiledStep(model.bind(), 1e-9)
+    step = CompiledBodiesStep(model.bind(), 1e-9)
     step._memory = np.empty(64, np.uint8)
     small = [found.q for _, found in steps(model, 8, step=step)]
     assert all((a == b.q).all() for a, (_, b) in zip(small, steps(model, 8), strict=True))

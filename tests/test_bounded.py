@@ -11,10 +11,10 @@ import pytest
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, StepError, SweepingProcess, relay, signal, simulate
 from nsmodel.codegen import library
-from nsmodel.pieces.cover import largest_share
-from nsmodel.pieces.discs import Ball, Form, OnDisc
-from nsmodel.pieces.expansion import Expansion
-from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.cover import max_error_ratio
+from nsmodel.pieces.discs import DiscBall, DiscEvaluator, TaylorForm
+from nsmodel.pieces.expansion import TaylorExpansion
+from nsmodel.pieces.jets import taylor_decompose
 from tests.search import hidden
 
 t, x, l, s, q = (ca.SX.sym(name) for name in "txlsq")
@@ -55,12 +55,12 @@ def test_no_value_on_a_disc_is_outside_the_bound(name):
     """Random points of random discs, in 15 digits beyond doubles; most discs that hold no singularity have a finite bound."""
     expression, exact = FUNCTIONS[name]
     rng, degree, finite = random.Random(name), 8, 0
-    jets = jets_of(expression, [t], "f")
-    on = OnDisc(jets, [1.0] * len(jets.branches))
+    jets = taylor_decompose(expression, [t], "f")
+    on = DiscEvaluator(jets, [1.0] * len(jets.branches))
     for _ in range(40):
         centre, radius = rng.uniform(-0.8, 0.8), 10 ** rng.uniform(-3, -0.2)
-        (ball,), _ = on({(0, 0): Ball(centre, radius)})
-        (form,), _ = on({(0, 0): Form(np.array([centre, radius, *[0.0] * (degree - 1)]))})
+        (ball,), _ = on({(0, 0): DiscBall(centre, radius)})
+        (form,), _ = on({(0, 0): TaylorForm(np.array([centre, radius, *[0.0] * (degree - 1)]))})
         finite += ball.r < math.inf and form.r < math.inf
         for _ in range(10):
             w = math.sqrt(rng.random()) * cmath.exp(2j * math.pi * rng.random())
@@ -72,9 +72,9 @@ def test_no_value_on_a_disc_is_outside_the_bound(name):
 
 def test_balls_of_exp_do_not_overflow_where_its_values_do_not():
     """exp(-1e16 +- 1e15) is 0, and exp(-800 +- 750) is at most exp(-50)."""
-    jets = jets_of(ca.exp(t), [t], "f")
+    jets = taylor_decompose(ca.exp(t), [t], "f")
     for centre, radius in ((-1e16, 1e15), (-800.0, 750.0)):
-        (ball,), _ = OnDisc(jets, [])({(0, 0): Ball(centre, radius)})
+        (ball,), _ = DiscEvaluator(jets, [])({(0, 0): DiscBall(centre, radius)})
         assert math.exp(centre + radius) <= ball.r <= 1.001 * math.exp(centre + radius)
 
 
@@ -221,9 +221,9 @@ def test_the_cut_of_atan2_is_a_switch(compiled):
 def test_atan2_on_all_sides():
     """Order 0 and the first derivative, in each quadrant and on the axes."""
     of_b = ca.SX.sym("b")
-    jets = jets_of(ca.atan2(t, of_b), [t, of_b], "f")
+    jets = taylor_decompose(ca.atan2(t, of_b), [t, of_b], "f")
     for a, b in [(1, 2), (1, -2), (-1, 2), (-1, -2), (0, 1), (0, -1), (1, 0), (-1, 0), (1e-300, 1), (-1e-300, -1)]:
-        expansion = Expansion(jets, 2)
+        expansion = TaylorExpansion(jets, 2)
         for (which, _), row in jets.inputs.items():
             expansion.rows[row][:2] = [(a, b)[which], (1.0, 0.0)[which]]
         expansion.compute(0)
@@ -337,5 +337,5 @@ def test_a_run_of_each_kind_that_hides_something_is_not_silently_wrong(kind):
 
 def test_what_is_no_number_is_no_small_error():
     """A NaN among errors that are rounding."""
-    assert largest_share(np.array([-1.0, math.nan]), np.ones(2)) == math.inf
-    assert largest_share(np.array([-1.0, 0.5]), np.ones(2)) == 0.5
+    assert max_error_ratio(np.array([-1.0, math.nan]), np.ones(2)) == math.inf
+    assert max_error_ratio(np.array([-1.0, 0.5]), np.ones(2)) == 0.5

@@ -13,12 +13,12 @@ import pytest
 
 from nsmodel import LureSystem, relay, simulate
 from nsmodel.codegen import cache, library, write
-from nsmodel.codegen.library import Library, Mapped, compile_library, in_use
+from nsmodel.codegen.library import Library, MappedLibrary, compile_library, loaded_library_paths
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
 
-IS_KEPT = cache.is_kept  # the true one
+IS_KEPT = cache.has_cached_library  # the true one
 compiles = pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
 posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owners here")
 QUICK = ("-std=c99", "-O0", "-fPIC", "-shared")
@@ -28,7 +28,7 @@ QUICK = ("-std=c99", "-O0", "-fPIC", "-shared")
 def folder(tmp_path, monkeypatch):
     """An empty cache folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(cache, "FLAGS", QUICK)
+    monkeypatch.setattr(cache, "COMPILER_FLAGS", QUICK)
     return tmp_path / "nsmodel"
 
 
@@ -38,7 +38,9 @@ def model(k=1.0):
 
 def keep(number=0):
     """A library of one function that returns a number, kept."""
-    return cache.kept(cache.key_for([number]), lambda: {"one.c": f"int number(void) {{ return {number}; }}\n"}, QUICK)
+    return cache.cached_library(
+        cache.library_key([number]), lambda: {"one.c": f"int number(void) {{ return {number}; }}\n"}, QUICK
+    )
 
 
 # ---------------------------------------------------------------------------------------------- whose it is
@@ -110,13 +112,13 @@ def test_a_library_that_somebody_else_may_have_put_there_is_built_again(folder, 
     path = keep(1)
     content = path.read_bytes()
     path.chmod(0o722)
-    assert not IS_KEPT(cache.key_for([1]))
+    assert not IS_KEPT(cache.library_key([1]))
     assert keep(1) == path
     assert path.stat().st_mode & 0o022 == 0
     (tmp_path / "planted.so").write_bytes(content)
     path.unlink()
     path.symlink_to(tmp_path / "planted.so")  # even one of the right content
-    assert not IS_KEPT(cache.key_for([1]))
+    assert not IS_KEPT(cache.library_key([1]))
     assert keep(1) == path
     assert not path.is_symlink()
     assert (tmp_path / "planted.so").exists()
@@ -127,16 +129,16 @@ def test_a_library_that_somebody_else_may_have_put_there_is_built_again(folder, 
 
 @compiles
 def test_the_folder_keeps_so_many_libraries_those_used_last(folder, monkeypatch):
-    monkeypatch.setattr(cache, "MOST", 4)
+    monkeypatch.setattr(cache, "MAX_LIBRARIES", 4)
     paths = [keep(k) for k in range(4)]
     for age, path in enumerate(paths):
         os.utime(path, ns=(0, 10**9 * age))
-    loaded = Mapped(paths[1])
+    loaded = MappedLibrary(paths[1])
     assert keep(0) == paths[0]  # now used last
     paths += [keep(k) for k in (4, 5)]
     assert set(folder.glob("*.so")) == {paths[k] for k in (0, 1, 3, 4, 5)}  # 1 is loaded
     assert loaded["number"]() == 1
-    assert all(IS_KEPT(cache.key_for([k])) == paths[k].exists() for k in range(6))
+    assert all(IS_KEPT(cache.library_key([k])) == paths[k].exists() for k in range(6))
 
 
 @compiles
@@ -169,14 +171,14 @@ def test_libraries_that_nobody_uses_are_unloaded(folder):
         assert run.status == "done"
     gc.collect()
     assert not mapped(folder)
-    assert not {path for path in in_use() if folder in path.parents}
+    assert not {path for path in loaded_library_paths() if folder in path.parents}
 
 
 @compiles
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_a_library_stays_as_long_as_one_of_its_functions_is_held(folder):
-    number = Mapped(keep(7))["number"]
-    again = Mapped(keep(7))
+    number = MappedLibrary(keep(7))["number"]
+    again = MappedLibrary(keep(7))
     gc.collect()
     assert mapped(folder)
     assert number() == again["number"]() == 7
@@ -199,7 +201,7 @@ def test_a_step_outlives_the_file_and_the_library_object(folder):
     assert np.array_equal(steps._memory, again._memory)
     del again
     gc.collect()
-    assert in_use()
+    assert loaded_library_paths()
 
 
 @compiles

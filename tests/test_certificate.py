@@ -28,11 +28,11 @@ from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve import active_set, curved, mlcp, qp
 from nsmodel.solve import kernel as kernel_module
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import ROUNDING, NumericLaw, law_residual, numeric_law, output_scale, residual_in_symbols
-from nsmodel.solve.newton import Newton
-from nsmodel.solve.nlp import Programme
-from nsmodel.solve.rounding import UNIT
-from nsmodel.solve.stepper import Warm
+from nsmodel.solve.certificate import ROUNDING, NumericLaw, law_residual, numeric_law, output_scale, symbolic_box_residual
+from nsmodel.solve.newton import NewtonSolver
+from nsmodel.solve.nlp import NonlinearProgramme
+from nsmodel.solve.rounding import UNIT_ROUND_OFF
+from nsmodel.solve.stepper import WarmStart
 
 INF = np.inf
 TO_THE_END = {"xatol": 1e-10, "fatol": 1e-11, "maxiter": 3000, "maxfev": 3000}
@@ -210,8 +210,8 @@ def test_residuals_do_not_depend_on_units(unit_l, unit_y):
         W, b, law, l = problem(seed)
         l = l + rng.normal(size=4) * 10.0 ** rng.uniform(-12, 0)
         scaled = NumericLaw(law.lower * unit_l, law.upper * unit_l, ())
-        found = mlcp.residual(W * (unit_y / unit_l), b * unit_y, scaled, l * unit_l)
-        np.testing.assert_allclose(found, mlcp.residual(W, b, law, l), rtol=1e-6, atol=1e-15)
+        found = mlcp.affine_law_residual(W * (unit_y / unit_l), b * unit_y, scaled, l * unit_l)
+        np.testing.assert_allclose(found, mlcp.affine_law_residual(W, b, law, l), rtol=1e-6, atol=1e-15)
 
 
 @pytest.mark.parametrize("unit_y", [1e-9, 1e9])
@@ -221,8 +221,8 @@ def test_residuals_of_curved_laws_do_not_depend_on_units(unit_l, unit_y):
     rng = np.random.default_rng(0)
     for _ in range(30):
         W, b, l = rng.normal(size=(5, 5)), rng.normal(size=5), rng.normal(size=5)
-        found = mlcp.residual(W * (unit_y / unit_l), b * unit_y, scaled, l * unit_l)
-        np.testing.assert_allclose(found, mlcp.residual(W, b, law, l), rtol=1e-9)
+        found = mlcp.affine_law_residual(W * (unit_y / unit_l), b * unit_y, scaled, l * unit_l)
+        np.testing.assert_allclose(found, mlcp.affine_law_residual(W, b, law, l), rtol=1e-9)
 
 
 # ---------------------------------------------------------------------------------------------- perturbed solutions
@@ -231,16 +231,16 @@ def test_residuals_of_curved_laws_do_not_depend_on_units(unit_l, unit_y):
 def test_an_error_of_1e_minus_6_in_l_or_y_is_seen():
     for seed in range(60):
         W, b, law, l = problem(seed)
-        assert mlcp.residual(W, b, law, l).max() < 1e-14
+        assert mlcp.affine_law_residual(W, b, law, l).max() < 1e-14
         for i in range(4):
             for change in (1e-6, -1e-6):
                 other = l.copy()
                 other[i] += change * (abs(l[i]) or 1)
-                assert mlcp.residual(W, b, law, other).max() > 1e-9
+                assert mlcp.affine_law_residual(W, b, law, other).max() > 1e-9
             if W[i] @ l + b[i] == pytest.approx(0, abs=1e-9) and law.lower[i] < l[i] < law.upper[i]:
                 moved = b.copy()
                 moved[i] += 1e-6 * (np.abs(b[i]) + np.abs(W[i]) @ np.abs(l))
-                assert mlcp.residual(W, moved, law, l).max() > 1e-9
+                assert mlcp.affine_law_residual(W, moved, law, l).max() > 1e-9
 
 
 def test_an_error_of_1e_minus_6_in_a_curved_solution_is_seen():
@@ -249,13 +249,13 @@ def test_an_error_of_1e_minus_6_in_a_curved_solution_is_seen():
     for _ in range(40):
         A = rng.normal(size=(5, 5))
         W, b = A @ A.T + 0.3 * np.eye(5), rng.normal(size=5) * 3
-        found = mlcp.solve(W, b, law, np.zeros(5), np.zeros(5, np.int8), (mlcp.SEMISMOOTH,), True, 1e-12)
+        found = mlcp.solve_mlcp(W, b, law, np.zeros(5), np.zeros(5, np.int8), (mlcp.SEMISMOOTH,), True, 1e-12)
         assert found.residual <= 1e-12
         for rows in (slice(0, 2), slice(2, 5)):
             direction = rng.normal(size=5)
             wrong = found.l.copy()
             wrong[rows] += 1e-6 * (np.linalg.norm(found.l[rows]) or 1) * direction[rows] / np.linalg.norm(direction[rows])
-            assert mlcp.residual(W, b, law, wrong).max() > 1e-9
+            assert mlcp.affine_law_residual(W, b, law, wrong).max() > 1e-9
 
 
 def relay_oscillator_at(h, t=1.0):
@@ -264,7 +264,7 @@ def relay_oscillator_at(h, t=1.0):
     run = simulate(model, step=h, t_end=t)
     problem = one_step_problem(model)
     stepper = Stepper(problem, "auto", 1e-9, h=h, state=run.x[-1])
-    return stepper, run.x[-1], Warm(run.multipliers[-1], run.index_set[-1])
+    return stepper, run.x[-1], WarmStart(run.multipliers[-1], run.index_set[-1])
 
 
 @pytest.mark.parametrize("h", [1e-2, 1e-3])
@@ -279,19 +279,19 @@ def test_an_error_in_the_relays_output_is_seen_however_small_its_effect_on_y(h, 
 
     def wrong(W, b, law, *_):
         assert np.abs(W).max() < 3e-7
-        return mlcp.Solution(l * (1 - error), -right.warm.index, 0.0, "wrong")
+        return mlcp.MlcpSolution(l * (1 - error), -right.warm.index, 0.0, "wrong")
 
-    monkeypatch.setattr(mlcp, "solve", wrong)
+    monkeypatch.setattr(mlcp, "solve_mlcp", wrong)
     with pytest.raises(StepError):
-        stepper(1.0, h, state, Warm(warm.l, -right.warm.index))
+        stepper(1.0, h, state, WarmStart(warm.l, -right.warm.index))
 
 
 def test_a_force_at_a_distance_is_seen():
     """x'' = l with 0 <= x, x = 1: no contact, so l = 0. W = h^2 is small beside y = 1, and a force of 1e-3 is wrong."""
     for h in (1e-2, 1e-3, 1e-5):
         W, b, law = np.array([[h**2]]), np.array([1.0]), numeric_box(0, INF)
-        assert mlcp.residual(W, b, law, np.array([0.0]))[0] == 0
-        assert mlcp.residual(W, b, law, np.array([1e-3]))[0] > 1e-9
+        assert mlcp.affine_law_residual(W, b, law, np.array([0.0]))[0] == 0
+        assert mlcp.affine_law_residual(W, b, law, np.array([1e-3]))[0] > 1e-9
 
 
 @pytest.mark.parametrize(("lo", "up"), [(-1, 1), (0, INF), (-INF, 0)])
@@ -300,10 +300,10 @@ def test_a_row_whose_output_does_not_feel_the_multiplier_is_judged_too(lo, up):
     law, W = numeric_box(lo, up), np.zeros((1, 1))
     right = lo if np.isfinite(lo) else up
     b = np.array([0.3 if np.isfinite(lo) else -0.3])
-    assert mlcp.residual(W, b, law, np.array([float(right)]))[0] == 0
+    assert mlcp.affine_law_residual(W, b, law, np.array([float(right)]))[0] == 0
     for error in (1e-6, 0.5, 2.0):
         wrong = np.array([right + error if np.isfinite(lo) else right - error])
-        assert mlcp.residual(W, b, law, wrong)[0] > 1e-9
+        assert mlcp.affine_law_residual(W, b, law, wrong)[0] > 1e-9
 
 
 def test_a_relay_that_only_time_switches():
@@ -318,7 +318,7 @@ def test_a_huge_multiplier_does_not_excuse_a_violated_row():
     """Opposite walls that overlap by 2: no l helps, but |W| |l| beside which y is judged can be made as large as one likes."""
     W, b, law = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), numeric_box([0, 0], [INF, INF])
     for size in (1e3, 1e6, 1e9, 1e12, 1e15):
-        assert mlcp.residual(W, b, law, np.full(2, size)).max() > 1e-9
+        assert mlcp.affine_law_residual(W, b, law, np.full(2, size)).max() > 1e-9
 
 
 # ---------------------------------------------------------------------------------------------- NaN
@@ -331,7 +331,7 @@ def test_what_is_not_a_number_has_residual_inf(bad):
         found = law_residual(law, np.array(l, float), np.array(y, float), one, one)
         assert found[0] == INF
         symbols = ca.SX.sym("l", 2), ca.SX.sym("y", 2)
-        residual = ca.Function("r", list(symbols), [residual_in_symbols(law, [0, 1], one, *symbols, ca.SX(one))])
+        residual = ca.Function("r", list(symbols), [symbolic_box_residual(law, [0, 1], one, *symbols, ca.SX(one))])
         assert float(residual(l, y)) == INF
     for own in (ball(2, 1), second_order_cone(2)):
         assert law_residual(numeric_law(own), np.array([bad, 0.0]), np.zeros(2), one, one).max() == INF
@@ -389,7 +389,7 @@ def test_the_kernels_residual_is_numpys(name):
     start = initial_rows(model, 0.1)[-1][0]
     stepper = Stepper(problem, "auto", 1e-9, h=0.1, state=start)
     assert stepper.plan.path == "kernel"
-    kernel, newton, where = stepper._kernel(0.0, 0.1), stepper._newton, stepper.layout
+    kernel, newton, where = stepper._build_kernel(0.0, 0.1), stepper._newton, stepper.layout
     rng = np.random.default_rng(0)
     small = 0
     for k in range(60):
@@ -397,7 +397,9 @@ def test_the_kernels_residual_is_numpys(name):
         l = rng.normal(size=stepper.law.size) * 10.0 ** rng.uniform(-3, 1)
         index = np.full(l.size, -1, np.int8)
         if k % 3 == 0:
-            found = mlcp.solve(kernel.W, kernel.b(t, state), stepper.law, l, index, (mlcp.INDEX_SET, mlcp.LEMKE), False, 1e-12)
+            found = mlcp.solve_mlcp(
+                kernel.W, kernel.b(t, state), stepper.law, l, index, (mlcp.INDEX_SET, mlcp.LEMKE), False, 1e-12
+            )
             l = found.l * (1 + rng.normal() * 10.0 ** rng.uniform(-10, -2))
         kernel.load_multiplier(l, index)
         row = kernel.evaluate(t, state)
@@ -409,8 +411,8 @@ def test_the_kernels_residual_is_numpys(name):
         z = guess_0 - np.linalg.solve(at_0.E_z, at_0.E + at_0.E_l @ l)
         at = newton.linearise(t, 0.1, state, z, l)
         np.testing.assert_allclose(at.Y, kernel.W @ l + b, rtol=1e-9, atol=1e-12)
-        judged = newton.judge(known, at, l, index, "test", 1, thorough=False)
-        unseen = ROUNDING * UNIT / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
+        judged = newton.evaluate_residual(known, at, l, index, "test", 1, thorough=False)
+        unseen = ROUNDING * UNIT_ROUND_OFF / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
         w_max = np.abs(kernel.W).max(axis=1)
         moved = z - (guess_0 - np.linalg.solve(at_0.E_z, at_0.E))
         s_y = output_scale(b, np.abs(at.Y_z) @ np.abs(moved) + np.abs(at.Y_l) @ np.abs(l), w_max)
@@ -474,12 +476,12 @@ LIARS = dict(liars())
 @pytest.fixture
 def without_fallbacks(monkeypatch):
     """Leave the lying solver alone: no IPOPT, no search among the index sets nearby, no solution of the whole system."""
-    for whole in ("polished", "by_whole_system", "by_dual"):
-        monkeypatch.setattr(Newton, whole, lambda *_: None)
-    monkeypatch.setattr(Stepper, "_by_parts", lambda *_: iter(()))
-    monkeypatch.setattr(Newton, "_refined", lambda _, known, found: found)
-    monkeypatch.setattr(Stepper, "_by_ipopt", lambda *_: iter(()))
-    monkeypatch.setattr(Stepper, "_nearby_index_sets", lambda *_: iter(()))
+    for whole in ("polish_on_index_set", "solve_whole_system", "solve_nearest_point"):
+        monkeypatch.setattr(NewtonSolver, whole, lambda *_: None)
+    monkeypatch.setattr(Stepper, "_solve_by_parts", lambda *_: iter(()))
+    monkeypatch.setattr(NewtonSolver, "_refine_iterate", lambda _, known, found: found)
+    monkeypatch.setattr(Stepper, "_ipopt_attempts", lambda *_: iter(()))
+    monkeypatch.setattr(Stepper, "_nearby_index_set_attempts", lambda *_: iter(()))
 
 
 def assert_right_or_stopped(model, truth):
@@ -499,7 +501,7 @@ def assert_right_or_stopped(model, truth):
 @pytest.mark.usefixtures("without_fallbacks")
 def test_a_solver_that_lies_about_its_residual_is_found_out(name, error, monkeypatch):
     """It changes l and the index set and reports residual 0."""
-    model, honest = LIARS[name], mlcp.solve
+    model, honest = LIARS[name], mlcp.solve_mlcp
     truth = simulate(model)
 
     def lying(W, b, law, *rest):
@@ -507,9 +509,9 @@ def test_a_solver_that_lies_about_its_residual_is_found_out(name, error, monkeyp
         l = found.l + error * np.where(found.l != 0, np.abs(found.l), 1.0)
         opened = np.where(np.isfinite(law.lower), -1, 0)
         index = np.where(found.index == 0, opened, 0).astype(np.int8)
-        return mlcp.Solution(l, index, 0.0, "liar")
+        return mlcp.MlcpSolution(l, index, 0.0, "liar")
 
-    monkeypatch.setattr(mlcp, "solve", lying)
+    monkeypatch.setattr(mlcp, "solve_mlcp", lying)
     assert assert_right_or_stopped(model, truth)
 
 
@@ -533,13 +535,13 @@ def test_solvers_that_are_all_wrong_are_found_out(name, monkeypatch):
 
         return wrong
 
-    monkeypatch.setattr(active_set, "polish", spoiled(active_set.polish))
+    monkeypatch.setattr(active_set, "solve_on_index_set", spoiled(active_set.solve_on_index_set))
     monkeypatch.setattr(active_set, "lemke", spoiled(active_set.lemke))
-    monkeypatch.setattr(active_set, "primal_dual", pair(active_set.primal_dual))
-    monkeypatch.setattr(qp, "solve", spoiled(qp.solve))
+    monkeypatch.setattr(active_set, "primal_dual_active_set", pair(active_set.primal_dual_active_set))
+    monkeypatch.setattr(qp, "solve_qp", spoiled(qp.solve_qp))
     monkeypatch.setattr(curved, "semismooth_newton", spoiled(curved.semismooth_newton))
-    monkeypatch.setattr(curved, "exact_zeros", pair(curved.exact_zeros))
-    monkeypatch.setattr(kernel_module, "_index_map", spoil_map(kernel_module._index_map))
+    monkeypatch.setattr(curved, "polish_curved_solution", pair(curved.polish_curved_solution))
+    monkeypatch.setattr(kernel_module, "_multiplier_map", spoil_map(kernel_module._multiplier_map))
     assert assert_right_or_stopped(model, truth)
 
 
@@ -556,7 +558,7 @@ def spoil_map(function):
 @pytest.mark.usefixtures("without_fallbacks")
 def test_wrong_matrices_are_found_out(name, entry, monkeypatch):
     """The kernel is given matrices that are off by 1e-6: the step is judged by the model's own expressions."""
-    model, honest = LIARS[name], kernel_module.matrices_at
+    model, honest = LIARS[name], kernel_module.step_matrices_at
     truth = simulate(model)
 
     def wrong(*arguments):
@@ -564,7 +566,7 @@ def test_wrong_matrices_are_found_out(name, entry, monkeypatch):
         matrices[entry] *= 1 + 1e-6
         return tuple(matrices)
 
-    monkeypatch.setattr(kernel_module, "matrices_at", wrong)
+    monkeypatch.setattr(kernel_module, "step_matrices_at", wrong)
     stopped = assert_right_or_stopped(model, truth)
     assert stopped or entry >= 2
 
@@ -573,13 +575,13 @@ def test_wrong_matrices_are_found_out(name, entry, monkeypatch):
 def test_ipopt_that_lies_is_found_out(name, monkeypatch):
     model = LIARS[name]
     truth = simulate(model)
-    honest = Programme.solve
+    honest = NonlinearProgramme.solve
 
     def wrong(*arguments):
         found = honest(*arguments)
         return None if found is None else tuple(part * (1 + 1e-3) + 1e-3 for part in found)
 
-    monkeypatch.setattr(Programme, "solve", wrong)
+    monkeypatch.setattr(NonlinearProgramme, "solve", wrong)
     try:
         run = simulate(model, solver="ipopt")
     except StepError as error:

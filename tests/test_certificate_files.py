@@ -19,7 +19,7 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, ball, check, relay
 from nsmodel.certificate import verify
-from nsmodel.certificate.graph import graph
+from nsmodel.certificate.graph import straight_line_program
 from nsmodel.certificate.write import certificate_of, write_certificate
 from nsmodel.cli import main
 
@@ -90,7 +90,7 @@ def test_intervals_hold_the_true_values():
     mpmath.mp.prec, rng = 200, np.random.default_rng(0)
     for _ in range(share(200)):
         low = Fraction(rng.uniform(-8, 8))
-        x = verify.Interval(low, low + Fraction(rng.uniform(0, 0.5)))
+        x = verify.VerifierInterval(low, low + Fraction(rng.uniform(0, 0.5)))
         for name, f in verify.FUNCTIONS.items():
             true = getattr(mpmath, name)
             if name == "log" and low <= 0:
@@ -100,7 +100,7 @@ def test_intervals_hold_the_true_values():
                 value = true(mpmath.mpf(at.numerator) / at.denominator)
                 assert mpmath.mpf(f(x)[0].lo.numerator) / f(x)[0].lo.denominator <= value
                 assert value <= mpmath.mpf(f(x)[0].hi.numerator) / f(x)[0].hi.denominator
-        root = verify.Interval(abs(low)).power(Fraction(1, 2))
+        root = verify.VerifierInterval(abs(low)).power(Fraction(1, 2))
         assert root.lo**2 <= abs(low) <= root.hi**2
         assert root.hi - root.lo < Fraction(1, 2**60)
 
@@ -108,12 +108,12 @@ def test_intervals_hold_the_true_values():
 def test_jets_are_those_of_casadi():
     rng = np.random.default_rng(1)
     expr = ca.exp(-(q[0] ** 2)) * ca.sin(q[1]) + ca.tanh(q[0] * q[1]) + ca.sqrt(1 + q[0] ** 2) / (2 + q[1] ** 2) + ca.cosh(q[1])
-    program = graph(expr, q, ["a", "b"])
+    program = straight_line_program(expr, q, ["a", "b"])
     H, g = ca.hessian(expr, q)
     f = ca.Function("f", [q], [expr, g, H])
     for _ in range(20):
         at = rng.uniform(-1, 1, 2)
-        (jet,) = verify.jets(program, [verify.Interval(Fraction(x)) for x in at])
+        (jet,) = verify.jets(program, [verify.VerifierInterval(Fraction(x)) for x in at])
         value, slope, bend = (np.array(item) for item in f(at))
         assert float(jet.v.lo) == pytest.approx(value.item(), abs=1e-13)
         assert [float(x.hi) for x in jet.g] == pytest.approx(slope.ravel(), abs=1e-12)
@@ -122,8 +122,8 @@ def test_jets_are_those_of_casadi():
 
 def test_intervals_without_ends():
     inf = float("inf")
-    whole, far = verify.Interval(-inf, inf), verify.Interval(Fraction(5), inf)
-    assert (whole * verify.Interval(0)).hi == 0
+    whole, far = verify.VerifierInterval(-inf, inf), verify.VerifierInterval(Fraction(5), inf)
+    assert (whole * verify.VerifierInterval(0)).hi == 0
     assert [verify.FUNCTIONS["tanh"](whole)[1].lo, verify.FUNCTIONS["tanh"](whole)[1].hi] == [0, 1]
     assert verify.FUNCTIONS["atan"](far)[0].lo <= Fraction(np.arctan(5.0)) + Fraction(1, 2**50)
     assert Fraction(3926990, 2500000) < verify.FUNCTIONS["atan"](far)[0].hi < Fraction(15707964, 10000000)
@@ -168,7 +168,7 @@ def test_convexity_by_rules_is_never_told_of_what_bends_down():
             float(rng.normal()) * parts[int(rng.integers(len(parts)))](ca.dot(ca.DM(rng.normal(size=2)), x)) for _ in range(2)
         )
         atoms = verify.Atoms()
-        (p,) = atoms.read(graph(expr, x, ["a", "b"]))
+        (p,) = atoms.read(straight_line_program(expr, x, ["a", "b"]))
         if verify.convex(p, [0, 1], atoms):
             told += 1
             f = ca.Function("f", [x], [expr])

@@ -12,11 +12,11 @@ from fuzz_models import share, some
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, Trajectory, UsageError, complementarity, relay, simulate
 from nsmodel.cli import main
-from nsmodel.pieces.bounds import Stored, bounds
-from nsmodel.pieces.certificate import Allowed, certify, jumps
-from nsmodel.proof.graph import fold
-from nsmodel.run.event_driven import problem_of
-from nsmodel.run.global_error import NoBound, global_error
+from nsmodel.pieces.bounds import StoredPieces, prove_piece_bounds
+from nsmodel.pieces.certificate import AllowedErrors, certify_pieces, jump_bounds
+from nsmodel.proof.graph import fold_graph
+from nsmodel.run.event_driven import event_driven_problem
+from nsmodel.run.global_error import NoErrorBound, global_error
 from tests import event_scenes as scenes
 
 CASES = Path(__file__).parents[1] / "cases"
@@ -35,7 +35,7 @@ def stored(run):
     arrays, start = run.arrays, run.arrays["piece_start"]
     end = np.append(start[1:], run.t[-1])
     x, l, y = (arrays[f"piece_{name}"] for name in ("x", "multipliers", "y"))
-    return Stored(start, end, arrays["piece_unit"], x, l, y, arrays["piece_codes"].astype(int))
+    return StoredPieces(start, end, arrays["piece_unit"], x, l, y, arrays["piece_codes"].astype(int))
 
 
 def sampled(problem, pieces, shares):
@@ -51,7 +51,7 @@ def sampled(problem, pieces, shares):
                 at = [start + unit * s, *(mp.polyval(c, s) for c in x), *(mp.polyval(c, s) for c in l)]
                 where = dict(zip(symbols, at, strict=True))
                 out = ca.vertcat(problem.f + problem.g, problem.h)
-                values = fold(out, lambda e, w=where: w[e.element_hash()], mp.mpf, lambda op, args: OPERATIONS[op](*args))
+                values = fold_graph(out, lambda e, w=where: w[e.element_hash()], mp.mpf, lambda op, args: OPERATIONS[op](*args))
                 for i, c in enumerate(x):
                     rate = mp.polyval([a * (len(c) - 1 - j) for j, a in enumerate(c[:-1])], s) / unit
                     defect[k, i] = max(defect[k, i], float(abs(rate - values[i])))
@@ -83,8 +83,8 @@ def random_model(seed):
 def test_bounds_are_above_50_digits_and_near(seed, rtol):
     model = random_model(seed)
     run = simulate(model, rtol=rtol, method="event-driven")
-    problem, pieces = problem_of(model.bind(None)), stored(run)
-    found = bounds(problem, pieces)
+    problem, pieces = event_driven_problem(model.bind(None)), stored(run)
+    found = prove_piece_bounds(problem, pieces)
     assert np.isfinite(found.defect).all()
     defect, rows = sampled(problem, pieces, np.linspace(0, 1, 9))
     assert (defect <= found.defect).all()
@@ -111,8 +111,8 @@ def scene():
     model = nsmodel.load(CASES / "friction_oscillator.py").bind(None)
     run = simulate(model, rtol=1e-10, method="event-driven")
     x0 = run.arrays["piece_x"][0, :, 0]
-    allowed = Allowed.of(1e-10, np.zeros(2), np.abs(run.x).max() * np.ones(2), np.abs(run.v).max() * np.ones(1))
-    return problem_of(model), stored(run), x0, allowed
+    allowed = AllowedErrors.of(1e-10, np.zeros(2), np.abs(run.x).max() * np.ones(2), np.abs(run.v).max() * np.ones(1))
+    return event_driven_problem(model), stored(run), x0, allowed
 
 
 def mutations(pieces, random):
@@ -146,9 +146,9 @@ def mutations(pieces, random):
 @pytest.mark.parametrize("seed", range(share(5, 2)))
 def test_mutated_pieces_are_found(seed):
     problem, pieces, x0, allowed = scene()
-    assert not certify(problem, pieces, x0, allowed).failures
+    assert not certify_pieces(problem, pieces, x0, allowed).failures
     for what, mutated in mutations(pieces, np.random.default_rng(seed)):
-        assert certify(problem, mutated, x0, allowed).failures, what
+        assert certify_pieces(problem, mutated, x0, allowed).failures, what
 
 
 def test_in_a_folder_and_on_the_command_line(tmp_path, capsys):
@@ -176,13 +176,13 @@ def test_signs_past_an_event_are_bounded_by_their_depth():
     """x' = 1, y = x - 1 held to be < 0 until t = 1 + d: the depth is d, whatever d is."""
     x, l = ca.SX.sym("x"), ca.SX.sym("l")
     model = FirstOrderSystem(x=x, lam=l, f=[1], g=[0 * l], h=[x - 1], law=relay(1), x0=[0], t_end=2)
-    problem = problem_of(model.bind(None))
+    problem = event_driven_problem(model.bind(None))
     for d in (1e-3, 1e-9, 1e-14):
         c = np.zeros((1, 1, 9))
         x, l, y = c.copy(), c.copy(), c.copy()
         x[0, 0, 1], l[0, 0, 0], y[0, 0, :2] = 1, 1, (-1, 1)
-        pieces = Stored(np.zeros(1), np.array([1 + d]), np.ones(1), x, l, y, np.array([[1]]))
-        found = bounds(problem, pieces)
+        pieces = StoredPieces(np.zeros(1), np.array([1 + d]), np.ones(1), x, l, y, np.array([[1]]))
+        found = prove_piece_bounds(problem, pieces)
         assert d * (1 - 1e-2) <= found.depth[0, 0] <= d * (1 + 1e-6) + 1e-15
         assert found.reach[0, 0] >= d * (1 - 1e-2)
 
@@ -271,15 +271,15 @@ def test_mutated_runs_have_bounds_above_their_errors():
     """A run that is wrong all along has a bound that is as large."""
     model = nsmodel.load(CASES / "friction_oscillator.py").bind(None)
     run = simulate(model, rtol=1e-8, method="event-driven")
-    problem, pieces = problem_of(model), stored(run)
+    problem, pieces = event_driven_problem(model), stored(run)
     x0 = pieces.x[0, :, 0].copy()
     for k, order, by in ((1, 0, 1e-3), (2, 1, 1e-4), (0, 3, 1e-2)):
         x = pieces.x.copy()
         x[k, :, order] += by
         mutated = pieces._replace(x=x)
         try:
-            bound = global_error(problem, mutated, bounds(problem, mutated), jumps(mutated, x0))
-        except NoBound:
+            bound = global_error(problem, mutated, prove_piece_bounds(problem, mutated), jump_bounds(mutated, x0))
+        except NoErrorBound:
             continue
         at = np.linspace(mutated.start[k], mutated.end[k], 50)
         s = (at - mutated.start[k]) / mutated.unit[k]

@@ -15,7 +15,7 @@ from nsmodel import Bodies, Family, Items, ManyBodies, UsageError, check, neighb
 from nsmodel.classes.bodies.hypotheses import check as deciding
 from nsmodel.classes.bodies.hypotheses import families, network
 from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES
-from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row
+from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma
 from nsmodel.crowd import Room, crowd, place
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.storage import dumps
@@ -30,7 +30,7 @@ t = ca.SX.sym("t")
 @pytest.fixture
 def by_families(monkeypatch):
     """A5 by the means for many bodies, however few there are."""
-    monkeypatch.setattr(deciding, "ONE_BY_ONE", (0, 0))
+    monkeypatch.setattr(deciding, "MAX_ONE_BY_ONE", (0, 0))
 
 
 def discs(q0, r, f=None, others=None, **options):
@@ -120,12 +120,12 @@ def test_the_constants_of_discs_come_from_the_two_smallest():
     assert report["A0"].value["c"] == pytest.approx(0.5 / 2 / SQRT2)
     assert report["A4"].value["M_contact"] == pytest.approx(2 / 0.5)
     assert report["A4"].witness["M of"] == "pair 1-3"
-    assert report["A5'"].value["gamma"] == pytest.approx(1.4 / 0.5 * discs_in_a_row(4))
+    assert report["A5'"].value["gamma"] == pytest.approx(1.4 / 0.5 * disc_row_gamma(4))
 
 
 def test_ranges_of_numbers_stand_for_many_members(monkeypatch):
     model = discs(3.0 * np.arange(8).reshape(4, 2), [0.5, 0.2, 0.9, 0.3])
-    monkeypatch.setattr(families, "LISTED", 0)
+    monkeypatch.setattr(families, "MAX_LISTED_MEMBERS", 0)
     report = check(model, ())
     assert report["A0"].verdict == HOLDS
     assert report["A0"].value["c"] == pytest.approx(0.4 / 2 / SQRT2)
@@ -145,7 +145,7 @@ def test_products_of_numbers_are_taken_in_all_their_combinations():
 
 def test_a_body_is_no_pair_with_itself(monkeypatch):
     """Only one body has radius 0, so that no pair has two of them."""
-    monkeypatch.setattr(families, "LISTED", 0)
+    monkeypatch.setattr(families, "MAX_LISTED_MEMBERS", 0)
     bodies = Bodies(3.0 * np.arange(8).reshape(4, 2), r=[0, 0.3, 0.3, 0.3])
     i, j = bodies.member("i"), bodies.member("j")
     pair = Family(ca.norm_2(i.q - j.q) - i.r - j.r * (1 + t), i, j)
@@ -169,7 +169,7 @@ def test_numbers_below_the_rounding_of_others_count(added, order):
 
 
 def test_left_out_combinations_prove_nothing(monkeypatch):
-    monkeypatch.setattr(families, "KINDS", 2)
+    monkeypatch.setattr(families, "MAX_COMBINATIONS", 2)
     bodies = Bodies(9.0 * np.arange(5.0), w=1.0 + np.arange(5))
     i = bodies.member("i")
     model = ManyBodies(bodies=bodies, constraints={"floor": Family(i.w * i.q + 1, i)}, t_end=1, step=0.1)
@@ -505,10 +505,10 @@ def random_contacts(rng, bodies, count):
     return (u, other), first, second, N / np.linalg.norm(N, axis=1)[:, None]
 
 
-@pytest.mark.parametrize("small", [network.SMALL, 1])
+@pytest.mark.parametrize("small", [network.MAX_WOLFE_GROUP, 1])
 def test_gamma_of_small_networks_agrees_with_brute_force(small, monkeypatch):
     """With SMALL = 1 every group goes to the interior point method. A linear program says whether there is any escape."""
-    monkeypatch.setattr(network, "SMALL", small)
+    monkeypatch.setattr(network, "MAX_WOLFE_GROUP", small)
     rng, opposed = np.random.default_rng(2), 0
     for _ in range(60):
         slopes, first, second, N = random_contacts(rng, int(rng.integers(2, 5)), int(rng.integers(1, 8)))
@@ -526,10 +526,10 @@ def test_gamma_of_a_long_row_of_discs_and_of_groups():
     i = np.arange(299)
     e = np.tile([1.0, 0.0], (299, 1))
     found = network.network_constant((-e, e), i, i + 1)
-    assert found.gamma == pytest.approx(discs_in_a_row(300), rel=1e-6)
-    assert found.attained <= discs_in_a_row(300) * (1 + 1e-9)
+    assert found.gamma == pytest.approx(disc_row_gamma(300), rel=1e-6)
+    assert found.attained <= disc_row_gamma(300) * (1 + 1e-9)
     two = network.network_constant((np.vstack([-e, -e]), np.vstack([e, e])), np.append(i, i + 500), np.append(i + 1, i + 501))
-    assert two.gamma == pytest.approx(SQRT2 * discs_in_a_row(300), rel=1e-6)
+    assert two.gamma == pytest.approx(SQRT2 * disc_row_gamma(300), rel=1e-6)
 
 
 def parts_that_keep_apart(n=2):
@@ -588,7 +588,7 @@ def test_a_large_gamma_is_not_infinite():
 
 
 def test_opposing_normals_of_a_large_group_are_still_found(monkeypatch):
-    monkeypatch.setattr(network, "SMALL", 1)
+    monkeypatch.setattr(network, "MAX_WOLFE_GROUP", 1)
     e = np.tile([1.0, 0.0], (100, 1))
     i = np.arange(99)
     G, H = np.vstack([-e[:99], e[:1], -e[:1]]), np.vstack([e[:99], 0 * e[:2]])

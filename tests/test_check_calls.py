@@ -9,7 +9,7 @@ import pytest
 from nsmodel import FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, check, relay
 from nsmodel.proof import polynomial
 from nsmodel.proof.convex import convexity, ridges
-from nsmodel.proof.graph import applied, fold, operations
+from nsmodel.proof.graph import apply_operation, fold_graph, operation_codes
 
 u, x, s, t = (ca.SX.sym(name) for name in ("u", "x", "s", "t"))
 CONCAVE = ca.Function("concave", [u], [-(u**2)], {"never_inline": True})
@@ -21,8 +21,8 @@ def test_a_walk_gives_the_values_of_the_graph():
     a = ca.SX.sym("a", 2)
     expr = ca.vertcat(ca.fmax(a[0], 2 * a[1]) ** 2, ca.if_else(a[0] < 1, ca.exp(a[1]), -a[0]), 3)
     at = {"a_0": 0.3, "a_1": -0.7}
-    results = fold(
-        expr, lambda node: ca.SX(at[node.name()]), ca.SX, lambda op, args: applied(op, args)
+    results = fold_graph(
+        expr, lambda node: ca.SX(at[node.name()]), ca.SX, lambda op, args: apply_operation(op, args)
     )  # numbers: CasADi folds them
     assert np.array(ca.DM(ca.vertcat(*results))).ravel() == pytest.approx(
         np.array(ca.Function("f", [a], [expr])([0.3, -0.7])).ravel(), rel=1e-15
@@ -31,16 +31,16 @@ def test_a_walk_gives_the_values_of_the_graph():
 
 def test_a_call_is_not_built_from_its_code():
     """CasADi itself would give 0, and a proof about it would be one about 0."""
-    assert ca.OP_CALL in operations(CONCAVE(x))
+    assert ca.OP_CALL in operation_codes(CONCAVE(x))
     with pytest.raises(ValueError, match="a call cannot be built from its code"):
-        applied(ca.OP_CALL, [x])
+        apply_operation(ca.OP_CALL, [x])
 
 
 def test_nothing_is_read_off_a_call():
     expr = CONCAVE(x) + x
-    assert polynomial.read(expr, x) == [None]
-    assert ridges.ridges(expr, x) is None
-    (shape,) = convexity.everywhere(expr, x)
+    assert polynomial.read_polynomials(expr, x) == [None]
+    assert ridges.find_ridges(expr, x) is None
+    (shape,) = convexity.global_curvatures(expr, x)
     assert not shape.convex
     assert not shape.concave
 

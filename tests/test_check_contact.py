@@ -15,9 +15,9 @@ from nsmodel import SweepingProcess
 from nsmodel.classes.sweeping.hypotheses.check import check
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof.discontinuity import jump_between, proved_jump
-from nsmodel.proof.germ import grows
-from nsmodel.proof.krawczyk import zero_near
+from nsmodel.proof.discontinuity import jump_lower_bound, prove_jump
+from nsmodel.proof.germ import growth_exponent
+from nsmodel.proof.krawczyk import enclose_zero
 
 t = ca.SX.sym("t")
 
@@ -150,12 +150,12 @@ def direction(rng):
 
 def test_zeros_are_proved_where_they_are():
     x = ca.SX.sym("x", 2)
-    zero = zero_near(ca.vertcat(ca.sumsqr(x) - 2, x[0] - x[1]), x, np.array([1.1, 0.8]), np.ones(2))
+    zero = enclose_zero(ca.vertcat(ca.sumsqr(x) - 2, x[0] - x[1]), x, np.array([1.1, 0.8]), np.ones(2))
     assert (zero.lower <= 1).all()
     assert (zero.upper >= 1).all()
     assert (zero.upper - zero.lower).max() < 1e-12
-    assert zero_near(ca.vertcat(ca.sumsqr(x) + 1e-9, x[0] - x[1]), x, np.zeros(2), np.ones(2)) is None
-    assert zero_near(x[0] ** 2, x[0], np.array([1e-5]), np.ones(1)) is None  # a double zero is no regular one
+    assert enclose_zero(ca.vertcat(ca.sumsqr(x) + 1e-9, x[0] - x[1]), x, np.zeros(2), np.ones(2)) is None
+    assert enclose_zero(x[0] ** 2, x[0], np.array([1e-5]), np.ones(1)) is None  # a double zero is no regular one
 
 
 def test_jumps_and_kinks_are_told_apart():
@@ -167,20 +167,20 @@ def test_jumps_and_kinks_are_told_apart():
         (ca.fmod(x + 2, 1), 1),
         (ca.floor(3 * x), 1),
     ):
-        assert proved_jump(expr, x, *box).size == pytest.approx(size, rel=1e-6)
+        assert prove_jump(expr, x, *box).size == pytest.approx(size, rel=1e-6)
     for expr in (ca.fabs(x), ca.sign(x) * x, ca.if_else(x < 0.1, x, 2 * x - 0.1), ca.fmax(x, 0) ** 2):
-        assert proved_jump(expr, x, *box) is None
-    assert jump_between(ca.sign(x), x, np.array([0.5]), np.array([0.5 + 1e-9])) == 0
+        assert prove_jump(expr, x, *box) is None
+    assert jump_lower_bound(ca.sign(x), x, np.array([0.5]), np.array([0.5 + 1e-9])) == 0
 
 
 def test_growth_along_a_ray():
     x, p = ca.SX.sym("x", 2), np.array([0.7, -0.51])
     to = x - ca.DM(p)
     across = ca.jacobian(to[1] / ca.norm_2(to), x[1])
-    assert grows(across, x, p, np.array([1.0, 0.0]), 1e-6) == -1
-    assert grows(ca.jacobian(ca.sqrt(ca.fabs(to[0])), x[0]), x, p, np.array([-1.0, 0.0]), 1e-6) * 2 == -1
+    assert growth_exponent(across, x, p, np.array([1.0, 0.0]), 1e-6) == -1
+    assert growth_exponent(ca.jacobian(ca.sqrt(ca.fabs(to[0])), x[0]), x, p, np.array([-1.0, 0.0]), 1e-6) * 2 == -1
     for smooth in (ca.sin(to[0]), ca.norm_2(to) ** 2, ca.sqrt(1 + ca.sumsqr(to)), to[0] * ca.fabs(to[0])):
-        assert grows(ca.jacobian(smooth, x[0]), x, p, np.array([1.0, 0.0]), 1e-6) is None
+        assert growth_exponent(ca.jacobian(smooth, x[0]), x, p, np.array([1.0, 0.0]), 1e-6) is None
 
 
 def test_rates_and_velocities_without_bound():

@@ -45,7 +45,7 @@ def test_psd_finds_the_planted_inertia():
         units = 2.0 ** rng.integers(-30, 31, n)
         skew = np.triu(rng.integers(-5, 6, (n, n)), 1)
         M = (S + skew - skew.T) * np.outer(units, units)
-        decided = exact.psd(M)
+        decided = exact.definiteness(M)
         assert decided.psd == (d >= 0).all()
         assert exact.is_psd(M) == decided.psd
         assert decided.definite == (d > 0).all()
@@ -65,7 +65,7 @@ def test_psd_agrees_with_clear_eigenvalues_in_larger_sizes():
             M = rng.normal(size=(n, n))
             S = M @ M.T
             S += (shift - np.linalg.eigvalsh(S)[0]) * np.eye(n)
-            decided = exact.psd(S)
+            decided = exact.definiteness(S)
             assert decided.psd == (shift > 0)
             assert (decided.vector is None) == decided.psd
             if decided.vector is not None:
@@ -76,15 +76,15 @@ def test_psd_agrees_with_clear_eigenvalues_in_larger_sizes():
 def test_psd_sees_a_rank_one_matrix_that_eigenvalues_get_wrong(n):
     v = np.arange(1, n + 1)
     exactly = np.outer(v, v) / 1024.0
-    assert exact.psd(exactly)[:3] == (True, False, 1)
+    assert exact.definiteness(exactly)[:3] == (True, False, 1)
     off = exactly.copy()
     off[-1, -1] = np.nextafter(off[-1, -1], 0)
-    decided = exact.psd(off)
+    decided = exact.definiteness(off)
     assert not decided.psd
     assert decided.vector is not None
     assert quadratic(decided.vector, off) < 0
     off[-1, -1] = np.nextafter(exactly[-1, -1], np.inf)
-    assert exact.psd(off)[:3] == (True, False, 2)
+    assert exact.definiteness(off)[:3] == (True, False, 2)
 
 
 def test_a_definite_matrix_within_rounding_of_a_singular_one_is_not_certified_by_floating_point():
@@ -92,15 +92,15 @@ def test_a_definite_matrix_within_rounding_of_a_singular_one_is_not_certified_by
     rng = np.random.default_rng(2)
     L = rng.integers(-3, 4, (n, n - 1)).astype(float)
     S = L @ L.T
-    assert exact.psd(S)[:3] == (True, False, exact.rank(L))
+    assert exact.definiteness(S)[:3] == (True, False, exact.rank(L))
     S[0, 0] -= 2.0**-40
-    assert not exact.psd(S).psd
+    assert not exact.definiteness(S).psd
 
 
 def test_a_skew_matrix_and_none_at_all():
-    assert exact.psd([[0.0, 3.0], [-3.0, 0.0]])[:3] == (True, False, 0)
-    assert exact.psd(np.zeros((0, 0)))[:3] == (True, True, 0)
-    zero_diagonal = exact.psd([[0.0, 1.0], [1.0, 5.0]])
+    assert exact.definiteness([[0.0, 3.0], [-3.0, 0.0]])[:3] == (True, False, 0)
+    assert exact.definiteness(np.zeros((0, 0)))[:3] == (True, True, 0)
+    zero_diagonal = exact.definiteness([[0.0, 1.0], [1.0, 5.0]])
     assert zero_diagonal.vector is not None
     assert quadratic(zero_diagonal.vector, [[0.0, 1.0], [1.0, 5.0]]) < 0
 
@@ -112,8 +112,8 @@ def test_products_solutions_null_spaces_and_inverses_are_exact():
         M = rng.normal(size=(n, rank)).round(2) @ rng.integers(-3, 4, (rank, m)).astype(float)
         x = rng.normal(size=(m, 2))
         right = times(M, x)
-        assert exact.product(M, x).tolist() == right
-        found = exact.solve(M, exact.rational(np.array(right, dtype=object)))
+        assert exact.matrix_product(M, x).tolist() == right
+        found = exact.solve_linear_system(M, exact.rational(np.array(right, dtype=object)))
         assert found is not None
         assert times(M, found.tolist()) == right
         kernel = exact.nullspace(M)
@@ -123,7 +123,7 @@ def test_products_solutions_null_spaces_and_inverses_are_exact():
         columns = exact.independent_columns(M)
         assert len(columns) == exact.rank(M) == exact.rank(M[:, columns])
     square = rng.normal(size=(5, 5))
-    inverse = exact.inverse(square)
+    inverse = exact.inverse_matrix(square)
     assert inverse is not None
     assert times(square, inverse.tolist()) == np.eye(5).tolist()
 
@@ -134,13 +134,13 @@ def test_rank_is_that_of_the_doubles():
 
 
 def test_what_has_no_solution():
-    assert exact.solve([[1.0, 2.0], [2.0, 4.0]], [[1.0], [2.5]]) is None
-    assert exact.inverse([[1.0, 2.0], [2.0, 4.0]]) is None
+    assert exact.solve_linear_system([[1.0, 2.0], [2.0, 4.0]], [[1.0], [2.5]]) is None
+    assert exact.inverse_matrix([[1.0, 2.0], [2.0, 4.0]]) is None
 
 
 def test_large_whole_numbers_do_not_lose_digits():
     A = np.array([[2.0**52 + 1, 1.0]])
-    assert exact.product(A, A.T)[0, 0] == (2**52 + 1) ** 2 + 1
+    assert exact.matrix_product(A, A.T)[0, 0] == (2**52 + 1) ** 2 + 1
 
 
 def test_symmetry_is_to_the_last_bit():
@@ -159,7 +159,7 @@ def test_a_bound_of_the_largest_eigenvalue_is_one():
     for _ in range(100):
         n = int(rng.integers(1, 5))
         M = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-3, 3)
-        bound = exact.eigenvalue_above(M)
+        bound = exact.eigenvalue_upper_bound(M)
         S = [[Fraction(M[i, j]) / 2 + Fraction(M[j, i]) / 2 for j in range(n)] for i in range(n)]
         assert exact.is_psd(np.array([[Fraction(bound) * (i == j) - S[i][j] for j in range(n)] for i in range(n)], dtype=object))
         assert bound <= np.linalg.eigvalsh((M + M.T) / 2)[-1] + 1e-9 * np.abs(M).max()

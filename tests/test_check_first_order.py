@@ -12,7 +12,7 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import FirstOrderSystem, ball, box, complementarity, polyhedron, relay, simulate
 from nsmodel.classes.first_order.hypotheses.check import HYPOTHESES, check
-from nsmodel.classes.first_order.hypotheses.step_matrix import p_matrix, regular_steps
+from nsmodel.classes.first_order.hypotheses.step_matrix import decide_p_matrix, regular_steps
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import exact
 
@@ -54,7 +54,7 @@ def test_principal_minors_by_brute_force():
         W = rng.integers(-2, 4, (n, n)) + 2.0 * np.eye(n)
         subsets = [list(rows) for k in range(1, n + 1) for rows in combinations(range(n), k)]
         minors = [round(np.linalg.det(W[np.ix_(rows, rows)])) for rows in subsets]
-        is_p, minor = p_matrix(exact.rational(W))
+        is_p, minor = decide_p_matrix(exact.rational(W))
         assert is_p == (min(minors) > 0)
         if not is_p:
             assert minors[subsets.index(sorted(minor.rows))] <= 0

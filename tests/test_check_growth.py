@@ -6,9 +6,9 @@ import pytest
 from fuzz_models import share
 
 from nsmodel import MonotoneInclusion, check
-from nsmodel.proof.at_infinity import curve, orders
-from nsmodel.proof.growth_calculus import growth
-from nsmodel.proof.monotone import shape
+from nsmodel.proof.at_infinity import asymptotic_orders, polynomial_order
+from nsmodel.proof.growth_calculus import growth_bound
+from nsmodel.proof.monotone import decide_monotonicity
 from nsmodel.proof.sectors import sector
 
 z, x = ca.SX.sym("z"), ca.SX.sym("x", 2)
@@ -124,7 +124,7 @@ def test_bounds_are_bounds():
         points = np.concatenate([-np.geomspace(1e-3, 300, 300)[::-1], np.geomspace(1e-3, 300, 300)])
         values = np.array(f(points)).ravel()
         size = 1e-9 * (1 + np.abs(values))
-        (order,) = orders(h, z, [curve([0, 1], 4)], 4)
+        (order,) = asymptotic_orders(h, z, [polynomial_order([0, 1], 4)], 4)
         far = points >= 16
         if order is not None:
             scale = points[far] ** float(order.p) * np.log(points[far]) ** float(order.l)
@@ -133,9 +133,9 @@ def test_bounds_are_bounds():
         lines = sector(h, z, -np.inf, np.inf, 4)
         if lines is not None and np.isfinite(lines.high):
             assert (points * values <= lines.high * points**2 + lines.reach * np.abs(points) + size * np.abs(points)).all()
-        if shape(h, z, -np.inf, np.inf).nondecreasing:
+        if decide_monotonicity(h, z, -np.inf, np.inf).nondecreasing:
             assert (np.diff(values) >= -size[1:]).all()
-        powers = growth(h, z, np.array([-np.inf]), np.array([np.inf]))
+        powers = growth_bound(h, z, np.array([-np.inf]), np.array([np.inf]))
         if powers is not None:
             bound = sum(p.size * (p.alpha * np.abs(points) + p.gamma) ** float(p.p) for p in powers)
             assert (np.abs(values) <= bound + size).all()

@@ -146,15 +146,15 @@ def test_nothing_is_said_where_no_state_jumps(model):
 def test_rounding_in_the_product_of_b_and_c_is_zero():
     """C B = 0.1 * 3 - 0.3 is 5.6e-17 in doubles."""
     model = ball(A=[[0, 1, 0], [0, 0, 0], [0, 0, 0]], B=[3, 1, -0.3], C=[0.1, 0, 1], f=[0, -9.81, 0], x0=[10, 0, 0])
-    (watch,) = impacts.watched(model)
+    (watch,) = impacts.impact_rows(model)
     assert watch.degree == 2
 
 
 def test_a_row_that_another_multiplier_may_hold_is_not_watched_and_a_bounded_one_holds_nothing():
     held = ball(B=[[0, 1], [1, 0]], C=[[1, 0], [0, 1]], law=complementarity(2))
-    assert impacts.watched(held) == ()
+    assert impacts.impact_rows(held) == ()
     rubbed = ball(B=[[0, 1], [1, 0]], C=[[1, 0], [0, 1]], law=product(complementarity(1), relay(1, -0.1, 0.1)))
-    assert [watch.name for watch in impacts.watched(rubbed)] == ["l_0"]
+    assert [watch.name for watch in impacts.impact_rows(rubbed)] == ["l_0"]
 
 
 def test_a_relay_that_acts_late_and_slides_is_told():
@@ -188,15 +188,15 @@ def test_check_names_the_jump_and_without_runs_that_there_may_be_one():
 
 @pytest.mark.parametrize("law", [complementarity(1), relay(1), equality(1)])
 def test_the_rows_of_a_run_may_come_in_parts(law):
-    rng, watches = np.random.default_rng(1), impacts.watched(ball(A=[[0, 1], [0, -1]], law=law))
+    rng, watches = np.random.default_rng(1), impacts.impact_rows(ball(A=[[0, 1], [0, -1]], law=law))
     l = np.where(rng.uniform(size=60) < 0.5, float(ca.DM(law.lower)), rng.uniform(0, 0.9, 60))
     rows = {"t": np.arange(60.0), "x": rng.normal(size=(60, 2)), "multipliers": np.append(np.nan, l[1:])[:, None]}
-    whole = impacts.met(watches, rows, {})
+    whole = impacts.update_impacts(watches, rows, {})
     assert whole["l_0"]["count"] > 1 or law.labels == ["equality"]
     for size in (1, 2, 3, 7):
         known = {}
         for start in range(0, 60, size):
-            known = impacts.met(watches, {name: part[start : start + size] for name, part in rows.items()}, known)
+            known = impacts.update_impacts(watches, {name: part[start : start + size] for name, part in rows.items()}, known)
         assert known == whole
 
 
@@ -324,7 +324,7 @@ def test_what_stays_on_a_cone_is_not_refused():
     ],
 )
 def test_cones_of_relative_degree_1_are_not_watched(model):
-    assert impacts.watched(model) == ()
+    assert impacts.impact_rows(model) == ()
 
 
 def test_a_wall_beside_a_cone_that_is_open_is_passed():

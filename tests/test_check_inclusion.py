@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 import nsmodel
 from nsmodel import MonotoneInclusion, relay
 from nsmodel.classes.inclusion.hypotheses import autonomous as inclusion
-from nsmodel.classes.inclusion.set_valued import constraints, selection
+from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
 from nsmodel.hypotheses.region import region_of
 from nsmodel.solve.certificate import numeric_law
 
@@ -39,13 +39,13 @@ class Sampler:
 
     def __init__(self, model):
         self.model, self.n = model, model.x.numel()
-        chosen = selection(model)
+        chosen = velocity_selection(model)
         law = numeric_law(chosen.law)
         self.lower, self.upper, self.balls = law.lower.copy(), law.upper.copy(), law.curved
         self.f = ca.Function("v", [model.x, chosen.l], [chosen.velocity])
         self.u = ca.Function("u", [model.x], [chosen.u])
         self.m = chosen.l.numel()
-        c, _ = constraints(model)
+        c, _ = set_constraints(model)
         self.c = ca.Function("c", [model.x], [ca.densify(c), ca.densify(ca.jacobian(c, model.x))])
         self.rows = c.numel()
 
@@ -213,8 +213,8 @@ def test_the_sampler_sees_a_wrong_constant():
     rng = np.random.default_rng(0)
     assert not contradictions(model, found, rng)
     for id, name, factor in (("M-A2", "a_2", 0.5), ("M-A3", "alpha", 3.0), ("M-24", "L", 2.0)):
-        wrong = nsmodel.hypotheses.findings.found(
-            getattr(inclusion, {"M-A2": "A2", "M-A3": "A3", "M-24": "LIPSCHITZ"}[id]), "holds", "everywhere",
+        wrong = nsmodel.hypotheses.findings.make_finding(
+            getattr(inclusion, {"M-A2": "M_A2", "M-A3": "M_A3", "M-24": "M_24"}[id]), "holds", "everywhere",
             {**found[id].value, name: factor * found[id].value[name]},
         )  # fmt: skip
         assert {bad[0] for bad in contradictions(model, {**found, id: wrong}, rng, 200)} == {id}

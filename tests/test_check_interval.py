@@ -7,16 +7,16 @@ import mpmath
 import numpy as np
 import pytest
 
-from nsmodel.proof.directions import reduced
+from nsmodel.proof.directions import reduce_coordinates
 from nsmodel.proof.extremum import (
     _eigenvalue_bound,
-    _norm_bound,
+    _spectral_norm_bound,
     largest_eigenvalue,
     samples,
     spectral_norm,
     supremum,
 )
-from nsmodel.proof.interval import enclose, is_continuous, mean_value, program
+from nsmodel.proof.interval import enclose, is_continuous, mean_value_form, program
 from nsmodel.proof.interval_functions import OPERATIONS
 
 INF = np.inf
@@ -94,7 +94,7 @@ def test_no_value_of_a_random_expression_lies_outside(seed):
 def test_slopes_bound_every_difference(seed):
     checked = 0
     for expr, x, lower, upper, points, fine in _fuzz(seed, 150):
-        bounds = mean_value(program(expr, x), lower[None], upper[None])
+        bounds = mean_value_form(program(expr, x), lower[None], upper[None])
         slope_lo, slope_hi = bounds.slope_lo[0, 0], bounds.slope_hi[0, 0]
         if not (fine.all() and np.isfinite([slope_lo, slope_hi]).all()):
             continue
@@ -454,7 +454,7 @@ def test_fewer_coordinates_give_the_same_values(text, number):
     z = ca.SX.sym("z", 4)
     expr = ca.SX(eval(text, {**vars(ca), **dict(zip("abcd", ca.vertsplit(z), strict=True))}))
     lower, upper = np.array([-1.0, 0, 2, -3]), np.array([1.0, 0.7, 2, 3])
-    less = reduced(expr, z, lower, upper)
+    less = reduce_coordinates(expr, z, lower, upper)
     if number is None:
         assert less is None
         return
@@ -534,7 +534,7 @@ def test_no_matrix_of_an_interval_exceeds_the_bound(n):
     for width in (0.0, 1e-8, 0.1, 3.0):
         middle = rng.normal(size=(40, n, n))
         radius = width * rng.random((40, n, n))
-        norm = _norm_bound(middle - radius, middle + radius)
+        norm = _spectral_norm_bound(middle - radius, middle + radius)
         symmetric, size = middle + middle.swapaxes(1, 2), radius + radius.swapaxes(1, 2)
         top = _eigenvalue_bound(symmetric - size, symmetric + size)
         for _ in range(50):

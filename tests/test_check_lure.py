@@ -12,7 +12,7 @@ import nsmodel
 from nsmodel import LureSystem, complementarity, relay
 from nsmodel.classes.lure.hypotheses import check as lure
 from nsmodel.classes.lure.hypotheses.dissipation import least_rate
-from nsmodel.classes.lure.hypotheses.passivity import input_output, storage
+from nsmodel.classes.lure.hypotheses.passivity import decide_input_output, decide_storage
 from nsmodel.classes.lure.hypotheses.symbolic import findings as symbolic_findings
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import exact
@@ -98,7 +98,7 @@ def test_a_planted_P_is_found_and_solves_the_equation():
         n, m = sizes(rng)
         _, B, C = planted(rng, n, m, int(rng.integers(1, m + 1)))
         state, multiplier = 2.0 ** rng.integers(-20, 21, n), 2.0 ** rng.integers(-20, 21, m)
-        finding = storage(B * state[:, None] * multiplier, C / state * multiplier[:, None]).finding
+        finding = decide_storage(B * state[:, None] * multiplier, C / state * multiplier[:, None]).finding
         assert finding.verdict == "holds"
         found = np.array(finding.witness["P"]) * np.outer(state, state)  # in the units of the planted one
         assert np.abs(found @ B - C.T).max() <= 1e-9 * np.abs(found).max()
@@ -119,8 +119,8 @@ def test_the_decision_is_that_of_the_semidefinite_program():
         exists = t > 1e-4
         assert exists or t < 1e-6, "the program does not tell: choose other numbers"
         units = 10.0 ** rng.integers(-6, 7, n), 10.0 ** rng.integers(-6, 7, m)
-        finding = storage(B, C).finding
-        scaled = storage(B * units[0][:, None] * units[1], C / units[0] * units[1][:, None]).finding
+        finding = decide_storage(B, C).finding
+        scaled = decide_storage(B * units[0][:, None] * units[1], C / units[0] * units[1][:, None]).finding
         assert finding.verdict == ("holds" if exists else "violated")
         assert scaled.verdict in (("holds", "sampled") if exists else ("violated", "sampled", "unknown"))
         clear += scaled.verdict == "violated"
@@ -136,7 +136,7 @@ def test_the_witness_shows_what_is_wrong():
         n, m = sizes(rng)
         _, B, C = planted(rng, n, m, int(rng.integers(1, m + 1)))
         C = spoilt(rng, B, C)
-        finding = storage(B, C).finding
+        finding = decide_storage(B, C).finding
         if finding.verdict != "violated":
             continue
         witness = {name: np.array(item) for name, item in finding.witness.items()}
@@ -168,13 +168,13 @@ def test_the_witness_shows_what_is_wrong():
     ],
 )
 def test_systems_without_P(B, C, reason):
-    finding = storage(np.array(B, float), np.array(C, float)).finding
+    finding = decide_storage(np.array(B, float), np.array(C, float)).finding
     assert finding.verdict == "violated"
     assert reason in finding.how
 
 
 def test_the_twisting_controller_has_the_skew_part_as_its_witness():
-    finding = storage(np.array([[0.0, 0.0], [10.0, 3.0]]), np.eye(2)).finding
+    finding = decide_storage(np.array([[0.0, 0.0], [10.0, 3.0]]), np.eye(2)).finding
     assert finding.witness["skew part"] == [[0, -5], [5, 0]]
 
 
@@ -185,21 +185,21 @@ def test_rounded_numbers_are_accepted_with_their_margin_only():
         n, m = int(rng.integers(3, 9)), int(rng.integers(2, 4))
         L = rng.normal(size=(n, n))
         P, B = L @ L.T + np.eye(n), rng.normal(size=(n, m))
-        finding = storage(B, (P @ B).T).finding
+        finding = decide_storage(B, (P @ B).T).finding
         verdicts.append(finding.verdict)
         assert finding.value["|PB - C'|/|C|"] < 1e-12
         off = (P @ B).T * (1 + 1e-9 * rng.normal(size=(m, n)))
-        assert storage(B, off).finding.verdict == "violated"
+        assert decide_storage(B, off).finding.verdict == "violated"
     assert set(verdicts) == {"sampled"}
 
 
 def test_a_stiff_rectifier_is_accepted():
     B, C = np.array([[-1e9], [0.0]]), np.array([[-1.0, 0.0]])
-    finding = storage(B, C).finding
+    finding = decide_storage(B, C).finding
     assert finding.verdict == "holds"
     assert np.array(finding.witness["P"])[0, 0] == pytest.approx(1e-9, rel=1e-15)
     stiff = np.array([[1.0, 0.0], [0.0, 1e9]])
-    result = storage(np.eye(2), stiff).finding
+    result = decide_storage(np.eye(2), stiff).finding
     assert result.verdict == "holds"
     assert result.value["cond P"] == pytest.approx(1e9)
 
@@ -215,7 +215,7 @@ def test_P_is_about_as_well_conditioned_as_possible():
         for x in np.logspace(-6, 6, 1500):
             P = np.outer(c, c) / (c @ b) + x * np.outer(normal, normal)
             conditions.append(np.linalg.cond(P))
-        assert storage(B, C).finding.value["cond P"] <= 1.1 * min(conditions)
+        assert decide_storage(B, C).finding.value["cond P"] <= 1.1 * min(conditions)
 
 
 # -- 4.1 -----------------------------------------------------------------------------------------------------------------
@@ -223,15 +223,15 @@ def test_P_is_about_as_well_conditioned_as_possible():
 
 def test_D_is_decided_exactly():
     skew = np.array([[0.0, 1.0], [-1.0, 0.0]])
-    assert input_output(skew).verdict == "holds"
+    assert decide_input_output(skew).verdict == "holds"
     rank_one = np.outer([0.5, 0.25, 0.125], [0.5, 0.25, 0.125])
-    assert input_output(rank_one).verdict == "holds"
+    assert decide_input_output(rank_one).verdict == "holds"
     rounded = np.outer([0.1, 0.3, 0.7], [0.1, 0.3, 0.7])
-    assert input_output(rounded).verdict in ("holds", "sampled")
+    assert decide_input_output(rounded).verdict in ("holds", "sampled")
     rough = np.diag([1e12, 1e-12]) + 1e-3 * skew
-    assert input_output(rough).verdict == "holds"
+    assert decide_input_output(rough).verdict == "holds"
     bad = np.diag([1e12, -1e-12])
-    finding = input_output(bad)
+    finding = decide_input_output(bad)
     v = np.array(finding.witness["v"])
     assert finding.verdict == "violated"
     assert v @ bad @ v < 0
@@ -245,7 +245,7 @@ def test_D_with_a_clear_sign_is_never_sampled():
         S = L @ L.T
         S += (rng.choice([-0.1, 0.1]) - np.linalg.eigvalsh(S)[0]) * np.eye(m)
         D = S + K - K.T
-        finding = input_output(D)
+        finding = decide_input_output(D)
         least = np.linalg.eigvalsh(S)[0]
         assert finding.verdict == ("holds" if least > 0 else "violated")
         assert finding.value["least eigenvalue"] == pytest.approx(least, abs=1e-9)
@@ -265,9 +265,9 @@ def test_omega_is_a_bound_and_no_search_over_P_beats_it():
         L = rng.normal(size=(n, n))
         C = b.T @ (L @ L.T + np.eye(n))
         J = rng.normal(size=(n, n))
-        passivity = storage(b, C)
+        passivity = decide_storage(b, C)
         rate = least_rate(passivity.pairing, [J])
-        P = exact.doubles(passivity.pairing.storage(rate.Y))
+        P = exact.doubles(passivity.pairing.storage_matrix(rate.Y))
         assert np.abs(P @ b - C.T).max() <= 1e-9 * np.abs(P).max()
         assert growth(P, J) <= rate.omega + 1e-9 * np.abs(J).max()
         N = np.linalg.svd(b.T)[2][1:].T
@@ -283,7 +283,7 @@ def test_omega_over_a_scalar_Y_is_the_minimum_of_a_fine_scan():
     rng = np.random.default_rng(7)
     for _ in range(share(25, 6)):
         J = rng.normal(size=(2, 2))
-        passivity = storage(np.array([[0.0], [1.0]]), np.array([[0.0, 1.0]]))
+        passivity = decide_storage(np.array([[0.0], [1.0]]), np.array([[0.0, 1.0]]))
         rate = least_rate(passivity.pairing, [J])
         scan = min(growth(np.diag([y, 1.0]), J) for y in np.logspace(-3, 3, 1500) * abs(J[1, 0] / J[0, 1]))
         assert rate.omega == pytest.approx(scan, abs=4e-3 * np.abs(J).max())
@@ -320,9 +320,9 @@ def test_energy_is_found_and_its_decay_proved(masses, friction, damped):
     rng = np.random.default_rng(8)
     for _ in range(3):
         J, B, C, _, _ = mechanical(rng, masses, friction, damped)
-        passivity = storage(B, C)
+        passivity = decide_storage(B, C)
         rate = least_rate(passivity.pairing, [J])
-        P = exact.doubles(passivity.pairing.storage(rate.Y))
+        P = exact.doubles(passivity.pairing.storage_matrix(rate.Y))
         assert rate.omega == 0.0
         assert np.linalg.eigvalsh(P)[0] > 0
         assert np.linalg.eigvalsh(P @ J + J.T @ P)[-1] <= 1e-12 * np.abs(P @ J).max()
@@ -330,7 +330,7 @@ def test_energy_is_found_and_its_decay_proved(masses, friction, damped):
 
 def test_energy_that_is_not_found_exactly_is_found_up_to_the_accuracy_of_the_search():
     J, B, C, _, _ = mechanical(np.random.default_rng(8), 6, [3], [0])
-    rate = least_rate(storage(B, C).pairing, [J])
+    rate = least_rate(decide_storage(B, C).pairing, [J])
     assert 0 <= rate.omega <= rate.accuracy
 
 
@@ -343,7 +343,7 @@ def test_strict_contraction_is_found():
         S, K = rng.normal(size=(n, n)), rng.normal(size=(n, n))
         J = np.linalg.solve(P, K - K.T - S @ S.T) - 0.3 * np.eye(n)
         B = rng.normal(size=(n, 1))
-        passivity = storage(B, (P @ B).T)
+        passivity = decide_storage(B, (P @ B).T)
         rate = least_rate(passivity.pairing, [J])
         assert rate.least - 1e-9 <= rate.omega <= growth(P, J) + 1e-6
         assert rate.omega <= -0.3 + 1e-6
@@ -511,20 +511,20 @@ def test_two_runs_contract_as_promised(theta, name):
     model, a, b = pair_of_runs(theta, NONLINEAR[name][0])
     finding = checked(NONLINEAR[name][0])[0]["5.2"]
     P = np.array(finding.witness["P_omega"])
-    result = lure.contraction(model, P, finding.value["omega"], a, b)
+    result = lure.compare_contraction(model, P, finding.value["omega"], a, b)
     assert result.verdict == "holds"
     size = np.sqrt(np.einsum("ki,ij,kj->k", a.x - b.x, P, a.x - b.x))
     ratio = size / (size[0] * np.exp(finding.value["omega"] * a.t))
     assert result.value["largest ratio to the bound"] == pytest.approx(ratio.max())
-    too_small = lure.contraction(model, P, finding.value["omega"] - 5, a, b)
+    too_small = lure.compare_contraction(model, P, finding.value["omega"] - 5, a, b)
     assert too_small.verdict == "violated"
 
 
 def test_runs_that_cannot_be_compared():
     model, a, _ = pair_of_runs(1.0, NONLINEAR["pendulum"][0])
-    assert "same start" in lure.contraction(model, np.eye(2), 1.0, a, a).how
+    assert "same start" in lure.compare_contraction(model, np.eye(2), 1.0, a, a).how
     other = nsmodel.simulate(model, step=0.02)
-    assert "different times" in lure.contraction(model, np.eye(2), 1.0, a, other).how
+    assert "different times" in lure.compare_contraction(model, np.eye(2), 1.0, a, other).how
 
 
 # -- parameters without value --------------------------------------------------------------------------------------------
@@ -577,7 +577,7 @@ def test_conditions_of_symbols_agree_with_numbers():
         Bn, Cn, Dn = (np.array(ca.DM(M)) for M in (number.B, number.C, number.D))
         if np.linalg.matrix_rank(Bn) < 2:
             continue
-        for id, decided in (("5.1", storage(Bn, Cn).finding), ("4.1", input_output(Dn))):
+        for id, decided in (("5.1", decide_storage(Bn, Cn).finding), ("4.1", decide_input_output(Dn))):
             text = " and ".join(f"({condition})" for condition in findings[id].witness["conditions"]).replace(" = 0", " == 0")
             assert eval(text, {}, values) == (decided.verdict == "holds")
             seen.add((id, decided.verdict))
@@ -595,7 +595,7 @@ def test_units_in_which_the_energy_is_found_exactly():
 def test_numbers_whose_products_leave_the_range_of_doubles():
     for unit in (1e150, 1e-150, 1e200, 1e-200, 1e300):
         for B, C in ((unit, 1 / unit), (unit, unit), (unit, 1.0), (1.0, unit)):
-            passivity = storage(np.array([[0.0], [B]]), np.array([[0.0, C]]))
+            passivity = decide_storage(np.array([[0.0], [B]]), np.array([[0.0, C]]))
             assert passivity.finding.verdict in ("holds", "unknown")
 
 
@@ -661,10 +661,10 @@ def test_the_p_that_is_given_is_the_p_that_was_proved(b, c, quick):
         fractions = found.witness.get(f"{name} exactly")
         P = near if fractions is None else np.array([[Fraction(entry) for entry in row] for row in fractions], dtype=object)
         assert exact.is_symmetric(P)
-        assert exact.psd(P).definite
-        assert not (exact.product(P, B) - exact.rational(C).T).any()
+        assert exact.definiteness(P).definite
+        assert not (exact.matrix_product(P, B) - exact.rational(C).T).any()
         assert all(abs(p - q) <= Fraction(1e-15) * abs(q) for p, q in zip(near.ravel(), P.ravel(), strict=True))
-    assert exact.is_psd(Fraction(report["5.2"].value["omega"]) * P - exact.product(P, A))
+    assert exact.is_psd(Fraction(report["5.2"].value["omega"]) * P - exact.matrix_product(P, A))
 
 
 def test_a_forcing_with_an_integrable_derivative_is_enough():

@@ -8,7 +8,7 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import FrictionOscillator
 from nsmodel.classes.oscillator.hypotheses import check as oscillator
-from nsmodel.classes.oscillator.hypotheses.radius import radius
+from nsmodel.classes.oscillator.hypotheses.radius import friction_radius
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import polynomial, polynomial_signs
 from nsmodel.proof.convex import convexity
@@ -149,12 +149,12 @@ def test_signs_on_a_half_line_agree_with_a_fine_grid():
             p *= np.poly1d([1.0, -float(root)]) ** int(power)
         c = [polynomial.Fraction(round(float(number))) for number in p.coeffs[::-1]]
         point = polynomial_signs.negative_point(c)
-        exact = [polynomial_signs.at(c, polynomial.Fraction(k, 10)) for k in range(120)]
+        exact = [polynomial_signs.evaluate_at(c, polynomial.Fraction(k, 10)) for k in range(120)]
         assert (point is not None) == (min(exact) < 0)
         if point is not None:
             negative += 1
             assert point >= 0
-            assert polynomial_signs.at(c, point) < 0
+            assert polynomial_signs.evaluate_at(c, point) < 0
     assert 50 < negative < 250
 
 
@@ -315,7 +315,7 @@ def test_the_rules_of_convex_functions_never_call_a_nonconvex_function_convex(si
         g = random_potential(x, rng)
         inner = rng.choice(["", "square", "exp", "root"])
         g = {"": g, "square": g**2, "exp": ca.exp(g / 50), "root": ca.sqrt(1 + g**2)}[str(inner)]
-        (shape,) = convexity.everywhere(g, x)
+        (shape,) = convexity.global_curvatures(g, x)
         if not (shape.convex if sign > 0 else shape.concave):
             continue
         proved += 1
@@ -582,7 +582,7 @@ def test_what_is_printed_of_theta_is_a_bound():
 def test_the_radius_is_below_every_value_of_the_support_function(elements, attained):
     made_ = [(r, np.array(H, float)) for r, H in elements]
     n = made_[0][1].shape[1]
-    found = radius(made_, n)
+    found = friction_radius(made_, n)
     rng = np.random.default_rng(0)
     d = rng.normal(size=(n, 200_000))
     d /= np.linalg.norm(d, axis=0)
@@ -601,7 +601,7 @@ def test_random_radii_are_bounds():
         ]
         if np.linalg.matrix_rank(np.vstack([H for _, H in elements])) < n:
             continue
-        found = radius(elements, n)
+        found = friction_radius(elements, n)
         d = rng.normal(size=(n, 50_000))
         sigma = sum(r * np.linalg.norm(H @ d, axis=0) for r, H in elements) / np.linalg.norm(d, axis=0)
         assert 0 < found.low <= sigma.min()

@@ -12,7 +12,7 @@ from nsmodel import FirstOrderSystem, LureSystem, check, complementarity, relay
 from nsmodel.cli import main
 from nsmodel.errors import UsageError
 from nsmodel.proof import exact
-from nsmodel.proof.multiaffine import corners
+from nsmodel.proof.multiaffine import matrix_corners
 
 p = ca.SX.sym("p")
 
@@ -223,7 +223,7 @@ def test_the_values_lie_in_the_hull_of_the_corners():
     z = ca.SX.sym("z", 3)
     M = ca.vertcat(ca.horzcat(-1 / (z[0] * z[1]), z[2] ** 2), ca.horzcat(ca.sqrt(z[0]) * z[2], (z[0] ** 2 - 1) / (z[0] + 1)))
     low, high = np.array([0.5, 1, -1]), np.array([2.0, 3, 2])
-    found = corners([M, z[0]], z, low, high)
+    found = matrix_corners([M, z[0]], z, low, high)
     points = np.array([np.concatenate([exact.doubles(part).ravel() for part in own]) for own in found])
     f, rng = ca.Function("f", [z], [M, z[0]]), np.random.default_rng(0)
     for at in rng.uniform(low, high, (50, 3)):
@@ -231,4 +231,4 @@ def test_the_values_lie_in_the_hull_of_the_corners():
         columns = np.vstack([points.T, np.ones(len(points))])
         assert linprog(np.zeros(len(points)), A_eq=columns, b_eq=np.append(value, 1)).status == 0
     assert all(own[0][1, 1] == own[1][0, 0] - 1 for own in found)  # (z^2 - 1)/(z + 1) is read as z - 1
-    assert corners([1 / z[2]], z, low, high) is None
+    assert matrix_corners([1 / z[2]], z, low, high) is None

@@ -13,8 +13,8 @@ from test_check_inclusion import contradictions
 from nsmodel import FrictionOscillator, MonotoneInclusion, check, relay
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer
-from nsmodel.proof.mixtures import mixture
+from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer_set
+from nsmodel.proof.mixtures import mixture_corners
 
 x, s, p, q = (ca.SX.sym(name) for name in "xspq")
 z = ca.SX.sym("z", 2)
@@ -56,7 +56,7 @@ def test_each_value_lies_in_the_hull_of_the_corners(f):
     from scipy.optimize import linprog
 
     low, high = np.array([0.1, 2.0]), np.array([1.5, 3.0])
-    at = mixture(f, ca.vertcat(p, q), low, high)
+    at = mixture_corners(f, ca.vertcat(p, q), low, high)
     assert at is not None
     points = np.array([-2.0, -1.1, 0.3, 0.7, 1.3, 2.9])
     corners = np.array([np.array(ca.Function("f", [x], [one])(points[None, :])).ravel() for one in at])
@@ -70,11 +70,11 @@ def test_each_value_lies_in_the_hull_of_the_corners(f):
 
 @pytest.mark.parametrize("f", [ca.exp(p * x), ca.floor(p * x), x / (x + p), ca.fmax(p * x, 1), p * x * (x + ca.exp(p * x))])
 def test_other_functions_are_no_such_combinations(f):
-    assert mixture(f, p, np.array([0.5]), np.array([1.0])) is None
+    assert mixture_corners(f, p, np.array([0.5]), np.array([1.0])) is None
 
 
 def test_poles_in_the_box_are_no_corners():
-    assert mixture(x / p, p, np.array([-1.0]), np.array([1.0])) is None
+    assert mixture_corners(x / p, p, np.array([-1.0]), np.array([1.0])) is None
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_poles_in_the_box_are_no_corners():
 def test_shapes_of_functions_of_some_symbols(f, convex, concave):
     """P in [0, 1], q in [-1, 1] are numbers."""
     low, high = np.array([-np.inf, 0, -1]), np.array([np.inf, 1, 1])
-    (shape,) = convexity.shapes(f, ca.vertcat(x, p, q), low, high, of=x)
+    (shape,) = convexity.curvatures(f, ca.vertcat(x, p, q), low, high, of=x)
     assert (shape.convex, shape.concave) == (convex, concave)
 
 
@@ -94,7 +94,7 @@ def test_moving_sets():
         return MovingSet(x, p, ca.vertcat(*rows), np.array([low]), np.array([high]))
 
     channel = moving(x - p, p + 1 - x, 20 - x, low=0.0, high=10.0)
-    low, high = outer(channel).hull
+    low, high = outer_set(channel).bounding_box
     assert (low[0], high[0]) == (0.0, 11.0)
     found = has_interior_for_all(channel, np.zeros(1))
     assert found is not None
@@ -102,8 +102,8 @@ def test_moving_sets():
     assert found.reach >= 10  # C(10) = [10, 11]
     assert is_convex_for_all(channel, np.full(1, -1.0), np.full(1, 1.0), quick=True) is not None
     ball = moving(p - x**2, low=0.25, high=4.0)
-    assert outer(ball).hull[1][0] == pytest.approx(2)
-    assert outer(ball).hull[1][0] >= 2
+    assert outer_set(ball).bounding_box[1][0] == pytest.approx(2)
+    assert outer_set(ball).bounding_box[1][0] >= 2
     assert has_interior_for_all(moving(p - x**2, low=0.0, high=4.0), np.zeros(1)) is None
     assert has_interior_for_all(moving(x - p, 0.5 - x, low=0.0, high=1.0), np.zeros(1)) is None
     bent = moving(p + x**3, low=0.0, high=1.0)
@@ -395,4 +395,4 @@ def test_the_whole_space_is_no_moving_set():
     found = has_interior_for_all(C, np.zeros(1))
     assert found is not None
     assert found.reach == 0
-    assert isinstance(outer(C), ConvexSet)
+    assert isinstance(outer_set(C), ConvexSet)

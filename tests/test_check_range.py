@@ -11,9 +11,9 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import LureSystem, ball, box, complementarity, equality, polyhedron, relay, second_order_cone
-from nsmodel.classes.lure.hypotheses.range_condition import HYPOTHESES, range_findings
+from nsmodel.classes.lure.hypotheses.range_condition import RANGE_HYPOTHESES, range_findings
 from nsmodel.proof import exact, feasibility
-from nsmodel.proof.feasibility import System
+from nsmodel.proof.feasibility import ConicSystem
 
 INF = np.inf
 
@@ -29,7 +29,7 @@ def decided(C, D, law=None, x0=None, *, A=None, f=None, phi=None):
         t_end=1, step=0.1, t=TIME, **given,
     )  # fmt: skip
     found = range_findings(model.bind(), quick=False)
-    assert [finding.id for finding in found] == [hypothesis.id for hypothesis in HYPOTHESES]
+    assert [finding.id for finding in found] == [hypothesis.id for hypothesis in RANGE_HYPOTHESES]
     return {finding.id: finding for finding in found}
 
 
@@ -235,7 +235,7 @@ def test_feedthrough_that_is_psd_up_to_rounding_proves_nothing():
     v = np.array([[0.1], [0.2], [0.3]])
     D = v @ v.T
     D[0, 0] -= 1e-18
-    assert not exact.psd(D).psd
+    assert not exact.definiteness(D).psd
     found = verdicts(np.ones((3, 1)), D, complementarity(3), [1])
     assert {found[id] for id in ("5.4a", "5.4b", "5.4c", "5.x0")} == {"sampled"}
     assert verdicts(np.ones((3, 1)), D, relay(3), [1])["5.4b"] == "holds"  # K is bounded: D does not matter
@@ -379,11 +379,11 @@ def test_every_answer_is_a_proof():
         A = rng.integers(-2, 3, (r, n)) * 1.0
         units = 10.0 ** rng.integers(-9, 10, (r, 1))
         for cones in ((), ((0, 1, 2),)):
-            system = System(exact.rational(A if cones else units * A), tuple(range(3 if cones else 1, n)), cones)
-            answer = feasibility.decide(system)
+            system = ConicSystem(exact.rational(A if cones else units * A), tuple(range(3 if cones else 1, n)), cones)
+            answer = feasibility.decide_feasibility(system)
             assert (answer.point is None) != (answer.separator is None)
             if answer.point is not None:
-                assert feasibility.is_solution(system, answer.point)
+                assert feasibility.is_strict_solution(system, answer.point)
             else:
                 assert feasibility.is_separator(system, answer.separator)
 
@@ -403,7 +403,7 @@ def test_what_rests_on_a_kernel_that_rounding_decides_is_not_proved():
     for _ in range(40):
         v = rng.normal(size=2)
         D = np.outer(v, v)
-        if not exact.psd(D).definite:
+        if not exact.definiteness(D).definite:
             continue
         seen += 1
         found = verdicts(np.eye(2), D, equality(2), [1.0, 1.0])  # by v v' itself: y = C x0 + v (v'l) is not 0

@@ -15,17 +15,17 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import LureSystem, ModelError, SweepingProcess, ball, box, complementarity, equality, polyhedron, product, relay
 from nsmodel import second_order_cone as cone
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, follows, found
-from nsmodel.hypotheses.report.formula import Names, formulas
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, make_consequence, make_finding
+from nsmodel.hypotheses.report.formula import SymbolNames, formulas
 from nsmodel.hypotheses.report.markdown import markdown
-from nsmodel.hypotheses.report.notation import decimal, symbol_latex
+from nsmodel.hypotheses.report.notation import number_latex, symbol_latex
 from nsmodel.hypotheses.report.report import Report
-from nsmodel.hypotheses.report.table import document, shown, text
-from nsmodel.hypotheses.report.typeset import equations, law_latex, to_sympy
+from nsmodel.hypotheses.report.table import report_data, report_text, witness_value_text
+from nsmodel.hypotheses.report.typeset import law_latex, model_equations, to_sympy
 from nsmodel.storage import dumps, loads
 
 X = ca.SX.sym("x", 3)
-PLAIN = Names({}, {})
+PLAIN = SymbolNames({}, {})
 UNARY = (
     ca.sin, ca.cos, ca.tan, ca.atan, ca.exp, ca.tanh, ca.sinh, ca.cosh, ca.asinh, ca.erf, ca.fabs, ca.sign, ca.floor, ca.ceil,
     ca.expm1, lambda a: -a, lambda a: a**2, lambda a: a**3, lambda a: ca.sqrt(1 + a**2), lambda a: ca.log(1 + a**2),
@@ -193,7 +193,7 @@ def test_formulas_read_back_have_the_values_they_stand_for():
 
 
 def test_a_norm_of_a_whole_vector_is_written_with_the_vector():
-    names = Names({}, {"x": ["x_0", "x_1", "x_2"]})
+    names = SymbolNames({}, {"x": ["x_0", "x_1", "x_2"]})
     c = ca.vertcat(1, -2, ca.SX.sym("t"))
     assert formulas(ca.norm_2(X - c) - 1, names) == [r"\left\Vert x - \left(1,\ -2,\ t\right) \right\Vert - 1"]
     assert formulas(2 * ca.norm_2(X), names) == [r"2\,\left\Vert x \right\Vert"]
@@ -221,14 +221,14 @@ def test_long_formulas_are_counted_not_written():
     ],
 )  # fmt: skip
 def test_numbers_are_those_the_user_wrote(value, latex):
-    assert decimal(value) == latex
+    assert number_latex(value) == latex
 
 
 def test_numbers_read_back_are_right_to_the_digits_shown():
     rng = np.random.default_rng(3)
     values = [*(rng.uniform(1, 10, 500) * 10.0 ** rng.integers(-12, 13, 500)), 99999999.5, 0.99999999, 123456.5, 5e-324, 1.7e308]
     for value in values:
-        latex = decimal(value)
+        latex = number_latex(value)
         root, _, power = latex.replace(r"\ldots", "").partition(r"\cdot 10^")
         again = float(f"{root}e{power.strip('{}') or 0}")
         assert again == pytest.approx(value, rel=0 if "ldots" not in latex else 1e-5), latex
@@ -273,7 +273,7 @@ def balanced(latex):
 def test_equations_of_every_case_can_be_drawn(case_file):
     model = nsmodel.load(case_file)
     start = time.perf_counter()
-    lines = equations(model)
+    lines = model_equations(model)
     assert time.perf_counter() - start < 0.5
     assert len(lines) >= 3
     for line in lines:
@@ -282,7 +282,7 @@ def test_equations_of_every_case_can_be_drawn(case_file):
         assert balanced(line), line
         rendered(line)
     if model.p.numel():
-        bound = equations(model.bind())
+        bound = model_equations(model.bind())
         for name in model.parameters:
             assert any(symbol_latex(name) in line for line in lines), name
             assert not any(symbol_latex(name) in line for line in bound), name
@@ -297,7 +297,7 @@ def test_unbalanced_formulas_are_seen():
 def test_constraints_are_written_under_their_names_and_counted():
     q = ca.SX.sym("q", 2)
     walls = {f"wall {i} of 50_%": q[0] + i for i in range(9)}
-    lines = equations(SweepingProcess(q=q, f=[0, 1], constraints={"both": q, **walls}, q0=[0, 0], t_end=1))
+    lines = model_equations(SweepingProcess(q=q, f=[0, 1], constraints={"both": q, **walls}, q0=[0, 0], t_end=1))
     assert lines[:2] == [r"\dot{q} + N_{Q}(q) \ni f(q)", r"f(q) = \left(0,\ 1\right)"]
     assert r"g_{\text{both[1]}}(q) = q_{1} \geq 0" in lines
     assert r"g_{\text{wall 1 of 50\_\%}}(q) = q_{0} + 1 \geq 0" in lines
@@ -306,10 +306,12 @@ def test_constraints_are_written_under_their_names_and_counted():
 
 
 def test_states_are_written_under_the_users_names():
-    lines = equations(LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[1, 0], t_end=1, names=["s", "mu_1"]))
+    lines = model_equations(
+        LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[1, 0], t_end=1, names=["s", "mu_1"])
+    )
     assert r"x = \left(s,\ \mu_{1}\right)" in lines
     z = ca.SX.sym("z", 2)
-    lines = equations(
+    lines = model_equations(
         LureSystem(x=z, A=[z[1], -ca.sin(z[0])], B=[0, 1], C=[0, 1], law=relay(1), x0=[1, 0], t_end=1, names=["s", "mu_1"])
     )
     assert r"A(x) = \left(\mu_{1},\ -\sin\left(s\right)\right)" in lines
@@ -358,9 +360,9 @@ def some_report(seed, names=3):
         value |= {"sup": float(rng.choice([np.inf, 0.0, -np.inf]))} if verdict not in (UNKNOWN, HOLDS) else {}
         witness = {"q": rng.normal(size=rng.integers(1, 60)), "constraints": [some(3)] * names, "count": 3, "of": None}
         source = Hypothesis(id, some(rng.integers(3, 60)), some(4))
-        findings.append(found(source, verdict, some(rng.integers(3, 60)), value, witness))
+        findings.append(make_finding(source, verdict, some(rng.integers(3, 60)), value, witness))
     following = [
-        follows(name, some(20), findings, rests, some(3), {"K_L": float(rng.normal())})
+        make_consequence(name, some(20), findings, rests, some(3), {"K_L": float(rng.normal())})
         for name, rests in (("K_L", ["S-convex"]), ("the order that is proved", ["A5", "S-convex"]), ("empty", []))
     ]
     return Report(
@@ -372,23 +374,23 @@ def some_report(seed, names=3):
 @pytest.mark.parametrize("width", [72, 100, 140])
 @pytest.mark.parametrize("seed", range(5))
 def test_no_line_is_wider_than_asked(seed, width):
-    lines = text(some_report(seed), width).splitlines()
+    lines = report_text(some_report(seed), width).splitlines()
     assert max(map(len, lines)) <= width
     assert all(line == line.rstrip() for line in lines)
 
 
 def test_a_word_without_a_space_is_broken():
     report = some_report(0)
-    finding = found(Hypothesis("A5", "s" * 300, "x" * 200), VIOLATED, "h" * 300, {"n" * 150: 1.0}, {"w": ["c" * 300]})
+    finding = make_finding(Hypothesis("A5", "s" * 300, "x" * 200), VIOLATED, "h" * 300, {"n" * 150: 1.0}, {"w": ["c" * 300]})
     wide = Report("t" * 150, "M", "p" * 150, "r" * 150, False, (finding,), report.consequences, {"p" * 120: 1.0}, (), None)
-    assert max(map(len, text(wide).splitlines())) <= 100
+    assert max(map(len, report_text(wide).splitlines())) <= 100
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_table_page_and_data_say_the_same(seed, load_case):
     report = some_report(seed)
-    data = loads(dumps(document(report)))
-    table = " ".join(text(report).split())
+    data = loads(dumps(report_data(report)))
+    table = " ".join(report_text(report).split())
     page = re.sub(r"\\([^A-Za-z0-9\s])", r"\1", markdown(report, load_case("moving_disc")))
     assert [item["id"] for item in data["findings"]] == [finding.id for finding in report.findings]
     for item, finding in zip(data["findings"], report.findings, strict=True):
@@ -416,8 +418,8 @@ def test_table_page_and_data_say_the_same(seed, load_case):
 
 def test_data_is_strict_json_with_infinities_as_text():
     report = some_report(0)
-    finding = found(Hypothesis("A5", "s", "x"), VIOLATED, "h", {"gamma": np.inf, "a": 1.0}, {"u": [np.nan, 1]})
-    data = document(Report("t", "M", "p", "r", False, (finding,), (), {}, (), None))
+    finding = make_finding(Hypothesis("A5", "s", "x"), VIOLATED, "h", {"gamma": np.inf, "a": 1.0}, {"u": [np.nan, 1]})
+    data = report_data(Report("t", "M", "p", "r", False, (finding,), (), {}, (), None))
 
     def refuse(constant):
         raise AssertionError(constant)
@@ -425,7 +427,7 @@ def test_data_is_strict_json_with_infinities_as_text():
     plain = json.loads(dumps(data), parse_constant=refuse)
     assert plain["findings"][0]["value"] == {"gamma": "inf", "a": 1.0}
     assert plain["findings"][0]["witness"] == {"u": ["nan", 1]}
-    assert json.loads(dumps(document(report)), parse_constant=refuse)["verdict"] == report.verdict
+    assert json.loads(dumps(report_data(report)), parse_constant=refuse)["verdict"] == report.verdict
 
 
 def test_page_is_a_table_that_github_reads(load_case):
@@ -435,26 +437,26 @@ def test_page_is_a_table_that_github_reads(load_case):
     assert columns[:2] == [7, 7]
     assert set(columns) == {7}
     blocks = re.findall(r"^\$\$\n(.*)\n\$\$$", page, re.MULTILINE)
-    assert len(blocks) == len(equations(load_case("two_masses")))
+    assert len(blocks) == len(model_equations(load_case("two_masses")))
     assert not any(re.search(r"\\[^A-Za-z\s]", block) for block in blocks)  # Markdown would take the backslash away.
     assert any(r"\cr" in block for block in blocks)
 
 
 def test_witnesses_are_short():
-    assert shown([0.1234567, 2, "wall"]) == "(0.12346, 2, wall)"
-    assert shown(list(range(60))) == "(0, 1, 2, 3, ..., 59; 60 entries)"
-    assert shown([[1, 2], [3, 4]]) == "((1, 2), (3, 4))"
+    assert witness_value_text([0.1234567, 2, "wall"]) == "(0.12346, 2, wall)"
+    assert witness_value_text(list(range(60))) == "(0, 1, 2, 3, ..., 59; 60 entries)"
+    assert witness_value_text([[1, 2], [3, 4]]) == "((1, 2), (3, 4))"
     many = {"constraint": "wall"} | {f"q_{i}": float(i) for i in range(60)}
-    finding = found(Hypothesis("A5", "s", "x"), VIOLATED, "h", {"gamma": np.inf}, many)
+    finding = make_finding(Hypothesis("A5", "s", "x"), VIOLATED, "h", {"gamma": np.inf}, many)
     report = Report("t", "M", "p", "r", False, (finding,), (), {}, (), None)
-    assert "constraint = wall, q_0 = 0" in text(report)
-    assert "... (61 entries)" in text(report)
-    assert "q_20" not in text(report)
-    assert document(report)["findings"][0]["witness"] == many
+    assert "constraint = wall, q_0 = 0" in report_text(report)
+    assert "... (61 entries)" in report_text(report)
+    assert "q_20" not in report_text(report)
+    assert report_data(report)["findings"][0]["witness"] == many
 
 
 def test_a_number_that_is_none_is_not_printed():
-    finding = found(Hypothesis("A5", "s", "x"), HOLDS, "h", {"margin": np.nan, "a": 1.0})
+    finding = make_finding(Hypothesis("A5", "s", "x"), HOLDS, "h", {"margin": np.nan, "a": 1.0})
     assert dict(finding.value) == {"a": 1.0}
     with pytest.raises(ValueError, match="'holds' needs a reason, a number"):
-        found(Hypothesis("A5", "s", "x"), HOLDS, "h", {"margin": np.nan})
+        make_finding(Hypothesis("A5", "s", "x"), HOLDS, "h", {"margin": np.nan})

@@ -11,8 +11,8 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, ManyBodies, MonotoneInclusion, SweepingProcess, check, relay
-from nsmodel.hypotheses.scope import Scope, meet
-from nsmodel.proof.defined import in_time
+from nsmodel.hypotheses.scope import Scope, intersect_scopes
+from nsmodel.proof.defined import check_defined_in_time
 
 t, q, S = ca.SX.sym("t"), ca.SX.sym("q", 2), ca.SX.sym("s")
 x, y = q[0], q[1]
@@ -59,7 +59,7 @@ def test_a_velocity_that_is_not_finite_at_some_time_is_no_velocity(name):
     ],
 )  # fmt: skip
 def test_operations_with_a_domain_are_decided_on_the_interval(f, verdict):
-    assert in_time(f, t, 0.0, 1.0).verdict == verdict
+    assert check_defined_in_time(f, t, 0.0, 1.0).verdict == verdict
 
 
 def test_random_poles_and_roots_of_time_are_found_where_they_are():
@@ -71,7 +71,7 @@ def test_random_poles_and_roots_of_time_are_found_where_they_are():
         u = {0: t - c, 1: (t - c) * (t**2 + rng.uniform(0.1, 1)), 2: ca.sin(t - c), 3: ca.exp(t) - np.exp(c)}[
             int(rng.integers(4))
         ]
-        found = in_time({0: 1 / u, 1: ca.log(ca.fabs(u)), 2: u**-3}[int(rng.integers(3))], t, 0.0, 1.0)
+        found = check_defined_in_time({0: 1 / u, 1: ca.log(ca.fabs(u)), 2: u**-3}[int(rng.integers(3))], t, 0.0, 1.0)
         assert found.verdict == ("violated" if inside else "holds"), (u, c, found)
         if inside:
             assert found.at == pytest.approx(c, abs=1e-9)
@@ -85,7 +85,9 @@ def test_a_constraint_that_is_not_finite_at_some_time_does_not_move_at_bounded_s
 
 def test_no_proof_has_an_infinite_constant():
     with pytest.raises(ValueError, match="holds' with K infinite"):
-        nsmodel.hypotheses.findings.found(nsmodel.hypotheses.findings.Hypothesis("A", "s", "p"), "holds", "how", {"K": np.inf})
+        nsmodel.hypotheses.findings.make_finding(
+            nsmodel.hypotheses.findings.Hypothesis("A", "s", "p"), "holds", "how", {"K": np.inf}
+        )
 
 
 def test_a_first_order_system_with_a_pole_in_time():
@@ -258,9 +260,9 @@ def test_an_inclusion_stays_inside_as_long_as_its_speed_allows():
 
 def test_the_intersection_of_scopes():
     a, b = Scope({"x": (0, 2)}, (0, 1)), Scope({"x": (1, 3), "y": (0, 1)}, (0.5, 2), {"k": (1, 2)})
-    assert meet(a, b) == Scope({"x": (1, 2), "y": (0, 1)}, (0.5, 1), {"k": (1, 2)})
-    assert meet(a, None) == a
-    assert meet(None, None) is None
+    assert intersect_scopes(a, b) == Scope({"x": (1, 2), "y": (0, 1)}, (0.5, 1), {"k": (1, 2)})
+    assert intersect_scopes(a, None) == a
+    assert intersect_scopes(None, None) is None
 
 
 def test_scope_is_data_in_every_form_of_the_report(tmp_path):

@@ -12,7 +12,7 @@ from fuzz_models import COUNT, FULL
 from nsmodel import SweepingProcess
 from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES, check
 from nsmodel.classes.sweeping.hypotheses.consequences import log_error_constant
-from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row, gram_bound, mfcq_constant
+from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma, gram_bound, mfcq_constant
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region, region_of
@@ -97,7 +97,7 @@ def test_discs_in_a_row(k):
     normals = np.zeros((k - 1, 2 * k))
     for i in range(k - 1):
         normals[i, 2 * i], normals[i, 2 * i + 2] = -1, 1
-    assert mfcq_constant(normals)[0] == pytest.approx(discs_in_a_row(k), rel=1e-12)
+    assert mfcq_constant(normals)[0] == pytest.approx(disc_row_gamma(k), rel=1e-12)
 
 
 def test_gram_bound_is_above_gamma_and_attained():

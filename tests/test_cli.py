@@ -16,7 +16,7 @@ import tqdm
 import nsmodel
 from nsmodel.cli import main
 from nsmodel.storage import loads
-from nsmodel.words import UNSEEN
+from nsmodel.words import INVISIBLE_CHARACTERS
 
 CASES = Path(__file__).resolve().parents[1] / "cases"
 RELAY = """
@@ -633,4 +633,4 @@ def test_what_moves_a_cursor_or_turns_the_direction_is_not_printed(command, tmp_
     Path("odd.py").write_text(f"import casadi as ca, nsmodel\nx = ca.SX.sym('x', 1)\nmodel = {model}\n")
     assert main([command, "odd.py"]) == 0
     printed = capsys.readouterr()
-    assert not UNSEEN.search((printed.out + printed.err).replace("\n", ""))
+    assert not INVISIBLE_CHARACTERS.search((printed.out + printed.err).replace("\n", ""))

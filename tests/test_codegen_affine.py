@@ -16,12 +16,12 @@ from fuzz_models import share
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
 from nsmodel.codegen import constants, residual, sets, statuses
-from nsmodel.codegen.fragments import fragment, pruned
+from nsmodel.codegen.fragments import prune_unused, read_fragment
 from nsmodel.laws import Law, ball, box, product, second_order_cone
 from nsmodel.solve import active_set, curved, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
-from nsmodel.solve.kernel import _index_map
-from nsmodel.solve.rounding import UNIT
+from nsmodel.solve.kernel import _multiplier_map
+from nsmodel.solve.rounding import UNIT_ROUND_OFF
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -151,25 +151,28 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
     if box_too:
         flags |= {"BOX_PROBLEM", "ENUMERATION", "INDEX_SETS", "INVERSE", "INVERTED", "FIXED_MAPS", "PIVOTING"}
     m = law.size if law.curved else rows
-    members = fragment("members_affine.h", flags, {})
+    members = read_fragment("members_affine.h", flags, {})
     text = PRELUDE.format(
         rows=max(m, rows) if box_too else m,
         m=m,
         lemke=lemke if box_too else m,
         curved=len(law.curved),
-        constants=constants.of_steps(),
+        constants=constants.step_defines(),
         members=members,
-        common=fragment("common.c", frozenset(), {}).replace("static double sign_of", "double sign_of"),
+        common=read_fragment("common.c", frozenset(), {}).replace("static double sign_of", "double sign_of"),
     )
     if of is not None:
-        block, numbers = max(part.size for _, part in sets.curved(of)), max(1, sets.numbers(of).numel())
+        block, numbers = max(part.size for _, part in sets.curved_blocks(of)), max(1, sets.curved_block_numbers(of).numel())
         text += f"#define MODEL_BLOCK {block}\n#define MODEL_NUMBERS {numbers}\n"
-        text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + sets.text(of, False)
+        text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + sets.curved_sets_code(of, False)
     parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["curved.c"] if law.curved else [])]
-    text += "\n".join(fragment(part, flags, {"SOLVERS": statuses.solvers(), "ROW_RESIDUAL": residual.of_row()}) for part in parts)
+    text += "\n".join(
+        read_fragment(part, flags, {"SOLVERS": statuses.solver_enum(), "ROW_RESIDUAL": residual.row_residual_code()})
+        for part in parts
+    )
     choose = "#define LO (lo ? lo : lower)\n#define UP (up ? up : upper)\n" if law.curved else "#define LO lo\n#define UP up\n"
     text += choose + ENTRY + (BOX_ENTRY if box_too else "") + (CURVED_ENTRY if law.curved else "") + (MAIN if main else "")
-    return pruned(text) if law.curved else text
+    return prune_unused(text) if law.curved else text
 
 
 def compiled(folder: Path, text: str, *options: str, name: str) -> Path:
@@ -277,7 +280,7 @@ def start_set(seed: int, law: NumericLaw) -> np.ndarray:
 
 def worst(W, b, law, l) -> float:
     """The residual that Python sees."""
-    return float(mlcp.residual(W, b, law, l).max(initial=0.0))
+    return float(mlcp.affine_law_residual(W, b, law, l).max(initial=0.0))
 
 
 def assert_as_good_as_python(library: Library, W, b, law, index, chain=CHAIN, warm=None) -> Answer:
@@ -285,7 +288,7 @@ def assert_as_good_as_python(library: Library, W, b, law, index, chain=CHAIN, wa
     warm = np.zeros(law.size) if warm is None else warm
     answer = library.solve(W, b, law, warm, index)
     if answer.solver == "none":
-        assert mlcp.solve(W, b, law, warm, index, chain, False, ACCEPTED).residual > ACCEPTED
+        assert mlcp.solve_mlcp(W, b, law, warm, index, chain, False, ACCEPTED).residual > ACCEPTED
     else:
         assert worst(W, b, law, answer.l) == pytest.approx(answer.residual, rel=1e-3, abs=1e-14)
         assert answer.residual <= ACCEPTED
@@ -305,7 +308,7 @@ def test_every_solvable_problem_is_solved(boxes, kind, letters):
         answer = assert_as_good_as_python(boxes, W, b, law, index)
         assert answer.solver != "none"
         if kind == "spd":
-            expected = mlcp.solve(W, b, law, np.zeros(law.size), index, CHAIN, True, ACCEPTED)
+            expected = mlcp.solve_mlcp(W, b, law, np.zeros(law.size), index, CHAIN, True, ACCEPTED)
             np.testing.assert_allclose(answer.l, expected.l, rtol=1e-9, atol=1e-9 * np.abs(expected.l).max())
             assert answer.solver == expected.solver
             if not (seed % 2 or "p" in letters):  # at a tie, as in a box that is a point, the code is a matter of round-off
@@ -353,7 +356,7 @@ def test_what_has_no_solution_gets_none(boxes, symmetric):
         assert answer.residual > ACCEPTED
         if np.isfinite(answer.residual):  # the best of the answers found, not the last
             assert answer.residual == pytest.approx(worst(W, b, law, answer.l), rel=1e-6)
-            best = mlcp.solve(W, b, law, np.zeros(b.size), np.zeros(b.size, np.int8), CHAIN, symmetric, ACCEPTED)
+            best = mlcp.solve_mlcp(W, b, law, np.zeros(b.size), np.zeros(b.size, np.int8), CHAIN, symmetric, ACCEPTED)
             assert answer.residual <= 1.1 * best.residual
 
 
@@ -447,7 +450,7 @@ def test_index_sets_come_in_pythons_order(boxes, letters):
         rng = np.random.default_rng(seed)
         law = random_law(rng, int(rng.integers(1, 7)), letters)
         last = start_set(seed, law)
-        expected = [tuple(code) for code in active_set.index_sets(law, last)]
+        expected = [tuple(code) for code in active_set.enumerate_index_sets(law, last)]
         assert boxes.index_sets(law, last, 4000) == expected
 
 
@@ -570,7 +573,7 @@ def test_inverses_are_those_of_the_kernel(boxes):
         m = int(rng.integers(1, 9))
         low = rng.integers(-3, 4, size=(m, max(1, m - 2))).astype(float)
         for W in (matrix(rng, "spd", m), low @ low.T):
-            found = _index_map(W, NumericLaw(np.full(m, -INF), np.full(m, INF), ()), np.zeros(m, np.int8))
+            found = _multiplier_map(W, NumericLaw(np.full(m, -INF), np.full(m, INF), ()), np.zeros(m, np.int8))
             assert found is not None
             np.testing.assert_allclose(boxes.invert(W), -found[0], atol=1e-9 * np.abs(found[0]).max())
 
@@ -601,7 +604,7 @@ def test_balls_and_cones_are_solved_as_in_python(on_law, name, kind):
         m = law.size
         W, b = matrix(rng, kind, m), rng.normal(size=m) * 10.0 ** rng.uniform(-2, 2)
         warm = rng.normal(size=m)
-        expected = mlcp.solve(W, b, law, warm, np.zeros(m, np.int8), (mlcp.SEMISMOOTH,), False, ACCEPTED)
+        expected = mlcp.solve_mlcp(W, b, law, warm, np.zeros(m, np.int8), (mlcp.SEMISMOOTH,), False, ACCEPTED)
         answer = library.solve(W, b, law, warm)
         assert (answer.solver == mlcp.SEMISMOOTH) == (expected.residual <= ACCEPTED)
         solved.add(answer.solver)
@@ -627,7 +630,7 @@ def test_newton_and_gauss_seidel_alone_are_pythons(on_law, name, kind):
         assert found is not None
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
         if kind == "spd" and seed < 10:
-            expected = curved.gauss_seidel(W, b, law, start)
+            expected = curved.projected_gauss_seidel(W, b, law, start)
             np.testing.assert_allclose(library.newton(W, b, start, sweeps=True), expected, atol=1e-7 * np.abs(expected).max())
 
 
@@ -697,8 +700,10 @@ def test_hostile_numbers_end_and_nothing_false_passes(boxes, on_law):
             elif answer.solver != "none":
                 answered += 1
                 assert np.isfinite(answer.l).all()
-                rounding = ROUNDING * UNIT / ACCEPTED * (np.abs(W) @ np.abs(answer.l) + np.abs(b))  # sums in another order
-                assert mlcp._residual(W, b, law, answer.l, rounding).max() <= 2 * ACCEPTED
+                rounding = (
+                    ROUNDING * UNIT_ROUND_OFF / ACCEPTED * (np.abs(W) @ np.abs(answer.l) + np.abs(b))
+                )  # sums in another order
+                assert mlcp._residual_given_rounding(W, b, law, answer.l, rounding).max() <= 2 * ACCEPTED
     assert answered > 50
 
 

@@ -21,12 +21,12 @@ import pytest
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, codegen
-from nsmodel.cache_folder import SUFFIX
+from nsmodel.cache_folder import LIBRARY_SUFFIX
 from nsmodel.cli import main
 from nsmodel.errors import CodegenError, NsmodelError, StepError, StorageError, UsageError
 from nsmodel.laws import complementarity, product, relay
 from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve.build import start_state
+from nsmodel.solve.build import completed_start_state
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FRAGMENTS = Path(codegen.__file__).parent / "c"
@@ -930,7 +930,7 @@ def test_other_parameters(kind, solver):
     assert s.reset() == 0
     if kind == "reactions":
         model = KINDS[kind][0]().bind(values)
-        start = start_state(one_step_problem(model), initial_rows(model, model.step)[-1][0], model.step, 1e-9)
+        start = completed_start_state(one_step_problem(model), initial_rows(model, model.step)[-1][0], model.step, 1e-9)
         assert s.set_force(start[2:]) == 0
     first = 1 if kind == "two positions" else 0
     run = short(kind, 20, parameters=values)
@@ -1052,7 +1052,7 @@ def test_built_once(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     other = codegen.load(tmp_path).solver()
-    assert solver.library.path == other.library.path == next(tmp_path.glob(f"libonce-*{SUFFIX}"))
+    assert solver.library.path == other.library.path == next(tmp_path.glob(f"libonce-*{LIBRARY_SUFFIX}"))
     assert (solver.step(), other.step()) == (0, 0)
     (tmp_path / "once.h").write_text((tmp_path / "once.h").read_text() + "/* another header */\n")
     with pytest.raises(CodegenError, match=r"no C compiler was found .*install one"):
@@ -1090,7 +1090,7 @@ def test_damaged_code(tmp_path, monkeypatch):
     with pytest.raises(CodegenError, match=r"could not compile x\.c: .*x\.c:\d+.*error") as caught:
         codegen.load(tmp_path)
     assert "\n" not in str(caught.value)
-    assert not list(tmp_path.glob(f"*{SUFFIX}"))
+    assert not list(tmp_path.glob(f"*{LIBRARY_SUFFIX}"))
     monkeypatch.setenv("CC", "false")
     with pytest.raises(CodegenError, match=r"false could not compile x\.c: exit status 1"):
         codegen.load(tmp_path)
@@ -1098,7 +1098,7 @@ def test_damaged_code(tmp_path, monkeypatch):
     (tmp_path / "x.c").write_text(good)
     assert codegen.load(tmp_path).solver().step() == 0
     gc.collect()
-    (built,) = tmp_path.glob(f"libx-*{SUFFIX}")
+    (built,) = tmp_path.glob(f"libx-*{LIBRARY_SUFFIX}")
     built.unlink()
     built.write_text("no library")
     with pytest.raises(CodegenError, match=r"libx-\w+\.\w+ could not be loaded .*remove it"):
@@ -1118,12 +1118,12 @@ def test_code_that_was_changed_is_built_beside_what_is_loaded(tmp_path):
         names.append(held[-1].path)
         assert [library.function("number", ctypes.c_int)() for library in held] == [*range(k + 1)]
     assert len(set(names)) == 3
-    assert set(tmp_path.glob(f"libx-*{SUFFIX}")) == set(names)
+    assert set(tmp_path.glob(f"libx-*{LIBRARY_SUFFIX}")) == set(names)
     held.clear()
     gc.collect()
     (tmp_path / "x.c").write_text(good)
     last = codegen.load(tmp_path).path
-    assert set(tmp_path.glob(f"libx-*{SUFFIX}")) == {last}
+    assert set(tmp_path.glob(f"libx-*{LIBRARY_SUFFIX}")) == {last}
 
 
 @needs_cc

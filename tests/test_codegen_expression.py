@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from conftest import optimised
 
-from nsmodel.codegen.expression import c_function, number
-from nsmodel.codegen.fragments import FOLDER, prefixed, pruned, resolved
+from nsmodel.codegen.expression import c_function, c_number
+from nsmodel.codegen.fragments import C_FOLDER, prefix_names, prune_unused, resolve_conditions
 from nsmodel.errors import CodegenError
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
@@ -38,13 +38,13 @@ SPECIAL = np.array([0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, 3.7, -2.3, 1e-300, 1e3
 
 def compiled(folder, inputs, outputs, name="f"):
     """The C function as a Python one of one array, which returns the outputs one after another."""
-    common = resolved((FOLDER / "common.c").read_text(), frozenset())
+    common = resolve_conditions((C_FOLDER / "common.c").read_text(), frozenset())
     text = "typedef struct { double t, h; } model_solver;\n" + common + c_function(name, inputs, outputs, "what it computes")
     arguments = ", ".join([*inputs, *outputs])
     given = ", ".join([*(f"const double *{key}" for key in inputs), *(f"double *{key}" for key in outputs)])
     text += f"void call({given});\nvoid call({given}) {{ model_solver s = {{0, 0}}; {name}(&s, {arguments}); }}\n"
     source = folder / f"{name}.c"
-    source.write_text("#include <math.h>\n#include <string.h>\n" + pruned(prefixed(text, "model")))
+    source.write_text("#include <math.h>\n#include <string.h>\n" + prune_unused(prefix_names(text, "model")))
     command = [
         "gcc",
         "-std=c99",
@@ -149,14 +149,14 @@ def test_empty_outputs_and_unused_inputs_compile(tmp_path):
     "value", [0.1, 1 / 3, 1e-320, 1.7976931348623157e308, -2.5, 0.0, -0.0, 3.0, 1e15, 123456789012345680.0, 2.0**70]
 )
 def test_numbers_are_exact(value):
-    text = number(value).text
+    text = c_number(value).text
     assert float(text) == value
     assert np.signbit(float(text)) == np.signbit(value)
     assert set(text) & set(".eE")
 
 
 def test_special_numbers():
-    assert [number(v).text for v in (np.inf, -np.inf, np.nan)] == ["INFINITY", "-INFINITY", "NAN"]
+    assert [c_number(v).text for v in (np.inf, -np.inf, np.nan)] == ["INFINITY", "-INFINITY", "NAN"]
 
 
 def test_a_call_that_is_not_inlined_is_refused():
@@ -174,9 +174,9 @@ def test_an_operation_without_c_counterpart_is_refused_by_name():
 
 def test_conditions_of_fragments():
     text = "a\n#if ONE\nb\n#if !TWO\nc\n#else\nd\n#endif\n#else\ne\n#endif\n#ifdef OTHER\nf\n#else\ng\n#endif\n"
-    assert resolved(text, {"ONE"}) == "a\nb\nc\n#ifdef OTHER\nf\n#else\ng\n#endif\n"
-    assert resolved(text, {"ONE", "TWO"}).startswith("a\nb\nd\n#ifdef")
-    assert resolved(text, set()).startswith("a\ne\n#ifdef")
+    assert resolve_conditions(text, {"ONE"}) == "a\nb\nc\n#ifdef OTHER\nf\n#else\ng\n#endif\n"
+    assert resolve_conditions(text, {"ONE", "TWO"}).startswith("a\nb\nd\n#ifdef")
+    assert resolve_conditions(text, set()).startswith("a\ne\n#ifdef")
 
 
 def test_what_nothing_calls_is_pruned():
@@ -185,7 +185,7 @@ def test_what_nothing_calls_is_pruned():
         "/* deep */\nstatic int a(int i)\n{\n    return i;\n}\n\n/* b */\nstatic int b(int i)\n{\n    return a(i);\n}\n\n"
         "static int c(void) { return USED; }\n\nint d(void)\n{\n    return c();\n}\n"
     )
-    left = pruned(text)
+    left = prune_unused(text)
     assert "USED 1" in left
     assert "UNUSED" not in left
     assert "gone" not in left
@@ -197,4 +197,4 @@ def test_what_nothing_calls_is_pruned():
 
 def test_names_get_the_prefix():
     text = "model_step(MODEL_N); a_model_step; remodel_x; MODEL_SOLVER"
-    assert prefixed(text, "pump") == "pump_step(PUMP_N); a_model_step; remodel_x; PUMP_SOLVER"
+    assert prefix_names(text, "pump") == "pump_step(PUMP_N); a_model_step; remodel_x; PUMP_SOLVER"

@@ -23,7 +23,7 @@ import pytest
 from conftest import optimised
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, codegen, relay
-from nsmodel.words import UNSEEN
+from nsmodel.words import INVISIBLE_CHARACTERS
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -649,7 +649,7 @@ def test_what_the_user_writes_stays_words(kind, tmp_path):
     assert len(rows) == 12
     assert json.loads((tmp_path / f"{name}.json").read_text())["states"] == names
     assert not any(
-        UNSEEN.search(path.read_text().replace("\n", "").replace("\t", ""))
+        INVISIBLE_CHARACTERS.search(path.read_text().replace("\n", "").replace("\t", ""))
         for path in tmp_path.glob("*.*")
         if path.suffix in TEXTS
     )

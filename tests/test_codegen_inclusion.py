@@ -16,7 +16,7 @@ from nsmodel import MonotoneInclusion, codegen
 from nsmodel.errors import StepError
 from nsmodel.grid import make_grid
 from nsmodel.scheme import one_step_problem
-from nsmodel.solve.projection import CatchingUp
+from nsmodel.solve.projection import CatchingUpStepper
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = [COMPILER, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", optimised("-O1")]
@@ -143,7 +143,7 @@ class Both:
         self.h = self.grid.h
         problem = one_step_problem(self.model)
         self.start = np.array(ca.DM(self.model.x0)).ravel()
-        self.python = CatchingUp(problem, problem.prediction, "auto", TOLERANCE, h=self.h, state=self.start)
+        self.python = CatchingUpStepper(problem, problem.prediction, "auto", TOLERANCE, h=self.h, state=self.start)
         self.layout, self.rows = self.python.layout, problem.l.numel()
         selection = self.layout.slices["selection"]
         self.in_c = compiled(folder, self.model, self.rows, selection.stop - selection.start)
@@ -162,7 +162,7 @@ class Both:
 
     def step_in_python(self, x, k=0):
         try:
-            found = self.python(k * self.h, self.h, np.asarray(x, float), self.python.cold(), k)
+            found = self.python(k * self.h, self.h, np.asarray(x, float), self.python.cold_start(), k)
         except StepError:
             return None
         return self.columns(found.row) | {"index": found.warm.index}
@@ -190,7 +190,7 @@ def check_run(both, steps):
     """Compare every column of every row; return the largest differences of multipliers and iterations, and C's index sets."""
     rows, index = both.run(both.start, steps)
     assert len(rows) == steps
-    x, warm = both.start, both.python.cold()
+    x, warm = both.start, both.python.cold_start()
     worst = dict.fromkeys(both.layout.slices, 0.0)
     for k in range(steps):
         found = both.python(k * both.h, both.h, x, warm, k)

@@ -23,7 +23,7 @@ from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve import rounding
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.certificate import numeric_law
-from nsmodel.solve.stepper import Warm
+from nsmodel.solve.stepper import WarmStart
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", optimised("-O1"), "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -235,13 +235,13 @@ class Scene:
         given = [np.array(state, float), np.array(warm.l, float), np.array(warm.index, np.int8), out]
         status = self._probe(self._solver, t, h, *(array.ctypes.data for array in given))
         state, z, (residual, _, solver), l, _, index = np.split(out, np.cumsum([self.n, self.z, 3, self.m, self.m]))
-        return status, state, z, residual, int(solver), Warm(l, index.astype(np.int8))
+        return status, state, z, residual, int(solver), WarmStart(l, index.astype(np.int8))
 
     def judged(self, t, h, state, z, warm):
         """The residual by the certificate in Python."""
         newton = self.python._newton
         at = newton.linearise(t, h, state, z, warm.l)
-        return newton.judge(newton.known(t, h, state), at, warm.l, warm.index, "test", 1).residual
+        return newton.evaluate_residual(newton.known(t, h, state), at, warm.l, warm.index, "test", 1).residual
 
     def random(self, rng, last):
         """A random (t, h, state, warm start); ``last`` is the warm start that the step before left."""
@@ -249,11 +249,11 @@ class Scene:
         state = self.start * rng.integers(2) + rng.normal(size=self.n) * 10.0 ** rng.uniform(-3, 0.3)
         choice = rng.integers(3)
         if choice < 2 or not self.m:
-            return rng.uniform(0, 3), h, state, last if choice else self.python.cold()
+            return rng.uniform(0, 3), h, state, last if choice else self.python.cold_start()
         l = np.clip(rng.normal(size=self.m), self.law.lower, self.law.upper)
         codes = np.where(np.isfinite(self.law.lower), -1, 0), np.where(np.isfinite(self.law.upper), 1, 0)
         index = np.choose(rng.integers(0, 3, self.m), [np.zeros(self.m, int), *codes]).astype(np.int8)
-        return rng.uniform(0, 3), h, state, Warm(l, index)
+        return rng.uniform(0, 3), h, state, WarmStart(l, index)
 
 
 @pytest.fixture(scope="module")
@@ -273,7 +273,7 @@ def test_a_step_is_the_interpreted_one(scene, name):
 
 @pytest.mark.parametrize("name", ["many rows", "many rows, a matrix", "bilinear", "Lur'e, phi", "smooth"])
 def test_the_rounding_of_a_large_graph_is_told_by_its_terms(monkeypatch, tmp_path, name):
-    monkeypatch.setattr(rounding, "LARGE", 0)
+    monkeypatch.setattr(rounding, "MAX_BOUND_NODES", 0)
     agree(Scene(SCENES[name](), tmp_path))
     assert "round_off_by_terms(s);" in (tmp_path / "scene.c").read_text()
     assert "void round_off(" not in (tmp_path / "scene.c").read_text()
@@ -281,7 +281,7 @@ def test_the_rounding_of_a_large_graph_is_told_by_its_terms(monkeypatch, tmp_pat
 
 def agree(both):
     rng, done = np.random.default_rng(0), 0
-    last = both.python.cold()
+    last = both.python.cold_start()
     steps = share(100, 40)
     for _ in range(steps):
         t, h, state, warm = both.random(rng, last)
@@ -304,7 +304,7 @@ def test_index_sets_nearby_are_tried_where_newtons_alternates(scene):
     """At the thresholds of the switches: the same steps are found in that way as by the interpreter."""
     both, rng, ids = scene("switches"), np.random.default_rng(5), []
     for _ in range(share(60, 25)):
-        t, h, state, warm = both.random(rng, both.python.cold())
+        t, h, state, warm = both.random(rng, both.python.cold_start())
         status, *_, solver, _ = both.step(t, h, state, warm)
         assert status == 0
         ids.append((solver == NEARBY, both.python(t, h, state, warm).solver == "newton on the index set"))
@@ -325,9 +325,9 @@ def test_rows_beyond_the_room_wait_for_others_to_leave(scene):
     both, rng, crowded = scene("many rows, a matrix"), np.random.default_rng(3), 0
     room = 4 * both.z
     for _ in range(60):
-        t, h, state, _ = both.random(rng, both.python.cold())
+        t, h, state, _ = both.random(rng, both.python.cold_start())
         state = state * rng.uniform(1, 30)  # far outside of the polygon, beyond many sides at once
-        warm = Warm(np.zeros(both.m), np.where(rng.random(both.m) < 0.5, 0, -1).astype(np.int8))
+        warm = WarmStart(np.zeros(both.m), np.where(rng.random(both.m) < 0.5, 0, -1).astype(np.int8))
         status, found, _, _, _, _ = both.step(t, h, state, warm)
         expected = both.python(t, h, state, warm).row[both.python.layout.state]
         assert status == 0
@@ -355,7 +355,7 @@ def test_a_wrong_answer_is_refused(tmp_path, name, lie):
     """Wrong by 1e-6 it does not pass; where index sets nearby are tried, they give the right one."""
     both, rng, caught = Scene(SCENES[name](), tmp_path, LIES[lie]), np.random.default_rng(1), 0
     for _ in range(share(60, 25)):
-        t, h, state, warm = both.random(rng, both.python.cold())
+        t, h, state, warm = both.random(rng, both.python.cold_start())
         expected = both.python(t, h, state, warm).row[both.python.layout.state]
         status, found, *_, solver, _ = both.step(t, h, state, warm)
         if status == 0:
@@ -370,7 +370,7 @@ def test_a_wrong_answer_is_refused(tmp_path, name, lie):
 
 def hostile(rng, both, bad):
     """A step with ``bad`` somewhere: in t, h, the state or the warm start."""
-    t, h, state, warm = both.random(rng, both.python.cold())
+    t, h, state, warm = both.random(rng, both.python.cold_start())
     l = warm.l.copy()
     places = ["t", "h", "state"] + ["l"] * (both.m > 0)
     where = places[rng.integers(len(places))]
@@ -378,7 +378,7 @@ def hostile(rng, both, bad):
         state[rng.integers(both.n)] = bad
     if where == "l":
         l[rng.integers(both.m)] = bad
-    return bad if where == "t" else t, bad if where == "h" else h, state, Warm(l, warm.index), where
+    return bad if where == "t" else t, bad if where == "h" else h, state, WarmStart(l, warm.index), where
 
 
 @pytest.mark.parametrize("name", SCENES)

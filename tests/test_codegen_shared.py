@@ -15,14 +15,14 @@ import pytest
 import nsmodel
 from nsmodel import load
 from nsmodel.codegen import bodies, constants, structs
-from nsmodel.codegen.fragments import FOLDER, prefixed
-from nsmodel.codegen.scene import make_scene
+from nsmodel.codegen.fragments import C_FOLDER, prefix_names
+from nsmodel.codegen.scene import make_step_spec
 from nsmodel.codegen.source import write_source
 from nsmodel.grid import make_grid
-from nsmodel.laws import C as LAWS
+from nsmodel.laws import LAW_C_FOLDER as LAWS
 
 CASES = Path(nsmodel.__file__).parents[1] / "cases"
-FRAGMENTS = {path.name: path.read_text(encoding="utf-8") for path in (*FOLDER.glob("*.[ch]"), *LAWS.glob("*.c"))}
+FRAGMENTS = {path.name: path.read_text(encoding="utf-8") for path in (*C_FOLDER.glob("*.[ch]"), *LAWS.glob("*.c"))}
 OF_BODIES = {"block_ldl.c", "group.c", "bodies.c"}
 LITERAL = re.compile(r"(?<![\w.])(?:0x[0-9a-fA-F]+|(?:\d+\.\d*|\.\d+|\d+)(?:[eE][-+]?\d+)?)[uUlL]*(?!\w)")
 ALLOWED = {"0", "1", "2", "0.0", "1.0", "2.0", "0.5"}
@@ -56,31 +56,32 @@ def test_a_number_in_c_has_a_name(name):
 @pytest.mark.parametrize("name", sorted(FRAGMENTS))
 def test_a_number_that_the_c_alone_has_is_none_of_python(name):
     own = re.findall(r"^#define (\w+) \S*\d", FRAGMENTS[name], re.MULTILINE)
-    table = constants.OF_BODIES if name in OF_BODIES else constants.OF_STEPS
+    table = constants.BODIES_CONSTANTS if name in OF_BODIES else constants.STEP_CONSTANTS
     assert [(key, module) for key in own for module in table if hasattr(import_module(f"nsmodel.{module}"), key)] == []
 
 
 @pytest.mark.parametrize(
     ("table", "files"),
-    [(constants.OF_STEPS, FRAGMENTS.keys() - OF_BODIES), (constants.OF_BODIES, OF_BODIES | {"bodies_api.c"})],
+    [(constants.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES), (constants.BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"})],
     ids=["steps", "bodies"],
 )
 def test_the_c_has_the_constants_of_python(table, files):
     used = set(re.findall(r"\w+", " ".join(code_of(FRAGMENTS[name]) for name in files)))
     for module, names in table.items():
-        for name in names.split():
-            line = constants.defined(module, name)
+        for constant in names.split():
+            name, _, in_c = constant.partition(":")
+            line = constants.define_line(module, constant)
             define, same, text = line.split()[:3]
-            assert (define, same, line.count("\n")) == ("#define", name, 1)
+            assert (define, same, line.count("\n")) == ("#define", in_c or name, 1)
             assert float(text.removesuffix("UL")) == getattr(import_module(f"nsmodel.{module}"), name)
             assert line.count("/*") == line.count("*/") == 1, f"{module}.{name} needs a comment"
-            assert name in used
+            assert (in_c or name) in used
 
 
-def layout(program: str, prefix: str, folder: Path, structure: structs.Struct, **sizes: int) -> tuple[list[int], list[int]]:
+def layout(program: str, prefix: str, folder: Path, structure: structs.CStruct, **sizes: int) -> tuple[list[int], list[int]]:
     """Size and offsets in C, where ``program`` has the struct, and in Python."""
-    own = structure.in_python(**sizes)
-    name = prefixed(structure.name, prefix)
+    own = structure.ctypes_structure(**sizes)
+    name = prefix_names(structure.name, prefix)
     asked = [f"sizeof({name})", *(f"offsetof({name}, {field})" for field, _ in own._fields_)]
     prints = "\n".join(f'    printf("%zu\\n", {text});' for text in asked)
     headers = "#include <stddef.h>\n#include <stdio.h>\n"
@@ -101,7 +102,7 @@ def test_the_structs_of_a_run_are_those_of_the_c(case, tmp_path):
         (tmp_path / name).write_text(text)
     watched = (2 if "VELOCITY" in source.flags else 1) * source.sizes["NX"]
     sizes = {"STATES": source.sizes["NSTATE"], "ROWS": max(source.sizes["M"], 1), "WATCHED": watched}
-    for structure in (structs.TOTALS, structs.CONTROL):
+    for structure in (structs.STEP_TOTALS, structs.ADAPTIVE_CONTROL):
         in_c, in_python = layout('#include "rollout.c"', "step", tmp_path, structure, **sizes)
         assert in_c == in_python
 
@@ -109,11 +110,11 @@ def test_the_structs_of_a_run_are_those_of_the_c(case, tmp_path):
 @needs_gcc
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_the_structs_of_many_bodies_are_those_of_the_c(d, tmp_path):
-    for structure in (structs.MOTION, structs.TIMED_REPORT):
+    for structure in (structs.BODIES_MOTION, structs.TIMED_BODIES_REPORT):
         in_c, in_python = layout(bodies.solver_source(d), "model", tmp_path, structure)
         assert in_c == in_python
 
 
 def source_of(model):
     grid = replace(make_grid(model.bind(None), None, None, None), any_step=True)
-    return write_source(make_scene(model, None, grid, 1e-9), "step", "")
+    return write_source(make_step_spec(model, None, grid, 1e-9), "step", "")

@@ -63,13 +63,13 @@ from nsmodel.codegen.bodies import solver_source
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
-from nsmodel.run.in_c import IN_C, IN_C_FOR_ALL
-from nsmodel.run.schemes import OfScheme
+from nsmodel.run.in_c import STEPS_IN_C, STEPS_IN_C_FOR_ALL
+from nsmodel.run.schemes import SchemePropagator
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import explain, prepare
-from nsmodel.solve.cost import LOADING, Cost, building, interpreted
+from nsmodel.solve.cost import LOADING_SECONDS, CompilationCost, build_seconds, interpreted_step_seconds
 
-IS_KEPT = cache.is_kept  # the true one
+IS_KEPT = cache.has_cached_library  # the true one
 loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 pytestmark = pytest.mark.usefixtures("own_cache")
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
@@ -142,14 +142,14 @@ def assert_same(compiled, interpreted, unique=True):
             assert np.nanmax(other, initial=0) <= 1e-9
         elif name != "newton" and (unique or name != "multipliers"):
             size = np.nanmax(np.abs(array), axis=0, initial=1e-12 if name == "x" else 1e-3)
-            felt = moved_apart(compiled, interpreted) if IN_C_FOR_ALL in compiled.metadata["used"] and name != "x" else 0
+            felt = moved_apart(compiled, interpreted) if STEPS_IN_C_FOR_ALL in compiled.metadata["used"] and name != "x" else 0
             assert np.nanmax((np.abs(other - array) - felt) / size, initial=0) <= 1e-10, name
     one, two = compiled.metadata, interpreted.metadata
     assert one.keys() == two.keys()
     apart = {"used", "run", "solver_counts", "totals", "convergence", *(["message"] if one["status"] == "failed" else [])}
     assert one.get("convergence", {}) == pytest.approx(two.get("convergence", {}))
     assert {key: one[key] for key in one.keys() - apart} == {key: two[key] for key in two.keys() - apart}
-    assert sorted(one["used"]) == sorted([*two["used"], IN_C_FOR_ALL if IN_C_FOR_ALL in one["used"] else IN_C])
+    assert sorted(one["used"]) == sorted([*two["used"], STEPS_IN_C_FOR_ALL if STEPS_IN_C_FOR_ALL in one["used"] else STEPS_IN_C])
     assert one["totals"].keys() == two["totals"].keys()
     kept = ["steps", "rest_from", "last_x", "last_v", *(["index_set_changes"] if unique else [])]
     for key in kept:
@@ -439,7 +439,7 @@ import nsmodel
 from nsmodel.codegen import cache
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.run import loop, walk
-cache.FLAGS = {flags!r}
+cache.COMPILER_FLAGS = {flags!r}
 print("ready", flush=True)
 {body}
 """
@@ -558,7 +558,7 @@ def test_a_run_goes_on_as_it_began(tmp_path, monkeypatch):
         simulate(lure(), out=tmp_path / "c", resume=True, compiled=False)
     with pytest.raises(StorageError, match=r"another solver \(auto there, lemke now\)"):
         simulate(lure(), out=tmp_path / "c", resume=True, solver="lemke")
-    monkeypatch.setattr(Cost, "pays", lambda *_: True)  # the way does not depend on the length any more
+    monkeypatch.setattr(CompilationCost, "pays", lambda *_: True)  # the way does not depend on the length any more
     assert not simulate(lure(), out=tmp_path / "python", resume=True).metadata["used"][-1].startswith("steps in C")
     assert simulate(lure(), out=tmp_path / "c", t_end=2, resume=True).metadata["used"][-1].startswith("steps in C")
     monkeypatch.setenv("CC", "no-such-compiler")
@@ -666,7 +666,7 @@ def test_two_processes_may_build_at_once(fresh_cache, tmp_path):
 
 def key(model=None, compiler="cc", tolerance=1e-9, step=None, steps=None, t_end=None, parameters=None):
     bound = (lure() if model is None else model).bind(parameters)
-    return cache.key_of(bound, make_grid(bound, step, steps, t_end), tolerance, compiler)
+    return cache.steps_key(bound, make_grid(bound, step, steps, t_end), tolerance, compiler)
 
 
 def test_the_key_is_that_of_the_code(monkeypatch):
@@ -691,7 +691,7 @@ def test_the_key_is_that_of_the_code(monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(ca, "__version__", "3.0.0")
         other.append(key())
-    monkeypatch.setattr(cache, "FLAGS", ("-O3",))
+    monkeypatch.setattr(cache, "COMPILER_FLAGS", ("-O3",))
     other.append(key())
     assert len({base, *other}) == 1 + len(other)
 
@@ -724,7 +724,7 @@ def test_auto_builds_for_no_case_as_none_takes_seconds_and_for_a_long_one(case_f
     def refuse(run):
         raise CodegenError("chosen")
 
-    monkeypatch.setattr(OfScheme, "_build", refuse)
+    monkeypatch.setattr(SchemePropagator, "_build", refuse)
     assert "steps in C: chosen" not in explain(model)
     if case_file.stem == "zhuravlev_ivanov":
         assert "steps in C: chosen" in explain(model, t_end=100)
@@ -732,10 +732,10 @@ def test_auto_builds_for_no_case_as_none_takes_seconds_and_for_a_long_one(case_f
 
 @compiles
 def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
-    line, left_out = IN_C, "building them would take longer"
+    line, left_out = STEPS_IN_C, "building them would take longer"
     for model in (lure(), first_order(), inclusion_in_a_box(tolerances=None)):
-        cost = prepare(model, compiled=False).walk._cost()
-        least = int((LOADING + cost.building()) / cost.step) + 1
+        cost = prepare(model, compiled=False).propagator._cost()
+        least = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
         assert 1000 < least < 500_000
         few, many = (explain(model, t_end=N * model.step) for N in (least - 1, least))
         assert line not in few
@@ -747,8 +747,8 @@ def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
         assert left_out not in never
     assert line not in explain(lure(gamma=1), t_end=500_000 * 0.05, solver="lemke")
     model = first_order()
-    cost = prepare(model, compiled=False).walk._cost()
-    least = int((LOADING + cost.building()) / cost.step) + 1
+    cost = prepare(model, compiled=False).propagator._cost()
+    least = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
     run = simulate(model, t_end=least * model.step, save_every=1000)
     assert run.metadata["used"][-1] == line
     assert sum(taken for *_, taken in calls) == least
@@ -756,49 +756,49 @@ def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
 
 @compiles
 def test_auto_takes_what_was_built_before(calls, monkeypatch):
-    monkeypatch.setattr(cache, "is_kept", IS_KEPT)
+    monkeypatch.setattr(cache, "has_cached_library", IS_KEPT)
     model = first_order(theta=0.8)
-    cost = prepare(model, compiled=False).walk._cost()
+    cost = prepare(model, compiled=False).propagator._cost()
     assert cost.building() > 0
-    few = int(LOADING / cost.step) + 1
-    assert IN_C not in explain(model, t_end=few * model.step)
+    few = int(LOADING_SECONDS / cost.step) + 1
+    assert STEPS_IN_C not in explain(model, t_end=few * model.step)
     simulate(model, compiled=True)
-    assert prepare(model, compiled=False).walk._cost().building() == 0
-    assert IN_C in explain(model, t_end=few * model.step)
-    assert IN_C not in explain(model, t_end=(few - 1) * model.step)  # loading takes longer than so few steps
+    assert prepare(model, compiled=False).propagator._cost().building() == 0
+    assert STEPS_IN_C in explain(model, t_end=few * model.step)
+    assert STEPS_IN_C not in explain(model, t_end=(few - 1) * model.step)  # loading takes longer than so few steps
     monkeypatch.setenv("CC", "no-such-compiler")
-    assert IN_C not in explain(model, t_end=few * model.step)
+    assert STEPS_IN_C not in explain(model, t_end=few * model.step)
 
 
 def test_costs_grow_with_what_they_stand_for():
-    structure = prepare(first_order(), compiled=False).walk.stepper.structure
+    structure = prepare(first_order(), compiled=False).propagator.stepper.structure
     sizes = [replace(structure, n=n, m=m) for n, m in ((1, 1), (4, 8), (40, 20), (200, 100))]
     problem = one_step_problem(first_order().bind(None))
     for path in ("kernel", "newton", "sparse"):
-        steps = [interpreted(path, size) for size in sizes]
+        steps = [interpreted_step_seconds(path, size) for size in sizes]
         assert all(0 < a < b for a, b in pairwise(steps))
-        builds = [building(path, size, problem) for size in sizes]
+        builds = [build_seconds(path, size, problem) for size in sizes]
         assert all(0 < a <= b for a, b in pairwise(builds))
 
 
 @compiles
 def test_many_bodies_share_a_solver(load_case, monkeypatch):
     model, kept = load_case("crowd", n=50), []
-    monkeypatch.setattr(cache, "is_kept", lambda key: kept and key == kept[0])
-    cost = prepare(model, compiled=False).walk._cost()
-    alone = int((LOADING + cost.building()) / cost.step) + 1
-    kept.append(bodies_step._key(solver_source(2), library.compiler()))
-    shared = int((LOADING + cost.building()) / cost.step) + 1
+    monkeypatch.setattr(cache, "has_cached_library", lambda key: kept and key == kept[0])
+    cost = prepare(model, compiled=False).propagator._estimate_cost()
+    alone = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
+    kept.append(bodies_step._source_key(solver_source(2), library.compiler()))
+    shared = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
     assert 100 < shared < alone / 10
-    monkeypatch.setattr(bodies_step, "CompiledStep", None)  # nothing is built where it does not pay
-    assert IN_C not in explain(model, t_end=(shared - 1) * model.step)
+    monkeypatch.setattr(bodies_step, "CompiledBodiesStep", None)  # nothing is built where it does not pay
+    assert STEPS_IN_C not in explain(model, t_end=(shared - 1) * model.step)
     with pytest.raises(TypeError):
         explain(model, t_end=shared * model.step)
 
 
 def test_auto_without_compiler_says_so_only_where_it_is_asked(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    monkeypatch.setattr(Cost, "pays", lambda *_: True)
+    monkeypatch.setattr(CompilationCost, "pays", lambda *_: True)
     run = simulate(lure(gamma=1))
     assert run.metadata["warnings"] == []
     assert run.metadata["left_out"][-1].startswith("steps in C: no C compiler was found")
@@ -829,12 +829,12 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
 
     status, text, err = nsmodel_run(BRIDGE, "--compiled", "--explain")
     assert (status, err) == (0, "")
-    assert f"\n          {IN_C}\n" in text
+    assert f"\n          {STEPS_IN_C}\n" in text
     assert re.search(r"  solver calls    last index set +4983\n +enumeration +17\n", text)
     status, text, err = nsmodel_run(BRIDGE, "--compiled", "--json", "--out", "bridge", "--t-end", "1e-3")
     document = json.loads(text)
     assert (status, err, document["status"], document["steps"]) == (0, "", "done", 1000)
-    assert document["plan"]["used"][-1] == IN_C
+    assert document["plan"]["used"][-1] == STEPS_IN_C
     assert nsmodel_run(BRIDGE, "--resume", "--compiled", "--out", "bridge", "--quiet") == (0, "", "")
     other, oscillator = CASES / "rlc_diode.py", CASES / "sliding_relay.py"
     status, text, err = nsmodel_run(BRIDGE, other, oscillator, "--compiled")

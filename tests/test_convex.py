@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 from nsmodel.errors import ModelError
-from nsmodel.model.convex import Term, split, split_discontinuities
+from nsmodel.model.convex import ConvexTerm, split_convex, split_discontinuities
 
 INF = np.inf
 
@@ -350,7 +350,7 @@ def points(case, rng):
 def test_split_has_the_value_and_the_subgradients_of_phi(name):
     case, rng = CASES[name], np.random.default_rng(3)
     y = ca.SX.sym("y", case.n)
-    parts = split(ca.SX(case.symbolic(y)), y, "phi")
+    parts = split_convex(ca.SX(case.symbolic(y)), y, "phi")
     assert (" ".join(t.kind for t in parts.terms), parts.tau.numel()) == (case.kinds, case.levels)
     assert parts.epigraph.shape == (len(parts.epigraph_of), 1)
     others = [*(rng.normal(size=(300, case.n)) * 3), *points(case, rng)]
@@ -370,7 +370,7 @@ def test_minimum_over_tau_is_phi(name):
     """Brute force: tau from a grid above its least value never does better than Phi; the least value gives Phi."""
     case, rng = CASES[name], np.random.default_rng(5)
     y = ca.SX.sym("y", case.n)
-    parts = split(case.symbolic(y), y, "phi")
+    parts = split_convex(case.symbolic(y), y, "phi")
     gaps = ca.vertcat(*(parts.tau[j] for j in parts.epigraph_of)) - parts.epigraph
     domain = ca.vertcat(ca.SX(0, 1), *(t.u for t in parts.terms if t.kind == "indicator"))
     simple = sum((t.weight * ca.fabs(t.u) for t in parts.terms if t.kind == "abs"), ca.SX(0))
@@ -387,7 +387,7 @@ def test_minimum_over_tau_is_phi(name):
 def test_linear_epigraph_by_linear_programming(name):
     case, rng = CASES[name], np.random.default_rng(7)
     y = ca.SX.sym("y", case.n)
-    parts = split(case.symbolic(y), y, "phi")
+    parts = split_convex(case.symbolic(y), y, "phi")
     zero = np.zeros(parts.tau.numel())
     rows = parts.epigraph - ca.vertcat(*(parts.tau[j] for j in parts.epigraph_of))
     domain = [-t.u for t in parts.terms if t.kind == "indicator"]
@@ -412,33 +412,33 @@ MU = ca.SX.sym("mu")
 
 
 def test_weights_and_arguments_may_hold_parameters():
-    parts = split(MU * ca.fabs(Y[0] - MU) + MU**2 * ca.norm_2(MU * Y) + 0 * ca.fabs(Y[1]), Y, "phi")
+    parts = split_convex(MU * ca.fabs(Y[0] - MU) + MU**2 * ca.norm_2(MU * Y) + 0 * ca.fabs(Y[1]), Y, "phi")
     first, second = parts.terms
     assert (first.kind, str(first.weight), str(first.u)) == ("abs", "mu", "(y_0-mu)")
     assert (second.kind, str(second.weight), str(second.u)) == ("norm", "sq(mu)", "[(mu*y_0), (mu*y_1)]")
 
 
 def test_norms_with_parameters_inside_the_root():
-    (term,) = split(ca.sqrt(MU * Y[0] ** 2 + Y[1] ** 2 / MU), Y, "phi").terms
+    (term,) = split_convex(ca.sqrt(MU * Y[0] ** 2 + Y[1] ** 2 / MU), Y, "phi").terms
     assert str(term.u) == "[(sqrt(mu)*y_0), (sqrt((1./mu))*y_1)]"
-    (moved,) = split(ca.sqrt(Y[0] ** 2 - 2 * MU * Y[0] + MU**2 + 2 * Y[1] ** 2), Y, "phi").terms
+    (moved,) = split_convex(ca.sqrt(Y[0] ** 2 - 2 * MU * Y[0] + MU**2 + 2 * Y[1] ** 2), Y, "phi").terms
     f = ca.Function("f", [Y, MU], [ca.norm_2(moved.u)])
     assert float(f([1, 2], 3)) == pytest.approx(np.sqrt(12))
-    assert split(ca.sqrt(Y[0] ** 2 + MU), Y, "phi").terms == ()
-    assert split(ca.norm_2(ca.vertcat(Y[0] - MU, Y[0] + MU)), Y, "phi").terms == ()
-    assert split(ca.norm_2(ca.vertcat(Y[0] ** 2, MU)), Y, "phi").terms == ()
+    assert split_convex(ca.sqrt(Y[0] ** 2 + MU), Y, "phi").terms == ()
+    assert split_convex(ca.norm_2(ca.vertcat(Y[0] - MU, Y[0] + MU)), Y, "phi").terms == ()
+    assert split_convex(ca.norm_2(ca.vertcat(Y[0] ** 2, MU)), Y, "phi").terms == ()
 
 
 def test_what_does_not_depend_on_y_stays():
-    parts = split(ca.fabs(MU) * Y[0] + ca.if_else(MU > 0, Y[1], 2 * Y[1]) + ca.fmax(MU, 0), Y, "phi")
+    parts = split_convex(ca.fabs(MU) * Y[0] + ca.if_else(MU > 0, Y[1], 2 * Y[1]) + ca.fmax(MU, 0), Y, "phi")
     assert parts.terms == ()
     assert not parts.tau.numel()
 
 
 def test_large_norms():
     y = ca.SX.sym("y", 50)
-    assert len(split(ca.norm_1(y), y, "phi").terms) == 50
-    parts = split(ca.norm_inf(y), y, "phi")
+    assert len(split_convex(ca.norm_1(y), y, "phi").terms) == 50
+    parts = split_convex(ca.norm_inf(y), y, "phi")
     assert parts.tau.numel() == 1
     assert {str(piece) for piece in ca.vertsplit(parts.epigraph)} >= {str(piece) for piece in ca.vertsplit(ca.vertcat(y, -y))}
 
@@ -446,20 +446,20 @@ def test_large_norms():
 def test_a_branch_may_hang_on_the_domain_and_stand_in_a_condition():
     nonnegative = Y[0] >= 0
     inner = ca.if_else(nonnegative, Y[1], 2 * Y[1])
-    parts = split(ca.if_else(ca.logic_and(nonnegative, inner <= 1), Y[0], ca.inf), Y, "phi")
+    parts = split_convex(ca.if_else(ca.logic_and(nonnegative, inner <= 1), Y[0], ca.inf), Y, "phi")
     assert [str(term.u) for term in parts.terms] == ["y_0", "(1-y_1)"]
 
 
 def test_a_condition_that_always_holds_gives_no_term():
-    assert split(ca.if_else(ca.fmax(ca.fabs(Y[0]), 1) <= 2, 0, ca.inf), Y, "phi").terms[0].kind == "indicator"
-    assert len(split(ca.if_else(ca.fmax(ca.fabs(Y[0]), 1) <= 2, 0, ca.inf), Y, "phi").terms) == 2
+    assert split_convex(ca.if_else(ca.fmax(ca.fabs(Y[0]), 1) <= 2, 0, ca.inf), Y, "phi").terms[0].kind == "indicator"
+    assert len(split_convex(ca.if_else(ca.fmax(ca.fabs(Y[0]), 1) <= 2, 0, ca.inf), Y, "phi").terms) == 2
 
 
 def test_with_terms_replaces_the_terms_only():
-    parts = split(ca.norm_1(Y) + Y[0] ** 2, Y, "phi")
+    parts = split_convex(ca.norm_1(Y) + Y[0] ** 2, Y, "phi")
     assert parts.with_terms(parts.terms[:1]).terms == parts.terms[:1]
     assert parts.with_terms([]).smooth is parts.smooth
-    assert isinstance(parts.terms[0], Term)
+    assert isinstance(parts.terms[0], ConvexTerm)
 
 
 # -- errors ------------------------------------------------------------------------------------------------------------
@@ -516,7 +516,7 @@ SAMPLED = ca.Function("f", [MX], [TABLE(MX[0])]).expand()(Y)
 )
 def test_what_cannot_be_split_is_refused(phi, message):
     with pytest.raises(ModelError, match=message):
-        split(phi, Y, "phi")
+        split_convex(phi, Y, "phi")
 
 
 # -- discontinuities ---------------------------------------------------------------------------------------------------

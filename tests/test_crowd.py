@@ -17,14 +17,14 @@ from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.cli import main
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.crowd import Noise, People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
-from nsmodel.crowd.geometry import distances, sight
-from nsmodel.crowd.people import behind
-from nsmodel.crowd.picture import outlines, straightened
+from nsmodel.crowd.geometry import distances, has_free_path
+from nsmodel.crowd.people import exit_zone_expression
+from nsmodel.crowd.picture import outlines, simplify_outline
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.plot import animate, save_all
 from nsmodel.plot import crowd as pictures
-from nsmodel.solve.many_bodies import COLD, BodiesStepper
-from nsmodel.standstill import arches, held
+from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepper
+from nsmodel.standstill import find_arches, is_held_by_contacts
 
 DOOR = [(10, 4), (10, 6)]
 HALVES = [[(5, 0), (5, 7)], [(5, 9), (5, 10)]]
@@ -167,7 +167,7 @@ def test_sight_agrees_with_many_points_on_the_way():
     p, q = p[apart], q[apart]
     least = np.min([distances(p + s * (q - p), walls) for s in np.linspace(0, 1, 400)], axis=0)
     clear = np.abs(least - 0.3) > 0.03
-    assert (sight(p, q, walls, 0.3) == (least > 0.3))[clear].all()
+    assert (has_free_path(p, q, walls, 0.3) == (least > 0.3))[clear].all()
 
 
 def test_who_can_reach_no_exit_is_named():
@@ -217,7 +217,7 @@ def test_outlines_hold_exactly_the_pixels():
     assert area == mask.sum()
     line = np.zeros((5, 9), bool)
     line[2, 1:8] = True
-    assert len(straightened(outlines(line)[0])) == 2
+    assert len(simplify_outline(outlines(line)[0])) == 2
 
 
 @pytest.mark.parametrize(
@@ -366,7 +366,7 @@ def test_who_arrives_comes_in_through_the_door_at_the_rate_and_leaves_by_the_oth
 
 def test_people_leave_behind_a_door_and_nowhere_else():
     q = ca.SX.sym("q", 2)
-    left = ca.Function("left", [q], [behind(two_doors(), q, 0.5)])
+    left = ca.Function("left", [q], [exit_zone_expression(two_doors(), q, 0.5)])
     for place_, out in [((12.4, 2), False), ((12.6, 2), True), ((-0.6, 1.6), True), ((-0.4, 2), False), ((6, 2), False)]:
         assert (float(left(place_)) > 0) == out
     assert float(left((13, 6))) < 0
@@ -797,22 +797,22 @@ def test_a_run_ends_before_an_arch_and_says_who_holds_it(jammed):
 def test_where_no_exit_is_known_the_arch_is_that_of_the_body_with_most_pressure(jammed):
     model = hopper()
     problem, q = BodiesProblem(replace(model, scene=None)), jammed.x[-1].reshape(-1, 2)
-    (arch,) = arches(problem, q, jammed.contacts(-1))
+    (arch,) = find_arches(problem, q, jammed.contacts(-1))
     assert (arch["exit"], arch["pressed"]) == (None, 8)
     assert np.nanargmax(jammed.pressure[-1]) in arch["bodies"]
     assert len(arch["ends"]) == 2
 
 
 def test_what_is_held_stays_and_what_one_contact_less_holds_does_not(jammed):
-    problem, warm = BodiesProblem(hopper()), COLD
+    problem, warm = BodiesProblem(hopper()), COLD_BODIES_START
     step, q = BodiesStepper(problem, "auto", 1e-9), jammed.x[-1].reshape(-1, 2)
     for k in range(200):
         q, *_, warm, _, _ = step(k * 0.05, 0.05, q, warm, k)
     assert np.nanmax(np.abs(q.ravel() - jammed.x[-1])) < 1e-13
     contacts = jammed.contacts(-1)
-    assert held(problem, 0.0, q, q, contacts)
-    assert not held(problem, 0.0, q, q, Contacts(*(part[1:] for part in contacts)))
-    assert not held(problem, 0.0, q + 1e-15, q, NO_CONTACTS)  # who touches nobody moves
+    assert is_held_by_contacts(problem, 0.0, q, q, contacts)
+    assert not is_held_by_contacts(problem, 0.0, q, q, Contacts(*(part[1:] for part in contacts)))
+    assert not is_held_by_contacts(problem, 0.0, q + 1e-15, q, NO_CONTACTS)  # who touches nobody moves
 
 
 def test_a_resumed_run_ends_in_the_same_step(jammed, tmp_path):

@@ -87,7 +87,7 @@ def folder(tmp_path, monkeypatch, request):
     (tmp_path / "cases").symlink_to(REPOSITORY / "cases")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.setattr(methods, "LONG", 0.0)  # Each run of a study is made once: no page is held to its seconds.
+    monkeypatch.setattr(methods, "LONG_RUN_SECONDS", 0.0)  # Each run of a study is made once: no page is held to its seconds.
     return tmp_path
 
 

@@ -31,7 +31,7 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
-from nsmodel.model.arguments import RESERVED
+from nsmodel.model.arguments import RESERVED_RUN_NAMES
 from nsmodel.solve import projection
 
 nan, inf = float("nan"), float("inf")
@@ -415,7 +415,7 @@ def test_a_wrong_model_is_refused_when_it_is_declared(builder, given, message):
         builder(**given)
 
 
-@pytest.mark.parametrize("name", sorted(RESERVED))
+@pytest.mark.parametrize("name", sorted(RESERVED_RUN_NAMES))
 def test_no_state_takes_the_name_of_an_attribute_of_the_run(name):
     with pytest.raises(ModelError, match=rf"names: '{name}' clashes with run\.{name}, an attribute of runs; take another name"):
         lure(names=[name, "other"])
@@ -428,7 +428,7 @@ def test_reserved_names_are_all_attributes_and_arrays_of_every_class():
     runs.append(simulate(first_order(h=x[1] + lam**3)))
     taken = {name for name in dir(nsmodel.Trajectory) if not name.startswith("_")}
     taken |= {name for run in runs for name in run.arrays}
-    assert taken - {"x", "v"} <= RESERVED
+    assert taken - {"x", "v"} <= RESERVED_RUN_NAMES
     for builder in (oscillator, inclusion):
         with pytest.raises(ModelError, match=r"names: 'v' clashes with run\.v, the velocity; take another name, such as 'v1'"):
             builder(names=["v", "w"])
@@ -814,9 +814,11 @@ def test_a_step_that_fails_says_why(model, message):
 )
 def test_catching_up_says_what_it_could_not_verify(monkeypatch, start, solves, iterations, message):
     """No model is known that brings these about: the solver is made to fail."""
-    solve = projection.mlcp.solve
+    solve = projection.mlcp.solve_mlcp
     monkeypatch.setattr(projection, "CUT_ITERATIONS", iterations)
-    monkeypatch.setattr(projection.mlcp, "solve", lambda *args: solve(*args) if solves else replace(solve(*args), residual=inf))
+    monkeypatch.setattr(
+        projection.mlcp, "solve_mlcp", lambda *args: solve(*args) if solves else replace(solve(*args), residual=inf)
+    )
     disc = {"disc": 1 - ca.sumsqr(x)}
     with pytest.raises(StepError, match=re.escape(message)):
         simulate(inclusion(field=[5, 0], constraints=disc, lower=None, upper=None, x0=start, tolerances=1e-3))

@@ -26,11 +26,11 @@ from nsmodel import (
 )
 from nsmodel.hypotheses.region import region_of
 from nsmodel.pieces import modes
-from nsmodel.pieces.course import Course
-from nsmodel.pieces.roots import Roots
+from nsmodel.pieces.course import HybridIntegrator
+from nsmodel.pieces.roots import EventLocator
 from nsmodel.run import piece_rows
 from nsmodel.run.options import Options
-from nsmodel.simulate import arranged
+from nsmodel.simulate import make_run
 from tests import event_scenes as scenes
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
@@ -252,7 +252,7 @@ def test_a_row_that_the_multiplier_of_another_makes_jump(rest, end, compiled):
 
 def test_a_wrong_mode_is_told_by_the_residual(monkeypatch):
     """The same where closed rows are not asked: y_1 = -1/2 from 1/3 on, and the run says so."""
-    asked = modes._wrong
+    asked = modes._violated_conditions
 
     def of_open(system, place, how):
         return (one for one in asked(system, place, how) if one.of in place.open or one.acts == "l")
@@ -263,11 +263,11 @@ def test_a_wrong_mode_is_told_by_the_residual(monkeypatch):
     )
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     assert not [text for text in run.metadata["warnings"] if "the law is missed" in text]
-    monkeypatch.setattr(modes, "_wrong", of_open)
+    monkeypatch.setattr(modes, "_violated_conditions", of_open)
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     assert abs(run.x[-1, 0] - 1) <= 1e-8, "a row that is wrong ends its piece at once"
-    first = Roots.first
-    monkeypatch.setattr(Roots, "first", lambda *given: found if (found := first(*given))[1] else (None, given[4]))
+    first = EventLocator.first
+    monkeypatch.setattr(EventLocator, "first", lambda *given: found if (found := first(*given))[1] else (None, given[4]))
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     assert abs(run.x[-1, 0] - 2 / 3) <= 1e-8
     assert any("the law is missed by 0.2" in text and "the run is no solution there" in text for text in run.metadata["warnings"])
@@ -363,10 +363,10 @@ def test_runs_in_memory_are_not_in_chunks(monkeypatch):
     model = nsmodel.load(CASES / "relay_oscillator.py")
     whole = simulate(model, rtol=1e-6, method="event-driven", compiled=False)
     monkeypatch.setattr(piece_rows, "CHUNK_BYTES", 1)
-    walk = arranged(model, Options(rtol=1e-6, method="event-driven", compiled=False)).walk
+    walk = make_run(model, Options(rtol=1e-6, method="event-driven", compiled=False)).propagator
     for _ in range(100):
         walk.advance(64, [])
-    assert walk.ended
+    assert walk.finished
     assert walk.record.filled == len(whole.t)
 
 
@@ -390,8 +390,8 @@ def test_what_fails_between_rows_says_how_many_there_are(monkeypatch):
             raise MemoryError("Unable to allocate 1 TiB")
         return usual(self)
 
-    usual = Course.advance
-    monkeypatch.setattr(Course, "advance", advance)
+    usual = HybridIntegrator.advance
+    monkeypatch.setattr(HybridIntegrator, "advance", advance)
     model = nsmodel.load(CASES / "relay_oscillator.py")
     with pytest.raises(StepError, match=r"^step \d+: no verified step .* not enough memory") as caught:
         simulate(model, rtol=1e-6, method="event-driven", compiled=False)

@@ -20,9 +20,9 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen.library import compiler
-from nsmodel.codegen.piece_scene import scene_of
+from nsmodel.codegen.piece_scene import piece_spec_of
 from nsmodel.errors import CodegenError
-from nsmodel.run.event_driven import problem_of
+from nsmodel.run.event_driven import event_driven_problem
 from tests.ball_models import random_model
 from tests.slip_references import Slides
 
@@ -312,7 +312,7 @@ def test_steps_have_the_friction_that_grows():
     """What a stretch steps with, beside theta'(|v|) v/|v| for the l of slip."""
     x, rng = ca.SX.sym("x", 2), np.random.default_rng(3)
     model = FrictionOscillator(x=x, potential=ca.sumsqr(x) / 2, friction=0.3 * s + s**3 / 6, s=s, x0=[1, 0], v0=[0, 1], t_end=1)
-    problem = problem_of(model)
+    problem = event_driven_problem(model)
     rate = ca.Function("rate", [problem.x, problem.l], [problem.rate])
     for v in rng.normal(size=(5, 2)):
         size = np.hypot(*v)
@@ -330,7 +330,7 @@ def test_pieces_are_interpreted_and_say_why():
     x = ca.SX.sym("x", 2)
     grows = FrictionOscillator(x=x, potential=ca.sumsqr(x), friction=s + s**3, s=s, x0=[1, 0], v0=[0, 1], t_end=1)
     with pytest.raises(CodegenError, match="while 'ball' slips, its l is a series of y"):
-        scene_of(grows, {})
+        piece_spec_of(grows, {})
 
 
 def test_resumed_byte_for_byte(tmp_path):

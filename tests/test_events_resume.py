@@ -12,7 +12,7 @@ from fuzz_models import COUNT, FULL
 
 import nsmodel
 from nsmodel import RunInterrupted, StorageError, UsageError, simulate
-from nsmodel.codegen.piece_runs import PiecesInC
+from nsmodel.codegen.piece_runs import CompiledPieceIntegrator
 from nsmodel.run import loop, piece_makers
 
 CASES = Path(__file__).parents[1] / "cases"
@@ -21,12 +21,12 @@ KILLED = """
 import os, sys
 import nsmodel
 from nsmodel.run import loop
-from nsmodel.run.piece_makers import InC, Interpreted
+from nsmodel.run.piece_makers import CompiledPieces, InterpretedPieces
 
 loop.CHUNK_SECONDS = 0.0
 case, out, pieces, compiled, more, *times = sys.argv[1:]
-maker = InC if compiled == "True" else Interpreted
-whole, left = maker.make, [int(pieces)]
+maker = CompiledPieces if compiled == "True" else InterpretedPieces
+whole, left = maker.make_pieces, [int(pieces)]
 
 def make(self, until, room):
     if not left[0]:
@@ -34,7 +34,7 @@ def make(self, until, room):
     left[0] -= 1
     return whole(self, until, 0)
 
-maker.make = make
+maker.make_pieces = make
 model = nsmodel.load(case)
 rows = {"times": [float(t) for t in times]} if times else {}
 how = {"method": "event-driven", "compiled": compiled == "True"}
@@ -118,7 +118,7 @@ def test_a_signal_between_pieces_and_their_rows_leaves_no_gap(flushed, tmp_path,
     model = nsmodel.load(CASES / "relay_oscillator.py")
     given = {"rtol": 1e-6, "method": "event-driven", "compiled": True}
     simulate(model, out=tmp_path / "whole", **given)
-    usual, calls = PiecesInC.many, []
+    usual, calls = CompiledPieceIntegrator.advance, []
 
     def interrupted(self, *args):
         calls.append(usual(self, *args))
@@ -126,12 +126,12 @@ def test_a_signal_between_pieces_and_their_rows_leaves_no_gap(flushed, tmp_path,
             raise KeyboardInterrupt
         return calls[-1]
 
-    monkeypatch.setattr(piece_makers, "AT_ONCE", 1)
+    monkeypatch.setattr(piece_makers, "PIECES_PER_REQUEST", 1)
     monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0 if flushed else 1e9)
-    monkeypatch.setattr(PiecesInC, "many", interrupted)
+    monkeypatch.setattr(CompiledPieceIntegrator, "advance", interrupted)
     with pytest.raises(RunInterrupted) as stopped:
         simulate(model, out=tmp_path / "part", **given)
-    monkeypatch.setattr(PiecesInC, "many", usual)
+    monkeypatch.setattr(CompiledPieceIntegrator, "advance", usual)
     assert 0 < stopped.value.trajectory.t[-1] < 100
     if flushed:
         simulate(model, out=tmp_path / "part", resume=True, **given)

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import roots_jacobi
 
 from nsmodel import FirstOrderSystem, SweepingProcess, relay, simulate
-from nsmodel.pieces.collocation import collocation
+from nsmodel.pieces.collocation import radau_collocation
 from tests import event_scenes, stiff_scenes
 from tests.test_events import DATA, HAS_CC, RTOLS, judged, needs_data
 
@@ -32,7 +32,7 @@ def collocated(run):
 @pytest.mark.parametrize("s", [1, 3, 5, 7, 9, 11])
 def test_order_conditions(s):
     """B(2s - 1), C(s) and D(s - 1) of Butcher's simplifying assumptions, and the nodes of SciPy."""
-    of = collocation(s)
+    of = radau_collocation(s)
     A, c = np.linalg.inv(of.inverse), of.nodes
     b = A[-1]
     np.testing.assert_allclose(c[:-1], (1 + roots_jacobi(s - 1, 1, 0)[0]) / 2 if s > 1 else [], rtol=1e-13)
@@ -47,7 +47,7 @@ def test_order_conditions(s):
 @pytest.mark.parametrize("s", [5, 7, 9, 11])
 def test_tables_of_polynomials(s):
     """Values, slopes and coefficients of polynomials of degree s; the eigenvectors; the integral of M."""
-    of, rng = collocation(s), np.random.default_rng(s)
+    of, rng = radau_collocation(s), np.random.default_rng(s)
     p = np.polynomial.Polynomial(rng.normal(size=s + 1))
     start, values = p(0), p(of.nodes)[:, None]
     np.testing.assert_allclose(start + of.values @ (values[:, 0] - start), p(of.between), atol=1e-12)

@@ -423,7 +423,7 @@ def outcome(model, **options):
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiled_steps_give_the_same_states_warnings_and_errors(name, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(cache, "FLAGS", QUICK)
+    monkeypatch.setattr(cache, "COMPILER_FLAGS", QUICK)
     (run, message), (compiled, compiled_message) = (outcome(COMPILED[name](), compiled=way) for way in (False, True))
     assert compiled.metadata["used"][-1].startswith("steps in C")
     np.testing.assert_allclose(compiled.x, run.x, atol=1e-12)

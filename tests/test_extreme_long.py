@@ -90,7 +90,7 @@ import sys
 import nsmodel.run.walk
 from nsmodel.cli import main
 from nsmodel.codegen import cache
-nsmodel.run.walk.CHUNK_BYTES, cache.FLAGS = {bytes}, {flags}
+nsmodel.run.walk.CHUNK_BYTES, cache.COMPILER_FLAGS = {bytes}, {flags}
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -106,7 +106,7 @@ def make_swinging(request, tmp_path_factory):
     options = ["run", str(folder / "swinging.py"), "--quiet", *way]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setattr(cache, "FLAGS", QUICK)
+        patch.setattr(cache, "COMPILER_FLAGS", QUICK)
         assert main([*options, "--out", str(folder / "whole")]) == 0
         yield folder, options
 

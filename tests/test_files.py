@@ -16,14 +16,14 @@ from sweep_models import friction
 
 import nsmodel
 from nsmodel import StorageError, Sweep, Trajectory, UsageError, simulate, sweep
-from nsmodel.archive import CHUNK, write_npz
+from nsmodel.archive import DIGEST_CHUNK_BYTES, write_npz
 from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
 from nsmodel.codegen import library
-from nsmodel.manifest import signed
+from nsmodel.manifest import with_checksum
 from nsmodel.storage import dumps, loads
-from nsmodel.stored import mapped, opened, read_npz
-from nsmodel.sweep.store import manifest_of
+from nsmodel.stored import map_archive, open_archive, read_npz
+from nsmodel.sweep.store import read_sweep_manifest
 
 SMALL = 30  # Attempts on each kind of file.
 
@@ -39,7 +39,7 @@ def test_damaged_and_forged_files_are_what_was_written_or_refused(kind, capsys):
 
 def large(path):
     """An archive with an array of three chunks and a bit, in rows of a third of a chunk."""
-    rows = np.arange(11 * (CHUNK // 24), dtype=float).reshape(11, -1)
+    rows = np.arange(11 * (DIGEST_CHUNK_BYTES // 24), dtype=float).reshape(11, -1)
     write_npz(path, {"x": rows, "small": np.arange(5)}, {"title": "large"})
     return rows
 
@@ -54,33 +54,36 @@ def change(path, at):
 
 def test_a_chunk_that_was_changed_is_found_when_it_is_looked_at_and_no_other_is_read(tmp_path):
     rows = large(tmp_path / "a.npz")
-    where = opened(tmp_path / "a.npz").arrays["x"]
+    where = open_archive(tmp_path / "a.npz").arrays["x"]
     assert len(where.digests) == 4
-    change(tmp_path / "a.npz", where.begin + 2 * CHUNK + 100)
-    archive, arrays = mapped(tmp_path / "a.npz")
+    change(tmp_path / "a.npz", where.begin + 2 * DIGEST_CHUNK_BYTES + 100)
+    archive, arrays = map_archive(tmp_path / "a.npz")
     assert archive.metadata == {"title": "large"}
     np.testing.assert_array_equal(arrays["small"], np.arange(5))
     part = arrays.part("x")
     np.testing.assert_array_equal(part.take(0, 0).values, rows[0])
     np.testing.assert_array_equal(part.take(10, 0).values, rows[10])
-    hurt = (2 * CHUNK + 100) // (8 * rows.shape[1])
+    hurt = (2 * DIGEST_CHUNK_BYTES + 100) // (8 * rows.shape[1])
     for ask in (
         lambda: part.take(hurt, 0).values,
         lambda: part.take(3, 1).values,
         lambda: arrays["x"],
         lambda: read_npz(archive.path),
     ):
-        with pytest.raises(StorageError, match=rf"array 'x', bytes {2 * CHUNK} to {3 * CHUNK} was changed after it was written"):
+        with pytest.raises(
+            StorageError,
+            match=rf"array 'x', bytes {2 * DIGEST_CHUNK_BYTES} to {3 * DIGEST_CHUNK_BYTES} was changed after it was written",
+        ):
             ask()
 
 
 def test_values_of_a_sweep_are_read_where_they_are_asked_for(tmp_path):
-    size = 4 * CHUNK // 16
+    size = 4 * DIGEST_CHUNK_BYTES // 16
     found = sweep(friction(), grid={"k": [0.9, 1.0]}, keep="x_1", every=600, compiled=False, workers=1)
     cells = {name: np.resize(np.array(values), (size, *values.shape[1:])) for name, values in found.cells.items()}
     about = dict(found.metadata) | {"shape": [size], "dims": ["k"], "along": {}, "messages": {}}
     write_npz(tmp_path / "sweep.npz", {"dim:k": np.arange(float(size)), "t": found.t, **cells}, about)
-    where = opened(tmp_path / "sweep.npz").arrays["x_1"]
+    where = open_archive(tmp_path / "sweep.npz").arrays["x_1"]
     change(tmp_path / "sweep.npz", where.begin + where.size - 3)
     loaded = Sweep.load(tmp_path)
     assert loaded["x_1"].at(k=3).values.tolist() == found["x_1"].values[1].tolist()
@@ -214,7 +217,7 @@ def test_a_file_of_todays_format_that_lost_its_digest_is_refused(tmp_path, name)
 @pytest.mark.parametrize("text", ["3", "null", "true", "[]", '["chunks"]', '"chunks"', "1.5", '""'])
 def test_a_manifest_that_is_no_table_is_refused_by_runs_and_sweeps(tmp_path, text):
     (tmp_path / "manifest.json").write_text(text, encoding="utf-8")
-    for ask in (manifest_of, ChunkStore.open):
+    for ask in (read_sweep_manifest, ChunkStore.open):
         with pytest.raises(StorageError, match="manifest"):
             ask(tmp_path)
 
@@ -239,7 +242,7 @@ def test_a_manifest_that_names_a_file_elsewhere_is_refused_and_the_file_stays(tm
         manifest = loads((folder / "manifest.json").read_text(encoding="utf-8"))
         manifest.pop("checksum")
         manifest["chunks"][0]["file"] = name
-        (folder / "manifest.json").write_text(dumps(signed(manifest)), encoding="utf-8")
+        (folder / "manifest.json").write_text(dumps(with_checksum(manifest)), encoding="utf-8")
         before = outside.read_bytes()
         for ask in (lambda folder=folder: ChunkStore.open(folder).discard(), lambda folder=folder: files.run_goes_on(folder)):
             with pytest.raises(StorageError, match=r"which is no chunk|is a link|expected a plain name"):

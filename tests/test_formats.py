@@ -173,16 +173,16 @@ def test_every_file_says_its_format(tmp_path, relay_file):
     assert main(["run", relay_file, "--out", "run", "--quiet"]) == 0
     for name in ("manifest.json", "summary.json"):
         document = json.loads((tmp_path / "run" / name).read_text())
-        assert (document["format"], document["version"]) == (storage.FORMAT, nsmodel.__version__)
+        assert (document["format"], document["version"]) == (storage.FILE_FORMAT, nsmodel.__version__)
     with zipfile.ZipFile(tmp_path / "run" / "trajectory.npz") as archive:
         document = json.loads(archive.read("metadata.json"))
-    assert (document["format"], document["version"]) == (storage.FORMAT, nsmodel.__version__)
+    assert (document["format"], document["version"]) == (storage.FILE_FORMAT, nsmodel.__version__)
     assert [one["name"] for one in document["arrays"]] == list(Trajectory.load(tmp_path / "run" / "trajectory.npz").arrays)
 
 
 def of_a_later_version(patch):
     for module in ("archive", "chunks"):
-        patch.setattr(f"nsmodel.{module}.STAMP", {"format": 9, "version": "7.1.0"})
+        patch.setattr(f"nsmodel.{module}.FORMAT_STAMP", {"format": 9, "version": "7.1.0"})
 
 
 def test_a_later_format_is_refused_by_the_version_that_wrote_it(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ from fuzz_models import share
 
 from nsmodel import MonotoneInclusion, StepError, simulate
 from nsmodel.errors import CodegenError
-from nsmodel.stress.judge import by_formulas
+from nsmodel.stress.judge import formula_residuals
 
 COUNT = share(160)
 
@@ -54,7 +54,7 @@ def random_model(seed, scheme, *, riding=True):
 def test_every_step_is_right_by_its_definition(seed, scheme):
     model = random_model(seed, scheme).bind()
     run = simulate(model, compiled=False)
-    found = by_formulas(model, run)
+    found = formula_residuals(model, run)
     assert run.status == "done"
     assert max(found.values()) <= 1, found
     if seed % 8 == 0:
@@ -63,7 +63,7 @@ def test_every_step_is_right_by_its_definition(seed, scheme):
         except CodegenError as error:
             assert "has no counterpart in C" in str(error)  # noqa: PT017
         else:
-            assert max(by_formulas(model, in_c).values()) <= 1
+            assert max(formula_residuals(model, in_c).values()) <= 1
             if scheme == "implicit":  # an explicit sign at 0 is decided by the last bit
                 assert np.abs(in_c.x - run.x).max() <= 1e-10 * (1 + np.abs(run.x).max())
 

@@ -13,7 +13,7 @@ import pytest
 
 import nsmodel
 from nsmodel import brief
-from nsmodel.shelf import cases
+from nsmodel.shelf import all_cases
 
 PUBLIC = [(name, getattr(nsmodel, name)) for name in nsmodel.__all__]
 CLASSES = [(name, value) for name, value in PUBLIC if inspect.isclass(value) and not issubclass(value, BaseException)]
@@ -54,7 +54,7 @@ def test_public_objects_are_a_few_lines(load_case, run_case):
         nsmodel.ellipsoid(np.eye(20)), nsmodel.second_order_cone(30), nsmodel.box(-a, a), nsmodel.table(range(999), range(999)),
         nsmodel.pwm(1.0, 0.5), nsmodel.steps(np.zeros((500, 3))), nsmodel.within([0] * 50, [1] * 50), nsmodel.signal(np.sin),
         nsmodel.hysteresis(b, ca.sum1(a**2), 0, 1, start=1), crowd.bodies, pair, pair.first, crowd, run, run.at(run.t),
-        run.spectrum(run.metadata["state_names"][0]), nsmodel.stepper(model), *cases()[:3], run.at(0.5),
+        run.spectrum(run.metadata["state_names"][0]), nsmodel.stepper(model), *all_cases()[:3], run.at(0.5),
     ]  # fmt: skip
     for one in made:
         short(one)
@@ -95,12 +95,12 @@ def test_results_are_a_few_lines(load_case, run_case):
 def test_values_are_cut_and_named():
     made = SimpleNamespace(a="x\n" * 200, b=np.arange(3.0), c={k: k for k in range(9)}, d=None, e=(), f=ca.SX.sym("s", 40), g=abs)
     long = f"'{'x ' * 27}...'"
-    assert " ".join(brief.brief(made).split()) == (
+    assert " ".join(brief.short_repr(made).split()) == (
         f"SimpleNamespace(a={long}, b=[0, 1, 2], c={{0: 0, 1: 1, 2: 2, 3: 3, ... 9 in all}}, f=SX 40 x 1, g=abs)"
     )
-    assert brief.listed(["one", "two", "three"], 15) == "one, two, three"
-    assert brief.listed(["one", "two", "three"], 14) == "... 3 more"
-    assert len(brief.wrapped("word " * 2000)) == 10
+    assert brief.join_within_width(["one", "two", "three"], 15) == "one, two, three"
+    assert brief.join_within_width(["one", "two", "three"], 14) == "... 3 more"
+    assert len(brief.wrap_lines("word " * 2000)) == 10
 
 
 # -- help --------------------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ WAYS = pytest.mark.parametrize("compiled", [False, True])
 @pytest.fixture(autouse=True)
 def _compiled_where_that_is_asked_for(monkeypatch):
     """No test of C passes because its steps were interpreted."""
-    usual = in_c.chosen
+    usual = in_c.choose_step_backend
 
     def strict(options, *given):
         found = usual(options, *given)
@@ -50,7 +50,7 @@ def _compiled_where_that_is_asked_for(monkeypatch):
         return found
 
     for module in (schemes, piece_choice):
-        monkeypatch.setattr(module, "chosen", strict)
+        monkeypatch.setattr(module, "choose_step_backend", strict)
 
 
 def at(run, times):
@@ -416,7 +416,7 @@ def test_a_run_that_is_resumed_has_the_same_bytes(tmp_path, stop, monkeypatch):
     whole = simulate(model, out=tmp_path / "whole", compiled=False)
     from nsmodel.run import on_grid
 
-    usual, calls = on_grid.OnGrid._interpreted, []
+    usual, calls = on_grid.FixedGridPropagator._advance_interpreted, []
 
     def interrupted(self, end, signals):
         calls.append(self.k)
@@ -424,10 +424,10 @@ def test_a_run_that_is_resumed_has_the_same_bytes(tmp_path, stop, monkeypatch):
             signals.append(0.0)
         return usual(self, min(end, stop) if self.k < stop else end, signals)
 
-    monkeypatch.setattr(on_grid.OnGrid, "_interpreted", interrupted)
+    monkeypatch.setattr(on_grid.FixedGridPropagator, "_advance_interpreted", interrupted)
     with pytest.raises(RunInterrupted):
         simulate(model, out=tmp_path / "parts", compiled=False)
-    monkeypatch.setattr(on_grid.OnGrid, "_interpreted", usual)
+    monkeypatch.setattr(on_grid.FixedGridPropagator, "_advance_interpreted", usual)
     assert calls
     again = simulate(model, out=tmp_path / "parts", resume=True, compiled=False)
     assert (tmp_path / "whole/trajectory.npz").read_bytes() == (tmp_path / "parts/trajectory.npz").read_bytes()
@@ -529,7 +529,7 @@ def test_nan_in_the_middle_of_a_run_keeps_what_there_is():
 def test_what_takes_no_inputs_says_so():
     model = scenes.buck(t_end=2 * T)
     with pytest.raises(UsageError, match=r"has inputs \(u\); a certificate says nothing of signals"):
-        model.refuse("certificate")
+        model.check_allowed("certificate")
     with pytest.raises(UsageError, match="not event-driven: certify='interval' proves models without inputs alone"):
         simulate(model, rtol=1e-4, certify="interval")
 

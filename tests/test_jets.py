@@ -11,11 +11,11 @@ import pytest
 from conftest import optimised
 from fuzz_models import share
 
-from nsmodel.codegen.jets import kernels
-from nsmodel.codegen.jets import text as in_c_text
-from nsmodel.pieces.expansion import Expansion
-from nsmodel.pieces.jets import BINARY, UNARY, jets_of
-from nsmodel.proof.graph import OpaqueExpression, fold
+from nsmodel.codegen.jets import recurrence_function as in_c_text
+from nsmodel.codegen.jets import recurrence_kernels
+from nsmodel.pieces.expansion import TaylorExpansion
+from nsmodel.pieces.jets import BINARY_RECURRENCES, UNARY_RECURRENCES, taylor_decompose
+from nsmodel.proof.graph import OpaqueExpression, fold_graph
 
 ORDERS = 12
 NAMES = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
@@ -82,7 +82,7 @@ def in_digits(expr, u, polynomials):
 
     def at(t):
         values = [mp.polyval([mp.mpf(float(c)) for c in reversed(p)], t) for p in polynomials]
-        return fold(
+        return fold_graph(
             expr, lambda s: values[symbols[s.element_hash()]], lambda number: mp.mpf(number),
             lambda op, args: args[0] if op == ca.OP_ASSIGN else IN_MP[NAMES[op]](*args),
         )[0]  # fmt: skip
@@ -92,8 +92,8 @@ def in_digits(expr, u, polynomials):
 
 
 def by_recurrence(expr, u, polynomials, label="f"):
-    jets = jets_of(expr, [u], label)
-    expansion = Expansion(jets, ORDERS)
+    jets = taylor_decompose(expr, [u], label)
+    expansion = TaylorExpansion(jets, ORDERS)
     for (_, entry), row in jets.inputs.items():
         expansion.rows[row][: len(polynomials[entry])] = list(map(float, polynomials[entry]))
     return np.array([expansion.order(k)[0] for k in range(ORDERS + 1)])
@@ -167,9 +167,9 @@ def test_each_operation(name):
 def test_every_operation_that_the_package_writes_in_c_is_among_them():
     from nsmodel.codegen import expression
 
-    written = {*expression._INFIX, *expression._COMPARED, *expression._CALLED}
+    written = {*expression._INFIX, *expression._COMPARISON_SIGNS, *expression._C_FUNCTIONS}
     written |= {ca.OP_AND, ca.OP_OR, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV}
-    assert written <= UNARY.keys() | BINARY.keys()
+    assert written <= UNARY_RECURRENCES.keys() | BINARY_RECURRENCES.keys()
     assert {NAMES[op] for op in written} <= EACH.keys() | {"constpow"}
 
 
@@ -184,18 +184,18 @@ def test_whole_powers_of_what_vanishes(p):
 
 
 def test_numbers_apart_from_symbols_are_folded():
-    jets = jets_of(ca.sin(ca.SX(2)) * U[0], [U], "f")
+    jets = taylor_decompose(ca.sin(ca.SX(2)) * U[0], [U], "f")
     assert [line.kind for line in jets.lines] == ["scaled"]
 
 
 def test_sine_and_cosine_of_one_argument_are_one_pair():
-    assert len(jets_of(ca.sin(U[0]) * ca.cos(U[0]) + ca.cosh(U[1]) - ca.sinh(U[1]), [U], "f").lines) == 7
+    assert len(taylor_decompose(ca.sin(U[0]) * ca.cos(U[0]) + ca.cosh(U[1]) - ca.sinh(U[1]), [U], "f").lines) == 7
 
 
 def test_what_has_no_series_is_refused_by_name():
     hidden = ca.Function("hidden", [U], [ca.sin(U[0])], {"never_inline": True})
     with pytest.raises(OpaqueExpression, match="'f' holds call"):
-        jets_of(hidden(U), [U], "'f'")
+        taylor_decompose(hidden(U), [U], "'f'")
 
 
 COMPOSED = [
@@ -249,8 +249,12 @@ def in_c(tmp_path_factory):
     if compiler is None:
         pytest.skip("no C compiler")
     expressions = [*EACH.values(), *(composition(seed)[0] for seed in range(20))]
-    all_jets = [jets_of(expr, [U], "f") for expr in expressions]
-    text = "#include <math.h>\n" + kernels() + "".join(in_c_text(jets, f"f{i}", ORDERS + 1) for i, jets in enumerate(all_jets))
+    all_jets = [taylor_decompose(expr, [U], "f") for expr in expressions]
+    text = (
+        "#include <math.h>\n"
+        + recurrence_kernels()
+        + "".join(in_c_text(jets, f"f{i}", ORDERS + 1) for i, jets in enumerate(all_jets))
+    )
     cases = "".join(f"    case {i}: f{i}(N, choice, k); break;\n" for i in range(len(all_jets)))
     text += f"void order(int i, double (*N)[{ORDERS + 1}], double *choice, int k)\n{{\n    switch (i) {{\n{cases}    }}\n}}\n"
     folder = tmp_path_factory.mktemp("jets")
@@ -265,7 +269,7 @@ def test_c_computes_what_python_does(in_c):
     names = [*EACH, *range(20)]
     for i, (name, jets) in enumerate(zip(names, all_jets, strict=True)):
         polynomials = ABOVE_ONE if name == "acosh" else INSIDE if isinstance(name, str) else composition(name)[1]
-        expansion = Expansion(jets, ORDERS)
+        expansion = TaylorExpansion(jets, ORDERS)
         for (_, entry), row in jets.inputs.items():
             expansion.rows[row][: len(polynomials[entry])] = list(map(float, polynomials[entry]))
         rows, choice = np.array(expansion.rows), np.full(max(len(jets.branches), 1), np.nan)

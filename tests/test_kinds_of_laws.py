@@ -27,10 +27,10 @@ from nsmodel import (
 )
 from nsmodel.codegen import write
 from nsmodel.errors import CodegenError
-from nsmodel.hypotheses.report.typeset import equations
-from nsmodel.laws import KINDS, BallSet, ConeSet, EllipsoidSet, Law
+from nsmodel.hypotheses.report.typeset import model_equations
+from nsmodel.laws import FACTOR_KINDS, BallSet, ConeSet, EllipsoidSet, Law
 from nsmodel.plot.strip import index_strip
-from nsmodel.stress.judge import by_formulas
+from nsmodel.stress.judge import formula_residuals
 
 RADIUS = 0.75
 
@@ -98,7 +98,7 @@ def test_points_of_the_graph_have_no_gap_and_others_do(m):
             assert np.abs(p - u).max() == 0 if code == 0 else not p.any() if code < 0 else np.allclose(K.onto_boundary(p), p)
             if K.is_bounded:
                 y_away = rng.normal(size=m)
-                chosen = K.selected(y_away)
+                chosen = K.support_point(y_away)
                 samples = rng.normal(size=(200, m))
                 samples = np.array([K.onto_boundary(l) for l in samples])
                 assert all(inside(K, l) for l in samples)
@@ -132,7 +132,7 @@ def moved_by(law, **given):
 
 
 def test_each_kind_has_an_example():
-    assert set(EXAMPLES) == set(KINDS)
+    assert set(EXAMPLES) == set(FACTOR_KINDS)
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
@@ -140,12 +140,12 @@ def test_a_kind_is_run_checked_judged_drawn_and_written(kind):
     law = EXAMPLES[kind]
     model = moved_by(law)
     run = simulate(model)
-    assert by_formulas(model, run)["law"] < 1
+    assert formula_residuals(model, run)["law"] < 1
     off = replace(run, arrays={**run.arrays, "multipliers": run.arrays["multipliers"] + [1e-3, -2e-3]})
-    assert by_formulas(model, off)["law"] > 1
+    assert formula_residuals(model, off)["law"] > 1
     report = check(model, runs=[run])
     assert [finding.verdict for finding in report.findings if finding.id in ("3.1", "5.4a", "5.x0")] == ["holds"] * 3
-    assert "lambda" in str(equations(model))
+    assert "lambda" in str(model_equations(model))
     if kind != "polyhedron":
         assert index_strip(run).get_legend() is not None
 

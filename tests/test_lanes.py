@@ -23,9 +23,9 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen import batch, cache, lanes
-from nsmodel.codegen.all_values import all_values
-from nsmodel.codegen.batch import LANES, Batch
-from nsmodel.codegen.library import FLAGS, IN_LANES
+from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen.batch import LANES_NOTE, StepBatch
+from nsmodel.codegen.library import COMPILER_FLAGS, LANES_FLAGS
 from nsmodel.codegen.source import write_source
 from nsmodel.codegen.statuses import BAD_PARAMETER, NOT_SOLVED
 from nsmodel.grid import make_grid
@@ -93,7 +93,7 @@ def draw(model, cells, seed=0):
 def made(model, t_end=None, **options):
     """The batch of a model on its own grid."""
     bound = model.bind(dict(zip(model.parameters, draw(model, 1)[0].tolist(), strict=True)))
-    return Batch(model, make_grid(bound, None, None, t_end, driven=True), 1e-9, **options)
+    return StepBatch(model, make_grid(bound, None, None, t_end, driven=True), 1e-9, **options)
 
 
 def assert_near(found, other, name):
@@ -118,8 +118,8 @@ def test_lanes_are_the_runs_alone(name):
     model = SCENES[name]()
     values = draw(model, 21)
     own, alone = made(model), made(model, in_lanes=False)
-    assert LANES in own.way
-    assert LANES not in alone.way
+    assert LANES_NOTE in own.way
+    assert LANES_NOTE not in alone.way
     every = 7
     found, other = (b.run(values, KEPT, every) for b in (own, alone))
     assert (found.status == 0).all()
@@ -131,7 +131,7 @@ def test_lanes_are_the_runs_alone(name):
     for cell in (0, 13):
         run = simulate(model, parameters=dict(zip(model.parameters, values[cell].tolist(), strict=True)), compiled=False)
         for column in ("x", "multipliers", "y"):
-            assert_near(found.arrays[column][cell], getattr(run, column)[own.numbers_kept(every)], column)
+            assert_near(found.arrays[column][cell], getattr(run, column)[own.kept_row_numbers(every)], column)
 
 
 def test_oscillators_rest_where_the_closed_form_says_and_stick_is_exact():
@@ -158,25 +158,25 @@ def test_bits_of_a_cell_depend_on_nothing_but_its_parameters(monkeypatch):
         for part, other in zip(parts, pool.map(lambda part: own.run(values[part], KEPT, 9), parts), strict=True):
             assert_same_bits(found, other, part)
     each = own.run(values, KEPT, 1)
-    np.testing.assert_array_equal(each.arrays["x"][:, own.numbers_kept(9)], found.arrays["x"])
+    np.testing.assert_array_equal(each.arrays["x"][:, own.kept_row_numbers(9)], found.arrays["x"])
     np.testing.assert_array_equal(each.worst_residual, found.worst_residual)
-    monkeypatch.setattr(batch, "SECONDS", 0.0)
+    monkeypatch.setattr(batch, "CALL_SECONDS", 0.0)
     monkeypatch.setattr(own, "level", 0)
     assert_same_bits(found, own.run(values, KEPT, 9))
     monkeypatch.setattr(own, "level", 1)
     assert_same_bits(found, own.run(values, KEPT, 9))
 
 
-@pytest.mark.parametrize("flags", [(*IN_LANES, "-DSTEP_LANES=8", "-O3"), ("-DSTEP_LANES=3", "-fno-tree-vectorize")])
+@pytest.mark.parametrize("flags", [(*LANES_FLAGS, "-DSTEP_LANES=8", "-O3"), ("-DSTEP_LANES=3", "-fno-tree-vectorize")])
 def test_bits_do_not_depend_on_vectors_or_how_many_lanes_there_are(flags, monkeypatch):
     model = oscillator()
     values = draw(model, 50)
-    monkeypatch.setattr(cache, "IN_LANES", IN_LANES)
+    monkeypatch.setattr(cache, "LANES_FLAGS", LANES_FLAGS)
     own = made(model)
     found = own.run(values, KEPT, 50)
     for own.level in (0, 1):
         assert_same_bits(found, own.run(values, KEPT, 50))
-    monkeypatch.setattr(cache, "IN_LANES", (*FLAGS, *flags))
+    monkeypatch.setattr(cache, "LANES_FLAGS", (*COMPILER_FLAGS, *flags))
     assert_same_bits(found, made(model).run(values, KEPT, 50))
 
 
@@ -199,7 +199,7 @@ def test_a_map_is_never_believed(scene, what, monkeypatch):
         return replace(source, rollout=source.rollout.replace(*change))
 
     monkeypatch.setattr(cache, "write_source", spoiled)
-    monkeypatch.setattr(cache, "IN_LANES", (*cache.IN_LANES, f"-DSPOILED={[*SPOILED].index(what)}"))  # a library of its own
+    monkeypatch.setattr(cache, "LANES_FLAGS", (*cache.LANES_FLAGS, f"-DSPOILED={[*SPOILED].index(what)}"))  # a library of its own
     own, alone = made(model, 20 * model.step), made(model, 20 * model.step, in_lanes=False)
     values = draw(model, 9)
     found, other = (b.run(values, KEPT) for b in (own, alone))
@@ -238,7 +238,7 @@ def test_what_was_not_done_when_it_is_stopped_is_forgotten(monkeypatch):
     model = random_scene(3)
     own, values, calls = made(model), draw(model, 90), []
     whole = own.run(values, KEPT, 2)
-    monkeypatch.setattr(batch, "SECONDS", 0.0)
+    monkeypatch.setattr(batch, "CALL_SECONDS", 0.0)
     found = own.run(values, KEPT, 2, stop=lambda: calls.append(0) or len(calls) == 9)
     done = found.status == 0
     assert done.any()
@@ -251,14 +251,14 @@ def test_what_was_not_done_when_it_is_stopped_is_forgotten(monkeypatch):
 
 def test_a_compiler_that_has_no_lanes_takes_cells_one_by_one(monkeypatch):
     model = oscillator()
-    monkeypatch.setattr(cache, "IN_LANES", (*FLAGS, "-fno-such-option-at-all"))
+    monkeypatch.setattr(cache, "LANES_FLAGS", (*COMPILER_FLAGS, "-fno-such-option-at-all"))
     own = made(model)
-    assert LANES not in own.way
+    assert LANES_NOTE not in own.way
     assert (own.run(draw(model, 3), KEPT, 50).status == 0).all()
 
 
 def refusal(model):
-    return lanes.refusal(all_values(model, make_grid(model, None, None, None), 1e-9))
+    return lanes.lanes_obstacle(spec_for_all_values(model, make_grid(model, None, None, None), 1e-9))
 
 
 def test_what_does_not_go_in_lanes_says_why():

@@ -22,8 +22,8 @@ from nsmodel.contacts import Contacts
 from nsmodel.grid import make_grid
 from nsmodel.identity import fingerprint
 from nsmodel.simulate import prepare
-from nsmodel.solve.many_bodies import COLD, SOLVERS, BodiesStepper
-from nsmodel.solve.near import least_gap, near
+from nsmodel.solve.many_bodies import BODIES_SOLVERS, COLD_BODIES_START, BodiesStepper
+from nsmodel.solve.near import least_gap, near_contact_rows
 
 loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 
@@ -223,7 +223,7 @@ def pairs_of(rows):
 def test_a_fast_body_meets_one_beyond_the_first_cut_off():
     q0, f = squirt()
     model, last = pressing(q0, f), (2 * SIDE, 2 * SIDE + 1)
-    first = near(BodiesProblem(model.bind()), 0.02, q0, np.ones(len(q0), bool), 1.25 * 0.02 * 2)
+    first = near_contact_rows(BodiesProblem(model.bind()), 0.02, q0, np.ones(len(q0), bool), 1.25 * 0.02 * 2)
     assert last not in pairs_of(first)
     found = one_step(model)
     assert last in pairs_of(found.contacts)
@@ -239,7 +239,7 @@ def test_the_search_finds_the_pairs_that_brute_force_finds():
         q[5] = q[3]
         problem = BodiesProblem(discs(q, r).bind())
         there = rng.random(40) < 0.8
-        rows = near(problem, 0.0, q, there, 0.5)
+        rows = near_contact_rows(problem, 0.0, q, there, 0.5)
         i, j = np.triu_indices(40, 1)
         gap = np.linalg.norm(q[i] - q[j], axis=1) - r[i] - r[j]
         expected = (gap < 0.5) & there[i] & there[j]
@@ -293,7 +293,7 @@ def test_groups_that_do_not_touch_are_solved_apart():
 # ---------------------------------------------------------------------------------------------- solvers
 
 
-@pytest.mark.parametrize("solver", [name for name in SOLVERS if name not in ("piqp", "proxqp", "highs", "ipqp")])
+@pytest.mark.parametrize("solver", [name for name in BODIES_SOLVERS if name not in ("piqp", "proxqp", "highs", "ipqp")])
 def test_a_forced_solver_gives_the_certified_answer(solver):
     model = scattered(16, 4, step=0.1)
     found = one_step(model, solver=solver)
@@ -579,9 +579,9 @@ def test_a_compiled_step_that_fails_is_taken_interpreted(monkeypatch):
             raise StepError("not certified")
 
     monkeypatch.setitem(sys.modules, "nsmodel.codegen.bodies_step", type(sys)("bodies"))
-    sys.modules["nsmodel.codegen.bodies_step"].CompiledStep = Failing
+    sys.modules["nsmodel.codegen.bodies_step"].CompiledBodiesStep = Failing
     run = prepare(model, compiled=True)
-    assert run.walk.settings["way of stepping"].startswith("compiled by")
+    assert run.propagator.settings["way of stepping"].startswith("compiled by")
     assert run.go().x == pytest.approx(simulate(model).x, abs=0)
 
 
@@ -650,5 +650,5 @@ def test_a_cold_step_and_a_warm_one_agree():
     stepper = BodiesStepper(BodiesProblem(model.bind()), "auto", 1e-9)
     one = stepper(0.0, 0.1, model.bodies.q0)
     again = stepper(0.1, 0.1, one.q, one.warm)
-    cold = stepper(0.1, 0.1, one.q, COLD)
+    cold = stepper(0.1, 0.1, one.q, COLD_BODIES_START)
     assert again.q == pytest.approx(cold.q, abs=1e-12)

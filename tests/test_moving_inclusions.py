@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nsmodel import MonotoneInclusion, StepError, Trajectory, check, explain, relay, simulate, stress
-from nsmodel.classes.inclusion.judge import misfits
+from nsmodel.classes.inclusion.judge import residuals
 
 T = ca.SX.sym("t")
 X, Y = ca.SX.sym("x"), ca.SX.sym("x", 2)
@@ -226,10 +226,10 @@ def test_the_judge_finds_a_step_that_is_wrong(scheme):
     )  # fmt: skip
     run = simulate(model)
     with np.errstate(all="ignore"):  # 0/0 where nothing acts, as in the cells of stress
-        assert max(misfits(model, run).values()) <= 1
+        assert max(residuals(model, run).values()) <= 1
     wrong = Trajectory(run.arrays | {"x": run.x + 1e-5 * (np.arange(len(run.t)) == 12)[:, None]}, run.metadata)
     with np.errstate(all="ignore"):
-        assert max(misfits(model, wrong).values()) > 100
+        assert max(residuals(model, wrong).values()) > 100
 
 
 def test_the_judge_knows_what_a_state_is_known_to():
@@ -241,7 +241,7 @@ def test_the_judge_knows_what_a_state_is_known_to():
     run = simulate(model, compiled=False)
     assert 0 < np.abs(run.x[5, 1]) < 1e-16
     with np.errstate(all="ignore"):
-        assert max(misfits(model, run).values()) <= 1
+        assert max(residuals(model, run).values()) <= 1
 
 
 def test_explain_names_the_scheme():

@@ -39,7 +39,7 @@ from nsmodel.errors import CodegenError, EmptyLawError
 from nsmodel.run import in_c, piece_choice, schemes
 from nsmodel.scheme import one_step_problem
 from nsmodel.solve.build import Stepper
-from nsmodel.stress.judge import by_formulas as misfits
+from nsmodel.stress.judge import formula_residuals as misfits
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 t, u, s, x, l = (ca.SX.sym(name) for name in "tusxl")
@@ -50,7 +50,7 @@ WAYS = pytest.mark.parametrize("compiled", [False, True])
 @pytest.fixture(autouse=True)
 def _compiled_where_that_is_asked_for(monkeypatch):
     """No test of C passes because its steps were interpreted."""
-    usual = in_c.chosen
+    usual = in_c.choose_step_backend
 
     def strict(options, *given):
         found = usual(options, *given)
@@ -58,7 +58,7 @@ def _compiled_where_that_is_asked_for(monkeypatch):
         return found
 
     for module in (schemes, piece_choice):
-        monkeypatch.setattr(module, "chosen", strict)
+        monkeypatch.setattr(module, "choose_step_backend", strict)
 
 
 def mass(law, force, **fields):
@@ -293,18 +293,24 @@ def test_wrong_answers_are_refused_in_the_units_of_the_declared_law(size):
         assert abs(run.v[k + 1] - v) < 1e-12 * size
     state = np.array([run.v[149], *run.inputs_begin[150], *run.inputs[150]])
     own = Stepper(one_step_problem(model), "auto", 1e-9, h=0.01, state=state)
-    newton, found = own._newton, own(run.t[149], 0.01, state, own.cold())
+    newton, found = own._newton, own(run.t[149], 0.01, state, own.cold_start())
     known, free = newton.known(run.t[149], 0.01, state), found.row[own.layout.l]
-    right = newton.polished(run.t[149], 0.01, state, free, found.warm.index)
+    right = newton.polish_on_index_set(run.t[149], 0.01, state, free, found.warm.index)
     assert right.residual <= 1e-12
     for error in (1e-7, -1e-7):
         z = right.z * (1 + error)
         assert (
-            newton.judge(known, newton.linearise(run.t[149], 0.01, state, z, free), free, right.index, "wrong", 1).residual > 1e-9
+            newton.evaluate_residual(
+                known, newton.linearise(run.t[149], 0.01, state, z, free), free, right.index, "wrong", 1
+            ).residual
+            > 1e-9
         )
         off = free * (1 + error)
         assert (
-            newton.judge(known, newton.linearise(run.t[149], 0.01, state, right.z, off), off, right.index, "", 1).residual > 1e-9
+            newton.evaluate_residual(
+                known, newton.linearise(run.t[149], 0.01, state, right.z, off), off, right.index, "", 1
+            ).residual
+            > 1e-9
         )
 
 
@@ -315,12 +321,18 @@ def test_a_far_end_does_not_excuse_what_happens_at_the_other():
     newton = own._newton
     known, z, lower = newton.known(0.0, 0.01, np.zeros(1)), np.array([0.01]), np.zeros(1)
     index = np.array([-1], np.int8)
-    assert newton.judge(known, newton.linearise(0.0, 0.01, np.zeros(1), z, lower), lower, index, "right", 1).residual < 1e-12
+    assert (
+        newton.evaluate_residual(known, newton.linearise(0.0, 0.01, np.zeros(1), z, lower), lower, index, "right", 1).residual
+        < 1e-12
+    )
     wrong = np.array([-1e-8])  # y < 0 with l at its lower end
     back = mass(box(0, 1e9 * (1 + t)), -1e-6)
     other = Stepper(one_step_problem(back), "auto", 1e-9, h=0.01, state=np.zeros(1))._newton
     known = other.known(0.0, 0.01, np.zeros(1))
-    assert other.judge(known, other.linearise(0.0, 0.01, np.zeros(1), wrong, lower), lower, index, "wrong", 1).residual > 1e-3
+    assert (
+        other.evaluate_residual(known, other.linearise(0.0, 0.01, np.zeros(1), wrong, lower), lower, index, "wrong", 1).residual
+        > 1e-3
+    )
 
 
 @WAYS

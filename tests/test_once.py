@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from nsmodel import LureSystem, relay, simulate
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.identity import fingerprint
-from nsmodel.once import once
+from nsmodel.once import cached_per_object
 from nsmodel.scheme import one_step_problem
 
 pytestmark = pytest.mark.fast
@@ -27,7 +27,7 @@ def relay_model():
 def test_each_object_has_its_own_value_computed_once():
     calls = []
 
-    @once
+    @cached_per_object
     def value(thing):
         calls.append(thing)
         return len(calls)
@@ -38,7 +38,7 @@ def test_each_object_has_its_own_value_computed_once():
 
 
 def test_an_object_that_has_gone_leaves_nothing_to_the_next():
-    @once
+    @cached_per_object
     def value(thing):
         return thing.number
 
@@ -52,7 +52,7 @@ def test_an_object_that_has_gone_leaves_nothing_to_the_next():
 def test_a_failure_is_not_kept():
     tried = []
 
-    @once
+    @cached_per_object
     def value(thing):
         tried.append(thing)
         raise LookupError("none")
@@ -83,7 +83,7 @@ def test_a_second_run_of_a_model_is_the_first_to_the_bit():
 
 
 def test_models_that_differ_have_other_fingerprints():
-    model, grid = relay_model(), Grid(10, 0.1, 0.1)
+    model, grid = relay_model(), TimeGrid(10, 0.1, 0.1)
     other = copy(model)
     other._set(x0=2 * model.x0)
     assert fingerprint(model, grid) == fingerprint(model, grid) == fingerprint(relay_model(), grid)

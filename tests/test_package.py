@@ -227,7 +227,7 @@ def test_every_case_explains_itself(path):
     text = path.read_text()
     doc = ast.get_docstring(ast.parse(text))
     assert doc.splitlines()[0].endswith(".")
-    case = shelf.read(path)
+    case = shelf.read_case(path)
     assert case.see
     assert case.wrong
     assert case.source

@@ -41,7 +41,7 @@ from nsmodel.hypotheses.region import region_of
 from nsmodel.identity import fingerprint
 from nsmodel.stress import Cell
 from nsmodel.study import Line, StudyInterrupted
-from nsmodel.study.reference import Rows, closed_form
+from nsmodel.study.reference import ReferenceRows, closed_form_reference
 
 t, x, y, l, k = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("y", 2), ca.SX.sym("l"), ca.SX.sym("k")
 NEIGHBOUR = "def exact(t):\n    import numpy as np\n\n    return np.exp(-np.outer(t, [1, 1]))\n"
@@ -69,8 +69,8 @@ def mark(model):
 
 def measured_from(run):
     """Return a study with one point."""
-    reference = closed_form(MODELS["inclusion"].exact, MODELS["inclusion"], run.t, None)
-    line = Line("constant steps", (reference.point("h = 0.1", Rows.of(run), 0.01, 0.1),))
+    reference = closed_form_reference(MODELS["inclusion"].exact, MODELS["inclusion"], run.t, None)
+    line = Line("constant steps", (reference.point("h = 0.1", ReferenceRows.of(run), 0.01, 0.1),))
     return Study("A model", "MonotoneInclusion", 2, 1.0, "s", (line,), reference)
 
 

@@ -14,7 +14,7 @@ import pytest
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, SweepingProcess, ball, box, codegen, relay, simulate
 from nsmodel.codegen import piece_batch, piece_runs
-from nsmodel.codegen.library import FLAGS, compile_library
+from nsmodel.codegen.library import COMPILER_FLAGS, compile_library
 from nsmodel.codegen.piece_batch import PieceBatch
 from nsmodel.codegen.statuses import STATUSES
 from nsmodel.errors import CodegenError, UsageError
@@ -128,7 +128,9 @@ def test_order_batch_and_thread_do_not_matter(friction):
 def test_a_loop_over_values_builds_once(monkeypatch):
     """Runs with other values load the library that is there."""
     built = []
-    monkeypatch.setattr(piece_runs, "kept", lambda *args, kept=piece_runs.kept: built.append(args[0]) or kept(*args))
+    monkeypatch.setattr(
+        piece_runs, "cached_library", lambda *args, kept=piece_runs.cached_library: built.append(args[0]) or kept(*args)
+    )
     model = by_ends()
     for a, k, x0 in draws(3, 4):
         simulate(model, parameters={"a": a, "k": k, "x0": x0}, rtol=RTOL, compiled=True)
@@ -141,7 +143,7 @@ def test_calls_end_in_time_and_go_on(friction, monkeypatch):
     _, _, batch = friction
     values = draws(300, 5)
     whole = batch.run(values, ["x"])
-    monkeypatch.setattr(piece_batch, "SECONDS", 0.0)
+    monkeypatch.setattr(piece_batch, "CALL_SECONDS", 0.0)
     asked = []
     np.testing.assert_array_equal(batch.run(values, ["x"], lambda: bool(asked.append(0))).arrays["x"], whole.arrays["x"])
     assert len(asked) > 10
@@ -335,7 +337,7 @@ def test_what_is_asked_wrongly_is_refused():
 def test_the_library_for_users_sets_ends_and_starts(tmp_path):
     """set_parameters and reset: friction in the ends, a start that is a parameter; ends that cross are refused."""
     codegen.write(by_ends(), tmp_path, name="fr", step=0.01, event_driven=True)
-    compile_library(tmp_path / "fr_pieces.c", tmp_path / "fr.so", (*FLAGS, "-Wall", "-Werror", "-Wno-unused-function"))
+    compile_library(tmp_path / "fr_pieces.c", tmp_path / "fr.so", (*COMPILER_FLAGS, "-Wall", "-Werror", "-Wno-unused-function"))
     c = ctypes.CDLL(str(tmp_path / "fr.so"))
     solver, x = ctypes.create_string_buffer(1 << 20), np.zeros(2)
     assert c.fr_pieces_init(solver, ctypes.c_double(RTOL)) == OK

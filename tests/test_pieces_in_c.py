@@ -15,9 +15,9 @@ from conftest import optimised
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, codegen, complementarity, relay, simulate
-from nsmodel.codegen.piece_scene import scene_of
+from nsmodel.codegen.piece_scene import piece_spec_of
 from nsmodel.errors import CodegenError
-from nsmodel.run.event_driven import EventDriven, problem_of
+from nsmodel.run.event_driven import EventDrivenPropagator, event_driven_problem
 from nsmodel.run.options import Options
 from tests import event_scenes as scenes
 from tests import stiff_scenes
@@ -202,13 +202,13 @@ def test_runs_in_c_go_on_byte_for_byte(name, tmp_path):
 def test_places_go_to_the_integrator_and_back():
     """At any piece, with switches, the integrator goes on from where C is, and C from there."""
     model = switches()
-    walk = EventDriven(model, Options(rtol=1e-8, compiled=True), problem_of(model), lambda: None)
+    walk = EventDrivenPropagator(model, Options(rtol=1e-8, compiled=True), event_driven_problem(model), lambda: None)
     for _ in range(6):
-        walk.maker.make(4.0, 0)
-        place = walk.maker.standing()
-        assert walk.maker.integrator.standing() == place["integrator"]
-        walk.maker.stand(place)
-        assert walk.maker.standing() == place
+        walk.maker.make_pieces(4.0, 0)
+        place = walk.maker.checkpoint()
+        assert walk.maker.integrator.checkpoint() == place["integrator"]
+        walk.maker.restore(place)
+        assert walk.maker.checkpoint() == place
 
 
 # -- the library
@@ -333,9 +333,9 @@ def test_the_library_keeps_its_budget_and_says_what_it_cannot(name, tmp_path):
 
 
 def test_what_runs_on_discs_is_there_once_and_needed():
-    kinds = [key[0] for key in scene_of(case("point_past_disc"), {}).discs.lines]
+    kinds = [key[0] for key in piece_spec_of(case("point_past_disc"), {}).discs.lines]
     assert kinds.count("sqrt") == 1  # Of h and of g.
-    kinds = [key[0] for key in scene_of(case("two_masses"), {}).discs.lines]
+    kinds = [key[0] for key in piece_spec_of(case("two_masses"), {}).discs.lines]
     assert "sin" in kinds
     assert "cos" not in kinds  # The recurrence of sin needs it, its value does not.
 

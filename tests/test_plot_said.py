@@ -8,7 +8,7 @@ from test_plot import altered, chain, crowd, fabricate, legend, oscillator, pane
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, SweepingProcess, cli, plot, relay, simulate
 from nsmodel.errors import PlotError, UsageError
-from nsmodel.plot.band import curve
+from nsmodel.plot.band import draw_curve
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
 from nsmodel.study.lines import Line, Point
 from nsmodel.study.result import Study
@@ -104,14 +104,14 @@ def test_a_signal_that_switches_often_is_a_band_with_its_duty():
 def test_means_count_time_not_rows():
     t = np.concatenate([np.arange(1000)[:, None] + np.array([0.0, 0.9, 0.95])]).ravel()
     values = np.tile([1.0, 0.0, 0.0], 1000)  # 1 holds for a twentieth of the time, from 0.95 to 1
-    line, width = curve(plot.states(oscillator()), t, values, color="k", drawstyle="steps-pre")
+    line, width = draw_curve(plot.states(oscillator()), t, values, color="k", drawstyle="steps-pre")
     assert width is not None
     assert line.get_ydata()[5:-5] == pytest.approx(0.05, abs=0.005)
 
 
 def test_a_few_periods_are_a_line_and_many_a_thin_portrait():
     t = np.linspace(0, 1, 5001)
-    assert curve(plot.states(oscillator()), t, np.sin(300 * t))[1] is None
+    assert draw_curve(plot.states(oscillator()), t, np.sin(300 * t))[1] is None
     wave = Trajectory({"t": t, "x": np.stack([np.sin(3000 * t), np.cos(3000 * t)], axis=1)}, {})
     assert plot.phase(wave).lines[0].get_linewidth() < plot.phase(oscillator()).lines[0].get_linewidth()
 

@@ -24,7 +24,7 @@ from nsmodel.archive import write_npz
 from nsmodel.cache_folder import cache_folder
 from nsmodel.cli import status
 from nsmodel.codegen import cache, library
-from nsmodel.stored import mapped
+from nsmodel.stored import map_archive
 from nsmodel.sweep import engine
 
 posix = pytest.importorskip("fcntl")
@@ -105,7 +105,7 @@ def test_a_system_without_them_runs_models(tmp_path):
                 delattr(owner, name)
         import nsmodel
         from nsmodel.codegen import cache, library
-        cache.FLAGS = tuple(flag for flag in library.FLAGS if flag != "-O2")
+        cache.COMPILER_FLAGS = tuple(flag for flag in library.COMPILER_FLAGS if flag != "-O2")
         def model(t_end):
             return nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1), x0=1, t_end=t_end, step=0.1)
         nsmodel.simulate(model(1), out="run", compiled=False)
@@ -160,12 +160,12 @@ def test_a_folder_is_held_by_one_on_windows(windows, tmp_path):
 
     def hold():
         try:
-            with lock.held(tmp_path):
+            with lock.hold_folder(tmp_path):
                 pass
         except StorageError as error:
             raised.append(str(error))
 
-    with lock.held(tmp_path):
+    with lock.hold_folder(tmp_path):
         thread = threading.Thread(target=hold)
         thread.start()
         thread.join()
@@ -178,7 +178,7 @@ def test_a_folder_is_held_by_one_on_windows(windows, tmp_path):
 
 
 def test_what_a_killed_run_left_is_taken_over_on_windows(windows, tmp_path):
-    (tmp_path / lock.LOCK).write_text('{"host": "' + lock._self()["host"] + '", "pid": 1, "boot": ""}')
+    (tmp_path / lock.LOCK_FILE).write_text('{"host": "' + lock._own_identity()["host"] + '", "pid": 1, "boot": ""}')
     assert simulate(model(), out=tmp_path).status == "done"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "trajectory.npz"]
 
@@ -198,7 +198,7 @@ def test_a_file_that_is_being_read_is_replaced_when_it_is_free(tmp_path, monkeyp
     assert (tmp_path / "a.txt").read_text() == "new\n"
     assert len(tries) == 3
     monkeypatch.setattr(Path, "replace", lambda path, target: (_ for _ in ()).throw(PermissionError(errno.EACCES, "in use")))
-    monkeypatch.setattr(storage, "READERS", 2)
+    monkeypatch.setattr(storage, "MAX_RENAME_TRIES", 2)
     with pytest.raises(StorageError, match=r"cannot write .*b\.txt: .*in use; take a folder that is writable"):
         storage.write_text(tmp_path / "b.txt", "new")
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
@@ -206,9 +206,9 @@ def test_a_file_that_is_being_read_is_replaced_when_it_is_free(tmp_path, monkeyp
 
 def test_arrays_are_read_where_a_mapped_file_could_not_be_replaced(tmp_path, monkeypatch):
     write_npz(tmp_path / "a.npz", {"x": np.arange(3.0)}, {"k": 1})
-    assert isinstance(mapped(tmp_path / "a.npz")[1]["x"], np.memmap)
+    assert isinstance(map_archive(tmp_path / "a.npz")[1]["x"], np.memmap)
     monkeypatch.setattr(sys, "platform", "win32")
-    archive, arrays = mapped(tmp_path / "a.npz")
+    archive, arrays = map_archive(tmp_path / "a.npz")
     assert not isinstance(arrays["x"], np.memmap)
     assert arrays["x"].tolist() == [0, 1, 2]
     assert archive.metadata["k"] == 1
@@ -218,9 +218,9 @@ def test_a_reader_that_has_gone_is_no_fault_on_windows_either(monkeypatch, capsy
     gone, null = OSError(errno.EINVAL, "Invalid argument"), os.open(os.devnull, os.O_WRONLY)
     with monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", SimpleNamespace(fileno=lambda: null))
-        assert status.silenced(gone) == 2
+        assert status.close_stdout(gone) == 2
         patch.setattr(sys, "platform", "win32")
-        assert status.silenced(gone) == 0
+        assert status.close_stdout(gone) == 0
     os.close(null)
     assert capsys.readouterr().err.count("cannot write the output") == 1
 
@@ -256,7 +256,11 @@ def test_a_library_that_another_process_has_loaded_is_taken_as_it_is(tmp_path, m
     replace, kept = Path.replace, []
 
     def build():
-        kept.append(cache.kept(cache.key_for(["x"]), lambda: {"one.c": "int number(void) { return 7; }\n"}, library.FLAGS))
+        kept.append(
+            cache.cached_library(
+                cache.library_key(["x"]), lambda: {"one.c": "int number(void) { return 7; }\n"}, library.COMPILER_FLAGS
+            )
+        )
 
     def second(path, target):
         if target.parent == tmp_path / "nsmodel":
@@ -272,20 +276,20 @@ def test_a_library_that_another_process_has_loaded_is_taken_as_it_is(tmp_path, m
     monkeypatch.setattr(Path, "replace", second)
     with pytest.raises(library.CodegenError, match=r"cannot be used .*no right"):
         build()
-    own_name = cache._name
-    monkeypatch.setattr(cache, "_name", lambda key, path: (meanwhile.write_bytes(content), own_name(key, path))[1])
+    own_name = cache._library_name
+    monkeypatch.setattr(cache, "_library_name", lambda key, path: (meanwhile.write_bytes(content), own_name(key, path))[1])
     build()
     assert kept == [meanwhile, meanwhile]
-    assert library.Mapped(meanwhile)["number"]() == 7
+    assert library.MappedLibrary(meanwhile)["number"]() == 7
     assert hidden.exists()
 
 
 def test_libraries_of_users_without_numbers_are_their_own(tmp_path, monkeypatch):
     (tmp_path / "a.so").write_bytes(b"")
     (tmp_path / "a.so").chmod(0o666)
-    assert not cache._own_file(tmp_path / "a.so")
+    assert not cache._is_private_file(tmp_path / "a.so")
     monkeypatch.delattr(os, "geteuid")
-    assert cache._own_file(tmp_path / "a.so")
+    assert cache._is_private_file(tmp_path / "a.so")
 
 
 # ---------------------------------------------------------------------------------------------- sweeps
@@ -305,9 +309,9 @@ def test_a_sweep_in_processes_that_begin_anew_is_the_same(monkeypatch):
 def test_where_workers_are_copies(monkeypatch):
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["fork", "spawn"])
     monkeypatch.setattr(sys, "platform", "linux")
-    assert engine.forks()
+    assert engine.can_fork()
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert not engine.forks()
+    assert not engine.can_fork()
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
-    assert not engine.forks()
+    assert not engine.can_fork()

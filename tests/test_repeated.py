@@ -18,7 +18,7 @@ def general(monkeypatch):
 
     def run(model, **options):
         with monkeypatch.context() as patch:
-            patch.setattr(Stepper, "_repeated", None)
+            patch.setattr(Stepper, "_last_index_set_step", None)
             return simulate(model, compiled=False, **options)
 
     return run
@@ -77,18 +77,18 @@ def test_cases_go_the_same_way(case, general, load_case):
 def test_most_steps_of_a_smooth_phase_are_taken_so(monkeypatch):
     """The solvers are not asked while nothing switches."""
     run = prepare(first_order(2), compiled=False)
-    newton = run.walk.stepper._newton
+    newton = run.propagator.stepper._newton
     calls = []
     solve = newton.solve
     monkeypatch.setattr(newton, "solve", lambda *args: (calls.append(1), solve(*args))[1])
     run.go()
-    assert len(calls) < 0.2 * run.walk.k
+    assert len(calls) < 0.2 * run.propagator.k
 
 
 def test_many_unknowns_and_forced_solvers_go_the_general_way():
-    assert isinstance(Stepper.__dict__["_repeated"], cached_property)
-    assert prepare(first_order(2), compiled=False, solver="lemke").walk.stepper._repeated is None
+    assert isinstance(Stepper.__dict__["_last_index_set_step"], cached_property)
+    assert prepare(first_order(2), compiled=False, solver="lemke").propagator.stepper._last_index_set_step is None
     x = ca.SX.sym("x", 12)
     l = ca.SX.sym("l", 12)
     large = FirstOrderSystem(x=x, lam=l, f=-(x**3), h=x, g=l, law=relay(12), x0=np.ones(12), t_end=1, step=0.1)
-    assert prepare(large, compiled=False).walk.stepper._repeated is None
+    assert prepare(large, compiled=False).propagator.stepper._last_index_set_step is None

@@ -533,7 +533,7 @@ def test_rows_do_not_wait_long_for_a_chunk_to_fill(build, every, tmp_path, monke
     simulate(build(), out=tmp_path / "whole", save_every=every)
     with monkeypatch.context() as patch:
         patch.setattr(loop, "CHUNK_SECONDS", 0.0)
-        patch.setattr(loop, "MOST_AT_ONCE", 1)
+        patch.setattr(loop, "MAX_STEPS_PER_CALL", 1)
         stop_at(patch, 100, SystemExit())  # as if killed: nothing is written at the end
         with pytest.raises(SystemExit):
             simulate(build(), out=tmp_path / "run", save_every=every)

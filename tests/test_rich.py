@@ -75,16 +75,20 @@ def run():
 
 
 def test_text_is_escaped_in_one_place():
-    assert page.escaped("</script><b>") == "&lt;/script&gt;&lt;b&gt;"
-    assert page.escaped("$x$") == "<span>$</span>x<span>$</span>"
-    shown = Reader(page.page(EVIL, EVIL, EVIL, page.facts([(EVIL, [EVIL])]), page.folded(EVIL, EVIL), page.status(EVIL)))
+    assert page.escape_text("</script><b>") == "&lt;/script&gt;&lt;b&gt;"
+    assert page.escape_text("$x$") == "<span>$</span>x<span>$</span>"
+    shown = Reader(
+        page.result_page(
+            EVIL, EVIL, EVIL, page.facts_table([(EVIL, [EVIL])]), page.folded_section(EVIL, EVIL), page.status_badge(EVIL)
+        )
+    )
     assert shown.seen == {"div", "style", "span", "table", "tbody", "tr", "th", "td", "details", "summary"}
     assert shown.text.count('</script><b>$x$ & "') == 8
     assert "\u202e" not in shown.text
 
 
 def test_a_verdict_is_a_colour_a_mark_and_a_word():
-    found = {word: Reader(page.status(word)) for word in ("holds", "sampled", "violated", "unknown")}
+    found = {word: Reader(page.status_badge(word)) for word in ("holds", "sampled", "violated", "unknown")}
     assert [one.text for one in found.values()] == ["✓ holds", "≈ sampled", "✗ violated", "? unknown"]
     assert len({one.classes[0] for one in found.values()}) == 4
 
@@ -125,12 +129,12 @@ def test_formulas_are_mathml():
 
 def test_models_of_all_cases_show_their_equations(case_file):
     """Every formula is well formed, and no command is left that the reader of LaTeX does not know."""
-    from nsmodel.hypotheses.report.typeset import equations
+    from nsmodel.hypotheses.report.typeset import model_equations
     from nsmodel.rich import mathml as reader
 
     model = nsmodel.load(case_file)
-    lines = equations(model)
-    known = {*reader.LETTERS, *reader.SIGNS, *reader.NAMED, *reader.SPACES, *reader.MARKS, *reader.UPRIGHT}
+    lines = model_equations(model)
+    known = {*reader.LETTERS, *reader.SIGNS, *reader.FUNCTION_NAMES, *reader.SPACES, *reader.ACCENTS, *reader.LETTER_STYLES}
     known |= {"left", "right", "text", "frac", "sqrt", "mathbb", "begin", "end", "backslash"}
     assert {name for line in lines for name in re.findall(r"\\([A-Za-z]+)", line)} <= known
     for line in lines:
@@ -195,7 +199,7 @@ def test_a_run_says_how_it_ended_and_shows_its_states(run):
 def test_a_picture_that_fails_breaks_nothing(run, monkeypatch):
     from nsmodel.rich import run as module
 
-    monkeypatch.setattr(module, "small", lambda run: 1 / 0)
+    monkeypatch.setattr(module, "thumbnail", lambda run: 1 / 0)
     found = safe(run)
     assert "no picture: ZeroDivisionError: division by zero" in found.text
     assert "img" not in found.seen

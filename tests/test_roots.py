@@ -9,8 +9,8 @@ import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, relay, simulate
 from nsmodel.codegen import library
-from nsmodel.pieces.isolation import MOST_MULTIPLE
-from nsmodel.pieces.jets import jets_of, plain
+from nsmodel.pieces.isolation import MAX_MULTIPLICITY
+from nsmodel.pieces.jets import independent_branches, taylor_decompose
 
 t, x, l, q = (ca.SX.sym(name) for name in "txlq")
 X = ca.SX.sym("x", 2)
@@ -182,7 +182,7 @@ def test_an_impact_is_not_run_through(compiled):
 def test_which_switches_nothing_else_moves():
     lam = ca.SX.sym("lam")
     f = ca.vertcat(ca.floor(2 * ca.fmod(t, 1)), ca.fabs(x), ca.fabs(x + lam))
-    jets = jets_of(f, [t, x, lam], "f")
-    assert sum(plain(jets)) == 2
+    jets = taylor_decompose(f, [t, x, lam], "f")
+    assert sum(independent_branches(jets)) == 2
     assert len(jets.branches) == 4
-    assert MOST_MULTIPLE % 2 == 0
+    assert MAX_MULTIPLICITY % 2 == 0

@@ -25,13 +25,13 @@ from nsmodel import (
 )
 from nsmodel.codegen.library import compiler
 from nsmodel.model.expressions import derivatives
-from nsmodel.proof.graph import fold
+from nsmodel.proof.graph import fold_graph
 from nsmodel.scheme import one_step_problem
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.certificate import ROUNDING, NumericLaw
-from nsmodel.solve.newton import Newton
-from nsmodel.solve.rounding import PROBES, UNIT, error_bound, felt_dense, largest, signs
+from nsmodel.solve.newton import NewtonSolver
+from nsmodel.solve.rounding import PROBES, UNIT_ROUND_OFF, dense_solution_errors, probe_signs, rounding_error_bound, row_maxima
 
 WAYS = [False, pytest.param(True, marks=pytest.mark.skipif(compiler() is None, reason="no C compiler"))]
 
@@ -49,7 +49,7 @@ def exactly(expression, symbols, values):
         ca.OP_EXP: mpmath.exp, ca.OP_FABS: abs,
     }  # fmt: skip
     with mpmath.workdps(60):
-        return fold(expression, lambda s: named[s.element_hash()], mpmath.mpf, lambda op, args: operations[op](*args))[0]
+        return fold_graph(expression, lambda s: named[s.element_hash()], mpmath.mpf, lambda op, args: operations[op](*args))[0]
 
 
 def random_row(rng, x, k):
@@ -71,23 +71,23 @@ def test_the_bound_is_one():
     for _ in range(share(300, 60)):
         row, values = random_row(rng, x, k), rng.normal(size=6) * 10.0 ** rng.uniform(-3, 3, 6)
         values[3:] = np.where(rng.random(3) < 0.5, values[:3] * (1 + 1e-13 * rng.normal(size=3)), values[3:])
-        found, bound = (float(v) for v in ca.Function("f", [both], [row, error_bound(row, x)])(values))
+        found, bound = (float(v) for v in ca.Function("f", [both], [row, rounding_error_bound(row, x)])(values))
         with mpmath.workdps(60):
             error = float(abs(mpmath.mpf(found) - exactly(row, both, values)))
-        assert error <= 1.01 * UNIT * bound + 1e-300
+        assert error <= 1.01 * UNIT_ROUND_OFF * bound + 1e-300
         assert bound >= abs(found)
 
 
 def test_what_is_given_errs_by_nothing_and_an_unknown_by_itself():
     x, k = ca.SX.sym("x"), ca.SX.sym("k")
-    bound = ca.Function("bound", [x, k], [error_bound(ca.vertcat(x - k, k * 1.0, ca.fabs(-x)), x)])
+    bound = ca.Function("bound", [x, k], [rounding_error_bound(ca.vertcat(x - k, k * 1.0, ca.fabs(-x)), x)])
     np.testing.assert_array_equal(np.array(bound(1e9 + 0.5, 1e9)).ravel(), [1e9 + 0.5 + 0.5, 0, 1e9 + 0.5])
 
 
 def test_a_function_that_cannot_be_looked_into_has_its_terms():
     x = ca.SX.sym("x")
     inner = ca.Function("inner", [x], [x * x], {"never_inline": True})
-    assert float(ca.Function("bound", [x], [error_bound(inner(x) - 4, x)])(2.0)) == pytest.approx(8 + 8)
+    assert float(ca.Function("bound", [x], [rounding_error_bound(inner(x) - 4, x)])(2.0)) == pytest.approx(8 + 8)
 
 
 def test_what_unknowns_err_by_is_told_from_below():
@@ -98,7 +98,7 @@ def test_what_unknowns_err_by_is_told_from_below():
             rows, columns = 10.0 ** rng.uniform(-8, 8, (2, n))
             J, error = rows[:, None] * J * columns, rows * 10.0 ** rng.uniform(-3, 3, n)
             right = np.abs(np.linalg.inv(J / rows[:, None])) @ (error / rows)
-            found = largest(felt_dense(J, error))
+            found = row_maxima(dense_solution_errors(J, error))
             assert (found <= right * (1 + 1e-8)).all()
             near += list(found >= right / (3 * np.sqrt(n)))
     assert np.mean(near) > 0.97
@@ -107,12 +107,12 @@ def test_what_unknowns_err_by_is_told_from_below():
 def test_a_matrix_that_is_ill_conditioned_excuses_nothing():
     """What is singular but for 1e-9 says nothing of the direction that it does not see; 1e-7 is seen."""
     nearly, well = (np.array([[1.0, 1.0], [1.0, 1.0 + gap]]) for gap in (1e-9, 1e-7))
-    assert np.abs(felt_dense(nearly, np.ones(2))).max() < 10
-    assert np.abs(felt_dense(well, np.ones(2))).max() > 1e6
+    assert np.abs(dense_solution_errors(nearly, np.ones(2))).max() < 10
+    assert np.abs(dense_solution_errors(well, np.ones(2))).max() > 1e6
 
 
 def test_signs_look_random():
-    S = signs(400)
+    S = probe_signs(400)
     assert S.shape == (PROBES, 400)
     assert set(np.unique(S)) == {-1.0, 1.0}
     assert np.abs(S @ S.T - 400 * np.eye(PROBES)).max() < 80
@@ -183,7 +183,7 @@ def test_scenes_far_from_0_are_as_right_as_before(name, shift, compiled):
     x[:, positions(name)] -= shift
     assert there.status == "done"
     error = np.abs(x - at_0.x).max()
-    assert error <= 1e-9 + 200 * UNIT * shift * len(at_0.t)
+    assert error <= 1e-9 + 200 * UNIT_ROUND_OFF * shift * len(at_0.t)
 
 
 @pytest.mark.parametrize("shift", some([0.0, 1e3, 1e6, 1e9], 3))
@@ -195,20 +195,20 @@ def test_errors_of_a_ten_millionth_of_the_motion_are_refused_wherever_it_happens
     for k in (7, len(run.t) // 2):
         state = run.x[k - 1] if problem.state.numel() == run.x.shape[1] else np.concatenate([run.x[k - 1], h * run.v[k - 1]])
         stepper = Stepper(problem, "auto", 1e-9, h=h, state=state)
-        newton: Newton = stepper._newton
-        step = stepper(run.t[k - 1], h, state, stepper.cold())
+        newton: NewtonSolver = stepper._newton
+        step = stepper(run.t[k - 1], h, state, stepper.cold_start())
         known, l = newton.known(run.t[k - 1], h, state), step.row[stepper.layout.l]
-        right = newton.polished(run.t[k - 1], h, state, l, step.warm.index)
+        right = newton.polish_on_index_set(run.t[k - 1], h, state, l, step.warm.index)
         assert right.residual <= 1e-9
         motion = np.abs(right.z - known.guess).max()
         for i in range(right.z.size):
             for error in (1e-7 * motion, -1e-7 * motion):
                 z = right.z.copy()
                 z[i] += error
-                if not abs(z[i] - right.z[i]) > 2 * ROUNDING * UNIT * max(abs(z[i]), shift):
+                if not abs(z[i] - right.z[i]) > 2 * ROUNDING * UNIT_ROUND_OFF * max(abs(z[i]), shift):
                     continue
                 at = newton.linearise(run.t[k - 1], h, state, z, right.l)
-                assert newton.judge(known, at, right.l, right.index, "wrong", 1).residual > 1e-9
+                assert newton.evaluate_residual(known, at, right.l, right.index, "wrong", 1).residual > 1e-9
                 seen += 1
     assert seen or shift >= 1e6
 
@@ -421,7 +421,7 @@ def test_units_of_rows_and_of_multipliers_are_two_things(seed):
     a, c = 10.0 ** rng.uniform(-8, 8, (2, m))
     law, chain = NumericLaw(np.zeros(m), np.full(m, np.inf), ()), (mlcp.INDEX_SET, mlcp.LEMKE)
     cold = np.zeros(m), np.full(m, -1, np.int8)
-    plain = mlcp.solve(W, b, law, *cold, chain, False, 1e-12)
-    scaled = mlcp.solve(a[:, None] * W * c, a * b, law, *cold, chain, False, 1e-12)
+    plain = mlcp.solve_mlcp(W, b, law, *cold, chain, False, 1e-12)
+    scaled = mlcp.solve_mlcp(a[:, None] * W * c, a * b, law, *cold, chain, False, 1e-12)
     assert plain.residual <= 1e-12
     assert scaled.l * c == pytest.approx(plain.l, rel=1e-9, abs=1e-11)

@@ -6,7 +6,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from nsmodel import ModelError, pwm, signal, steps, table
-from nsmodel.signals.drive import Drive
+from nsmodel.signals.drive import InputSchedule
 
 
 def before_and_after(found, t):
@@ -88,7 +88,7 @@ def test_the_duty_of_a_period_is_that_when_it_begins():
     found = pwm(1.0, duty)
     np.testing.assert_allclose(found.edges(5.5), [0, 0.25, 1, 1.25, 2, 2.75, 3, 3.75, 4])
     with pytest.raises(ModelError, match=r"input 'd': its duty is 1.5 at t = 3; expected a number from 0 to 1"):
-        pwm(1.0, table([0, 3], [0.5, 1.5])).refuse("input 'd'", 5)
+        pwm(1.0, table([0, 3], [0.5, 1.5])).check_valid("input 'd'", 5)
 
 
 def test_a_function_is_seen_from_the_right_side_of_its_edges():
@@ -101,17 +101,17 @@ def test_a_function_is_seen_from_the_right_side_of_its_edges():
 
 def test_what_is_near_is_one_point():
     one, other = table([0, 0.1, 0.5], [0, 1, 2]), table([0, 0.1 + 1e-17, 0.3, 0.5 * (1 + 1e-15)], [0, 1, 2, 3])
-    drive = Drive.of({"a": one, "b": other}, 1.0)
+    drive = InputSchedule.of({"a": one, "b": other}, 1.0)
     assert drive.points.tolist() == [0.1, 0.3, 0.5]
     limits = drive.limits(np.array([0, 0.1, 0.3, 0.5, 1.0]))
     assert limits.tolist() == [[0, 0, 0, 0], [1, 1, 1, 1], [1, 2, 1, 2], [2, 3, 2, 3]]
 
 
 def test_edges_at_the_ends_of_a_run_are_none_of_its_grid():
-    drive = Drive.of({"a": table([0, 1, 2, 3], [5, 6, 7, 8])}, 2.0)
+    drive = InputSchedule.of({"a": table([0, 1, 2, 3], [5, 6, 7, 8])}, 2.0)
     assert drive.points.tolist() == [1]
     assert drive.jumps.tolist() == [1]
-    kinked = Drive.of({"a": table([0, 1, 2, 3], [5, 6, 7, 8], "linear")}, 2.0)
+    kinked = InputSchedule.of({"a": table([0, 1, 2, 3], [5, 6, 7, 8], "linear")}, 2.0)
     assert kinked.points.tolist() == [1]
     assert kinked.jumps.size == 0
 
@@ -162,5 +162,5 @@ def test_bad_signals_are_refused(made, words):
 
 def test_a_table_that_must_reach_the_end():
     with pytest.raises(ModelError, match=r"input 'u': its table ends at t = 2, before the run does at 3; give more rows"):
-        Drive.of({"u": table([0, 2], [1, 2], after="error")}, 3.0)
-    Drive.of({"u": table([0, 3], [1, 2], after="error")}, 3.0)
+        InputSchedule.of({"u": table([0, 2], [1, 2], after="error")}, 3.0)
+    InputSchedule.of({"u": table([0, 3], [1, 2], after="error")}, 3.0)

@@ -15,7 +15,7 @@ from nsmodel.laws.ball import BallSet
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, curved, diagnose, mlcp, qp
 from nsmodel.solve.certificate import NumericLaw, numeric_law
-from nsmodel.solve.nlp import Programme
+from nsmodel.solve.nlp import NonlinearProgramme
 
 INF = np.inf
 RELIABLE = ("qpoases", mlcp.LEMKE, mlcp.ENUMERATION)  # The other QP solvers may fail, but not with a residual that passes.
@@ -135,7 +135,7 @@ def no_index(law):
 
 def solve_with(name, W, b, law, symmetric):
     start = np.zeros(law.size)
-    return mlcp.solve(W, b, law, start, no_index(law), (name,), symmetric, 1e-10)
+    return mlcp.solve_mlcp(W, b, law, start, no_index(law), (name,), symmetric, 1e-10)
 
 
 # ---------------------------------------------------------------------------------------------- Lemke
@@ -217,7 +217,7 @@ def test_polish_on_the_right_index_set_is_the_solution(kind, letters):
     for seed in range(25):
         W, b, law, l, y = problem(seed, kind, letters)
         index = np.where(y > 0, -1, np.where(y < 0, 1, 0)).astype(np.int8)
-        found = active_set.polish(W, b, law, index)
+        found = active_set.solve_on_index_set(W, b, law, index)
         assert found is not None
         fixed = index != 0
         np.testing.assert_array_equal(found[fixed], l[fixed])
@@ -230,9 +230,9 @@ def test_polish_on_the_right_index_set_is_the_solution(kind, letters):
 def test_polish_has_no_answer_at_an_infinite_bound():
     law = NumericLaw(np.array([0.0, -INF]), np.array([INF, 1.0]), ())
     W, b = np.eye(2), np.ones(2)
-    assert active_set.polish(W, b, law, np.array([1, 0], np.int8)) is None
-    assert active_set.polish(W, b, law, np.array([0, -1], np.int8)) is None
-    np.testing.assert_array_equal(active_set.polish(W, b, law, np.array([-1, 1], np.int8)), [0, 1])
+    assert active_set.solve_on_index_set(W, b, law, np.array([1, 0], np.int8)) is None
+    assert active_set.solve_on_index_set(W, b, law, np.array([0, -1], np.int8)) is None
+    np.testing.assert_array_equal(active_set.solve_on_index_set(W, b, law, np.array([-1, 1], np.int8)), [0, 1])
 
 
 @pytest.mark.parametrize("kind", PSD)
@@ -243,14 +243,14 @@ def test_what_primal_dual_ends_with_is_a_solution_or_does_not_pass(kind, letters
         W, b, law, _, y = problem(seed, kind, letters, ties=0)
         right = np.where(y > 0, -1, np.where(y < 0, 1, 0)).astype(np.int8)
         for start in (no_index(law), right):
-            found = active_set.primal_dual(W, b, law, start)
+            found = active_set.primal_dual_active_set(W, b, law, start)
             if found is None:
                 assert start is not right or kind != "spd" or "p" in letters
                 continue
             l, index = found
             np.testing.assert_array_equal(l[index < 0], law.lower[index < 0])
             np.testing.assert_array_equal(l[index > 0], law.upper[index > 0])
-            if kind == "spd" or mlcp.residual(W, b, law, l).max() <= 1e-9:
+            if kind == "spd" or mlcp.affine_law_residual(W, b, law, l).max() <= 1e-9:
                 assert defect(W, b, law, l) < 1e-8
 
 
@@ -264,7 +264,7 @@ def test_primal_dual_always_solves_m_matrices_from_any_start():
         law = NumericLaw(np.zeros(m), np.full(m, INF), ())
         l, y = point_of_graph(rng, law)
         start = -rng.integers(0, 2, m).astype(np.int8)
-        found = active_set.primal_dual(W, y - W @ l, law, start)
+        found = active_set.primal_dual_active_set(W, y - W @ l, law, start)
         assert found is not None
         np.testing.assert_allclose(found[0], l, atol=1e-12)
 
@@ -275,7 +275,7 @@ def test_index_sets_are_all_of_them_nearest_first(letters):
         rng = np.random.default_rng(seed)
         law = random_law(rng, 4, letters)
         last = rng.integers(-1, 2, 4).astype(np.int8)
-        sets = [tuple(code) for code in active_set.index_sets(law, last)]
+        sets = [tuple(code) for code in active_set.enumerate_index_sets(law, last)]
         usable = np.column_stack([np.isfinite(law.lower), np.ones(4, bool), np.isfinite(law.upper)])
         expected = {code for code in itertools.product((-1, 0, 1), repeat=4) if all(usable[i, c + 1] for i, c in enumerate(code))}
         assert len(sets) == len(set(sets))
@@ -287,7 +287,7 @@ def test_index_sets_are_all_of_them_nearest_first(letters):
 
 
 def test_index_sets_of_a_large_law_are_not_enumerated():
-    assert list(active_set.index_sets(NumericLaw(np.zeros(40), np.full(40, INF), ()), np.zeros(40, np.int8))) == []
+    assert list(active_set.enumerate_index_sets(NumericLaw(np.zeros(40), np.full(40, INF), ()), np.zeros(40, np.int8))) == []
 
 
 # ---------------------------------------------------------------------------------------------- quadratic programmes
@@ -346,7 +346,7 @@ def test_the_gap_programme_solves_nonsymmetric_problems(name, kind, letters):
 def test_symmetric_and_gap_programmes_agree():
     for seed in range(15):
         W, b, law, l, _ = problem(seed, "spd", "ecru", 2, 6)
-        one, two = (qp.solve("qpoases", W, b, law, symmetric) for symmetric in (True, False))
+        one, two = (qp.solve_qp("qpoases", W, b, law, symmetric) for symmetric in (True, False))
         np.testing.assert_allclose(one, l, atol=1e-7)
         np.testing.assert_allclose(two, l, atol=1e-7)
 
@@ -360,7 +360,7 @@ def test_the_chain_agrees_with_brute_force(kind):
         W, b, law, _, _ = problem(seed, kind, "ecru" if kind != "P" else "c", 2, 5)
         symmetric = kind in SYMMETRIC
         chain = (mlcp.INDEX_SET, *(("qpoases",) if kind != "P" else ()), mlcp.LEMKE, mlcp.ENUMERATION)
-        found = mlcp.solve(W, b, law, np.zeros(law.size), no_index(law), chain, symmetric, 1e-10)
+        found = mlcp.solve_mlcp(W, b, law, np.zeros(law.size), no_index(law), chain, symmetric, 1e-10)
         assert found.residual <= 1e-10
         assert defect(W, b, law, found.l) < 1e-9
         every = brute_force(W, b, law)
@@ -381,7 +381,7 @@ def test_congruent_scaling_from_1e_minus_9_to_1e9_changes_nothing(kind, solver):
         scaled = NumericLaw(law.lower / d, law.upper / d, ())
         W_d, b_d = d[:, None] * W * d, d * b
         start = np.where(y > 0, -1, np.where(y < 0, 1, 0)).astype(np.int8) if solver == "index set" else no_index(law)
-        found = mlcp.solve(W_d, b_d, scaled, l / d, start, (solver,), kind in SYMMETRIC, 1e-9)
+        found = mlcp.solve_mlcp(W_d, b_d, scaled, l / d, start, (solver,), kind in SYMMETRIC, 1e-9)
         if solver == "lemke" or kind == "spd":
             assert found.residual <= 1e-9
         if found.residual <= 1e-9:
@@ -396,7 +396,7 @@ def test_badly_scaled_rows_alone():
         W, b, law, l, _ = problem(seed, "spd", "c", 2, 6)
         r = 10.0 ** np.random.default_rng(seed).uniform(-9, 9, law.size)
         chain = (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION)
-        found = mlcp.solve(r[:, None] * W, r * b, law, np.zeros(law.size), no_index(law), chain, False, 1e-10)
+        found = mlcp.solve_mlcp(r[:, None] * W, r * b, law, np.zeros(law.size), no_index(law), chain, False, 1e-10)
         assert found.residual <= 1e-10
         np.testing.assert_allclose(found.l, l, atol=1e-6)
 
@@ -405,7 +405,7 @@ def test_a_problem_that_no_solver_solves_has_residual_inf_or_above_the_tolerance
     law = NumericLaw(np.zeros(2), np.full(2, INF), ())
     W, b = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0])
     chain = (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE, mlcp.ENUMERATION)
-    found = mlcp.solve(W, b, law, np.zeros(2), no_index(law), chain, True, 1e-10)
+    found = mlcp.solve_mlcp(W, b, law, np.zeros(2), no_index(law), chain, True, 1e-10)
     assert not found.residual <= 1e-9
 
 
@@ -525,7 +525,7 @@ def test_semismooth_newton_on_a_ball_solves_the_secular_equation(m):
             expected = on(brentq(lambda mu, on=on: np.linalg.norm(on(mu)) - 1.3, 0, 1e6, xtol=1e-14, rtol=1e-14))
         found = curved.semismooth_newton(W, b, law, np.zeros(m))
         if found is None:
-            found = curved.semismooth_newton(W, b, law, curved.gauss_seidel(W, b, law, np.zeros(m)))
+            found = curved.semismooth_newton(W, b, law, curved.projected_gauss_seidel(W, b, law, np.zeros(m)))
         np.testing.assert_allclose(found, expected, atol=1e-8)
 
 
@@ -536,7 +536,7 @@ def test_cone_solutions_are_complementary(m):
     for seed in range(40):
         rng = np.random.default_rng(seed)
         W, b = spd(rng, m), rng.normal(size=m) * 10.0 ** rng.uniform(-2, 2) + np.eye(m)[0] * rng.normal() * 2
-        found = mlcp.solve(W, b, law, np.zeros(m), no_index(law), (mlcp.SEMISMOOTH,), True, 1e-10)
+        found = mlcp.solve_mlcp(W, b, law, np.zeros(m), no_index(law), (mlcp.SEMISMOOTH,), True, 1e-10)
         assert found.residual <= 1e-10
         l, y = found.l, W @ found.l + b
         size = np.abs(b).max() + np.abs(W).max() * np.abs(l).max()
@@ -559,7 +559,7 @@ def test_cone_with_the_identity_is_the_projection():
             expected = np.zeros(3)
         else:
             expected = (size - b[0]) / 2 * np.concatenate([[1], -b[1:] / size])
-        found = mlcp.solve(np.eye(3), b, law, np.zeros(3), no_index(law), (mlcp.SEMISMOOTH,), True, 1e-12)
+        found = mlcp.solve_mlcp(np.eye(3), b, law, np.zeros(3), no_index(law), (mlcp.SEMISMOOTH,), True, 1e-12)
         np.testing.assert_allclose(found.l, expected, atol=1e-13)
 
 
@@ -585,14 +585,14 @@ def test_products_of_boxes_balls_and_cones(kind):
             inside = size * np.array([1.5, *side])
             l[4:], y[4:] = (inside, 0) if case == 1 else (0, inside)
         b = y - W @ l
-        found = mlcp.solve(W, b, law, np.zeros(7), no_index(law), (mlcp.SEMISMOOTH,), kind != "nonsymmetric", 1e-9)
+        found = mlcp.solve_mlcp(W, b, law, np.zeros(7), no_index(law), (mlcp.SEMISMOOTH,), kind != "nonsymmetric", 1e-9)
         assert found.residual <= 1e-9
         np.testing.assert_allclose((W + W.T) @ found.l, (W + W.T) @ l, atol=1e-6)
 
 
 def test_a_ball_of_radius_zero_holds_its_multiplier_at_zero():
     law = numeric_law(ball(2, 0))
-    found = mlcp.solve(np.eye(2), np.array([1.0, -2.0]), law, np.zeros(2), no_index(law), (mlcp.SEMISMOOTH,), True, 1e-10)
+    found = mlcp.solve_mlcp(np.eye(2), np.array([1.0, -2.0]), law, np.zeros(2), no_index(law), (mlcp.SEMISMOOTH,), True, 1e-10)
     np.testing.assert_array_equal(found.l, [0, 0])
     assert found.residual == 0
 
@@ -616,7 +616,7 @@ def test_ipopt_finds_the_index_set(kind):
     for seed in range(5):
         W, b, numeric, exact, _ = problem(seed, kind, "ecru" if kind != "P" else "c", 2, 5, ties=0)
         law = box(numeric.lower, numeric.upper)
-        programme = Programme(affine_problem(W, b, law), numeric)
+        programme = NonlinearProgramme(affine_problem(W, b, law), numeric)
         start = np.clip(np.zeros(numeric.size), numeric.lower, numeric.upper)
         found = programme.solve(0.0, 1.0, np.zeros(0), np.zeros(0), start)
         assert found is not None
@@ -624,7 +624,9 @@ def test_ipopt_finds_the_index_set(kind):
         np.testing.assert_allclose(y, W @ l + b, atol=1e-12 * (1 + np.abs(b).max()))
         assert defect(W, b, numeric, l) < 1e-3
         if kind in ("spd", "P"):
-            polished = active_set.polish(W, b, numeric, active_set.classify(l, y, numeric, active_set.row_scale(W)))
+            polished = active_set.solve_on_index_set(
+                W, b, numeric, active_set.estimate_index_set(l, y, numeric, active_set.row_scale(W))
+            )
             np.testing.assert_allclose(polished, exact, atol=1e-9)
 
 
@@ -635,9 +637,9 @@ def test_ipopt_on_balls_and_cones_where_it_reports_success():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         W, b = spd(rng, 6, 0.5), rng.normal(size=6) * 2
-        expected = mlcp.solve(W, b, numeric, np.zeros(6), no_index(numeric), (mlcp.SEMISMOOTH,), True, 1e-11)
+        expected = mlcp.solve_mlcp(W, b, numeric, np.zeros(6), no_index(numeric), (mlcp.SEMISMOOTH,), True, 1e-11)
         assert expected.residual <= 1e-11
-        programme = Programme(affine_problem(W, b, law), numeric)
+        programme = NonlinearProgramme(affine_problem(W, b, law), numeric)
         found = programme.solve(0.0, 1.0, np.zeros(0), np.zeros(0), np.full(6, 0.01))
         if programme._solver.stats()["return_status"] == "Solve_Succeeded":
             solved += 1
@@ -648,15 +650,15 @@ def test_ipopt_on_balls_and_cones_where_it_reports_success():
 # ---------------------------------------------------------------------------------------------- purity
 
 
-@pytest.mark.parametrize("name", qp.SOLVERS)
+@pytest.mark.parametrize("name", qp.QP_SOLVERS)
 def test_conic_solvers_are_pure_functions(name, capfd):
     """The same question twice, with another one between: the same bits, and nothing printed."""
     first, other = problem(1, "spd", "cr", 4, 5), problem(2, "spd", "cr", 4, 5)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        one = qp.solve(name, *first[:3], True)
-        qp.solve(name, *other[:3], True)
-        two = qp.solve(name, *first[:3], True)
+        one = qp.solve_qp(name, *first[:3], True)
+        qp.solve_qp(name, *other[:3], True)
+        two = qp.solve_qp(name, *first[:3], True)
     assert (one is None) == (two is None)
     assert one is None or one.tobytes() == two.tobytes()
     assert capfd.readouterr() == ("", "")
@@ -667,5 +669,5 @@ def test_solvers_leave_their_arguments_alone():
     index = no_index(law)
     before = [a.tobytes() for a in (W, b, law.lower, law.upper, l, index)]
     for name in (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE, mlcp.ENUMERATION, mlcp.SEMISMOOTH):
-        mlcp.solve(W, b, law, l, index, (name,), True, 0.0)
+        mlcp.solve_mlcp(W, b, law, l, index, (name,), True, 0.0)
     assert [a.tobytes() for a in (W, b, law.lower, law.upper, l, index)] == before

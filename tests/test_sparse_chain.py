@@ -12,11 +12,11 @@ from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
 from nsmodel.solve import build
-from nsmodel.solve.band import order
+from nsmodel.solve.band import band_ordering
 from nsmodel.solve.certificate import numeric_law
-from nsmodel.solve.newton import Newton
-from nsmodel.solve.sparse import Sparse
-from nsmodel.solve.structure import read
+from nsmodel.solve.newton import NewtonSolver
+from nsmodel.solve.sparse import SparseStepSolver
+from nsmodel.solve.structure import read_step_structure
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 in_c = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -50,7 +50,7 @@ def string(n, law=None, **options):
 
 def by_dense_matrices(monkeypatch, model, **options):
     with monkeypatch.context() as patch:
-        patch.setattr(build, "pays", lambda *_: False)
+        patch.setattr(build, "is_sparse_step_faster", lambda *_: False)
         return simulate(model, compiled=False, **options)
 
 
@@ -169,8 +169,8 @@ def test_units_change_no_verdict():
 def test_no_wrong_answer_passes_that_dense_matrices_refuse(n, unit):
     model = chain(n, unit=unit, t_end=0.3)
     run, problem = simulate(model, compiled=False), one_step_problem(model)
-    structure, law = read(problem), numeric_law(problem.law)
-    sparse, newton = Sparse(problem, structure, law, 1e-9), Newton(problem, structure, law, 1e-9)
+    structure, law = read_step_structure(problem), numeric_law(problem.law)
+    sparse, newton = SparseStepSolver(problem, structure, law, 1e-9), NewtonSolver(problem, structure, law, 1e-9)
     rng, refused = np.random.default_rng(1), 0
     for k in (5, 17, 29):
         t, h, state, z, l, index = run.t[k - 1], 0.01, run.x[k - 1], run.x[k], run.multipliers[k], run.index_set[k]
@@ -191,7 +191,7 @@ def test_no_wrong_answer_passes_that_dense_matrices_refuse(n, unit):
                     wrong_l[i] = np.clip(l[i] + size, -1, 1)
                     wrong_z = np.linalg.solve(at.E_z, -(at.E + at.E_l @ wrong_l))
                 here = newton.linearise(t, h, state, wrong_z, wrong_l)
-                dense = newton.judge(known, here, wrong_l, code, "", 1).residual
+                dense = newton.evaluate_residual(known, here, wrong_l, code, "", 1).residual
                 if dense > 1e-9:
                     refused += 1
                     assert sparse.certify(t, h, state, wrong_z, wrong_l, code).residual > 1e-9
@@ -271,11 +271,11 @@ def test_a_resumed_run_repeats_bit_for_bit(tmp_path):
 
 def test_a_step_depends_on_its_arguments_alone():
     run, other = prepare(chain(50), compiled=False), prepare(chain(50), compiled=False)
-    first = run.walk.stepper(0.0, 0.01, run.walk.state, run.walk.warm)
-    again = other.walk.stepper
+    first = run.propagator.stepper(0.0, 0.01, run.propagator.state, run.propagator.warm)
+    again = other.propagator.stepper
     for h in (0.02, 0.013, 0.01, 0.004, *np.linspace(0.005, 0.006, 20)):
-        again(0.3, h, other.walk.state * 1.1, other.walk.warm)
-    repeated = again(0.0, 0.01, run.walk.state, run.walk.warm)
+        again(0.3, h, other.propagator.state * 1.1, other.propagator.warm)
+    repeated = again(0.0, 0.01, run.propagator.state, run.propagator.warm)
     assert np.array_equal(first.row, repeated.row)
 
 
@@ -342,7 +342,7 @@ def test_a_step_that_is_not_monotone_is_warned_of():
 def test_order_of_a_shuffled_chain_is_narrow():
     n = 500
     shuffle = np.random.default_rng(0).permutation(n)
-    found = order((springs(n).tocsr()[shuffle][:, shuffle]).tocsr())
+    found = band_ordering((springs(n).tocsr()[shuffle][:, shuffle]).tocsr())
     assert found.below == found.above == 1
     assert sorted(found.place) == list(range(n))
 
@@ -373,7 +373,7 @@ def test_a_start_that_is_not_finite_is_refused_and_a_thousand_masses_are_declare
     assert not run.metadata["warnings"]
     with pytest.raises((UsageError, StepError)):
         build.Stepper(one_step_problem(model), "auto", 1e-9, h=0.01, state=np.zeros(2000))(
-            0.0, 0.01, np.full(2000, np.nan), build.Warm(np.zeros(1000), np.zeros(1000, np.int8))
+            0.0, 0.01, np.full(2000, np.nan), build.WarmStart(np.zeros(1000), np.zeros(1000, np.int8))
         )
 
 

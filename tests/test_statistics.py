@@ -10,7 +10,7 @@ from scipy.stats import binom, norm
 import nsmodel
 from nsmodel.errors import UsageError
 from nsmodel.sweep import Variable, difference, share, statistics
-from nsmodel.sweep.binomial import ranks, wilson
+from nsmodel.sweep.binomial import quantile_interval_ranks, wilson_interval
 
 # ---------------------------------------------------------------- quantities whose moments are known in closed form
 
@@ -195,8 +195,8 @@ def test_wilson_is_that_of_scipy():
         for k in {0, 1, n // 3, n - 1, n}:
             for level in (0.5, 0.95, 0.999):
                 expected = scipy.stats.binomtest(k, n).proportion_ci(level, method="wilson")
-                assert wilson(k, n, level) == pytest.approx((expected.low, expected.high), abs=1e-14)
-    assert wilson(0, 0, 0.95) == (0, 1)
+                assert wilson_interval(k, n, level) == pytest.approx((expected.low, expected.high), abs=1e-14)
+    assert wilson_interval(0, 0, 0.95) == (0, 1)
 
 
 def test_ranks_are_those_of_scipy_and_reach_what_the_binomial_law_says():
@@ -205,7 +205,7 @@ def test_ranks_are_those_of_scipy_and_reach_what_the_binomial_law_says():
         x = np.sort(rng.random(n))
         for q in (0.01, 0.05, 0.5, 2 / 3, 0.99):
             for level in (0.8, 0.95):
-                r, s, reached = ranks(n, q, level)
+                r, s, reached = quantile_interval_ranks(n, q, level)
                 with np.errstate(all="ignore"):
                     ends = scipy.stats.quantile_test(x, q=0.4, p=q).confidence_interval(level)
                 expected = [-np.inf if np.isnan(ends.low) else ends.low, np.inf if np.isnan(ends.high) else ends.high]

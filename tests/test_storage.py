@@ -17,7 +17,7 @@ import nsmodel.storage
 from nsmodel.archive import write_npz
 from nsmodel.chunks import ChunkStore
 from nsmodel.errors import StorageError
-from nsmodel.manifest import bound_to
+from nsmodel.manifest import settings_digest
 from nsmodel.storage import dumps, loads, read_json, write_csv, write_json
 from nsmodel.stored import read_npz
 
@@ -171,7 +171,7 @@ def test_npz_too_large_for_memory(tmp_path, monkeypatch):
         raise MemoryError("Unable to allocate 1 TiB")
 
     write_npz(tmp_path / "a.npz", make_arrays(5), {})
-    monkeypatch.setattr("nsmodel.stored.Stored.made_of", full)
+    monkeypatch.setattr("nsmodel.stored.ArchivedArray.made_of", full)
     with pytest.raises(StorageError, match=r"a\.npz does not fit in memory \(Unable to allocate 1 TiB\); read it with"):
         read_npz(tmp_path / "a.npz")
 
@@ -274,9 +274,9 @@ def test_chunks_and_manifest(tmp_path):
         ChunkStore.open(tmp_path / "run").manifest
         == store.manifest
         == {
-            "format": nsmodel.storage.FORMAT,
+            "format": nsmodel.storage.FILE_FORMAT,
             "version": nsmodel.__version__,
-            "run": bound_to(None),
+            "run": settings_digest(None),
             "chunks": [
                 {"file": "chunk-000001.npz", "rows": 5, "sha256": sha256(tmp_path / "run" / "chunk-000001.npz")},
                 {"file": "chunk-000002.npz", "rows": 3, "sha256": sha256(tmp_path / "run" / "chunk-000002.npz")},

@@ -34,8 +34,8 @@ from nsmodel import (
 )
 from nsmodel.classes.units import in_units
 from nsmodel.cli import main
-from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG, push
-from nsmodel.stress.judge import acting, by_formulas
+from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG, stress_variants
+from nsmodel.stress.judge import formula_residuals, state_term_sizes
 from nsmodel.stress.measures import majorant
 
 EPS = np.finfo(float).eps
@@ -211,11 +211,11 @@ def disturbed(run, amount, rows=slice(5, 6)):
 def test_the_judge_accepts_a_run_and_finds_an_error_of_a_millionth(name):
     model = MODELS[name].bind()
     run = simulate(model)
-    own = by_formulas(model, run)
+    own = formula_residuals(model, run)
     assert own
     assert max(own.values()) <= 1, own
     amount = 1e-6 if getattr(model, "tolerances", None) is None else 1e-2  # an approximate projection may be off
-    found = by_formulas(model, disturbed(run, amount))
+    found = formula_residuals(model, disturbed(run, amount))
     assert max(found.values()) > 1, found
 
 
@@ -224,7 +224,7 @@ def test_the_judge_finds_a_multiplier_that_breaks_the_law():
     run = simulate(model)
     slip = np.flatnonzero(run.index_set[1:, 0] != 0)[0] + 1
     run.arrays["multipliers"][slip] *= 0.9
-    assert by_formulas(model.bind(), run)["law"] > 1
+    assert formula_residuals(model.bind(), run)["law"] > 1
 
 
 # ---------------------------------------------------------------------------------------------- nsmodel.stress
@@ -253,7 +253,7 @@ def test_a_sound_model_is_right_in_every_cell():
 
 def test_a_motion_that_doubles_do_not_determine_is_not_called_right(monkeypatch):
     """Spring 1e12 and steps of 1e3: the spring's two ends do not cancel, and what is left pushes both masses."""
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "FACTORS", (1e3,))
+    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1e3,))
     found = stress(weak(1e12))
     assert {cell.factor for cell in found.cells} == {1e3}
     assert all(cell.verdict != RIGHT for cell in found.cells)
@@ -302,7 +302,7 @@ def test_wrong_arguments_are_refused(options, words):
 
 
 def test_a_model_without_a_step_asks_for_one(monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "FACTORS", (1.0, 10.0))
+    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1.0, 10.0))
     model = LureSystem(A=-1, B=1, C=1, law=relay(1), x0=1, t_end=1)
     with pytest.raises(UsageError, match="no time step"):
         stress(model)
@@ -342,7 +342,7 @@ def model(gap=0.5, n=2):
 def test_the_command_line(tmp_path, capsys, monkeypatch):
     file = tmp_path / "walls.py"
     file.write_text(FILE)
-    monkeypatch.setitem(push.__kwdefaults__, "steps", 3)
+    monkeypatch.setitem(stress_variants.__kwdefaults__, "steps", 3)
     assert main(["stress", str(file), "--set", "gap=0.5", "--vary", "n=1,2", "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "112:" in out
@@ -399,13 +399,13 @@ BALANCED = {
 
 def found_in(model, run, part):
     """The worst misfit after an error of a part of what moves or acts in the run."""
-    size = max(np.abs(run.x - run.x[0]).max(), acting(model, run).max())
+    size = max(np.abs(run.x - run.x[0]).max(), state_term_sizes(model, run).max())
     other = copy(run)
     object.__setattr__(other, "arrays", {name: array.copy() for name, array in run.arrays.items()})
     other.arrays["x"][5] += part * size
     if isinstance(model, FrictionOscillator):
         other.arrays["v"][5] += part * size / run.step[5]
-    return max(by_formulas(model, other).values())
+    return max(formula_residuals(model, other).values())
 
 
 @pytest.mark.parametrize("name", BALANCED)
@@ -416,7 +416,7 @@ def test_what_balances_is_judged_by_what_acts(name):
     for u, tau in ((1.0, 1.0), (1e9, 1.0), (1e-9, 1e9)):
         there = in_units(model, u, tau)
         run = simulate(there, step=h * tau, t_end=24 * h * tau, compiled=False)
-        assert max(by_formulas(there, run).values()) <= 1
+        assert max(formula_residuals(there, run).values()) <= 1
         assert found_in(there, run, 1e-7) > 1
 
 
@@ -476,9 +476,9 @@ def test_random_models_are_right_and_their_errors_are_seen(kind):
         except StepError as error:  # a rate that grows within a step, and a law that does not allow it
             unsolvable.append(str(error))
             continue
-        own = by_formulas(model, run)
+        own = formula_residuals(model, run)
         assert max(own.values()) <= 1, (seed, own)
-        size = max(np.abs(run.x - run.x[0]).max(), acting(model, run).max())
+        size = max(np.abs(run.x - run.x[0]).max(), state_term_sizes(model, run).max())
         if (1e-7 * size > 64 * EPS * np.abs(run.x[5])).all():  # else rounding hides the error
             assert found_in(model, run, 1e-7) > 1, seed
             seen += 1

@@ -11,7 +11,7 @@ import pytest
 from nsmodel import FrictionOscillator, LureSystem, StepError, SweepingProcess, Trajectory, complementarity, relay, simulate
 from nsmodel.pieces import stretch
 from nsmodel.run import loop
-from nsmodel.run.event_driven import problem_of
+from nsmodel.run.event_driven import event_driven_problem
 from nsmodel.simulate import explain
 from tests import event_scenes as scenes
 
@@ -82,7 +82,7 @@ def test_the_budget_holds_and_a_miss_is_told(monkeypatch):
     """With less budget the same stretch errs by more, says so, and ends."""
     monkeypatch.setattr(stretch, "STRICT", 200)
     monkeypatch.setattr(stretch, "TENFOLD", 50)
-    monkeypatch.setattr(stretch, "BUDGET", 1000)
+    monkeypatch.setattr(stretch, "STEP_BUDGET", 1000)
     run = simulate(beside(), rtol=1e-8)
     assert sum(one["steps"] for one in about(run)) <= 1000
     estimate = sum(one["estimate"] for one in about(run))
@@ -163,12 +163,12 @@ import os, sys
 sys.path[:0] = sys.argv[1].split(os.pathsep)
 from tests.test_stretches import MODELS
 from nsmodel import simulate
-from nsmodel.pieces.course import Course
+from nsmodel.pieces.course import HybridIntegrator
 from nsmodel.run import loop
 
 loop.CHUNK_SECONDS = 0.0
 name, out, pieces, more = sys.argv[2:]
-whole, left = Course.advance, [int(pieces)]
+whole, left = HybridIntegrator.advance, [int(pieces)]
 
 def advance(self):
     if not left[0]:
@@ -176,7 +176,7 @@ def advance(self):
     left[0] -= 1
     return whole(self)
 
-Course.advance = advance
+HybridIntegrator.advance = advance
 simulate(MODELS[name](), rtol=1e-4, out=out, resume=more == "more")
 """
 MODELS = {"fallen": fallen, "beside": lambda: beside(0.25)}
@@ -218,7 +218,7 @@ def test_chunks_are_those_of_one_run(tmp_path, monkeypatch):
 def test_its_step_is_backward_euler():
     """One step of x' = -x by hand."""
     model = LureSystem(A=[[-1]], B=[[0]], C=[[1]], law=relay(1), x0=[1], t_end=1)
-    p = stretch.backward_euler(problem_of(model))
+    p = stretch.backward_euler(event_driven_problem(model))
     E = ca.Function("E", [p.t, p.h, p.state, p.z, p.l], [p.E])
     assert float(E(0, 0.1, 1, 1 / 1.1, 0)) == pytest.approx(0, abs=1e-15)
 

@@ -20,9 +20,17 @@ from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare, simulate
 from nsmodel.storage import dumps
 from nsmodel.study import Line, Point, Study, StudyInterrupted, measure, methods, study
-from nsmodel.study.between import Between, steps_from
-from nsmodel.study.lines import LEFT_OUT, PEER, observed_order, quickest
-from nsmodel.study.reference import Reference, Rows, closed_form, polynomials, refined_run, scale_of, why_not_unique
+from nsmodel.study.between import InterpolatedRun, make_row_stepper
+from nsmodel.study.lines import PEER_LINE, POINT_LEFT_OUT, least_cost, observed_order
+from nsmodel.study.reference import (
+    Reference,
+    ReferenceRows,
+    closed_form_reference,
+    event_driven_reference,
+    nonuniqueness_reason,
+    refined_run_reference,
+    state_scales,
+)
 
 H = 0.1 / 2.0 ** np.arange(8)
 FILE = """
@@ -34,10 +42,10 @@ model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[3,
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """One run a point, and nothing is compiled: what is measured is not looked at."""
-    monkeypatch.setattr(methods, "LONG", 0.0)
-    monkeypatch.setattr(methods, "TOLERANCES", (1e-2, 1e-3))
+    monkeypatch.setattr(methods, "LONG_RUN_SECONDS", 0.0)
+    monkeypatch.setattr(methods, "STUDY_RTOLS", (1e-2, 1e-3))
     words = ("interpreted", "compiled")
-    monkeypatch.setattr(methods, "ways", lambda scheme: [scheme.but(word, compiled=False) for word in words])
+    monkeypatch.setattr(methods, "backend_methods", lambda scheme: [scheme.with_options(word, compiled=False) for word in words])
 
 
 def line(errors, seconds=None, steps=H, **fields):
@@ -141,15 +149,15 @@ def test_costs_without_steps_name_the_tolerance():
 
 def test_the_quickest_line_that_gets_there_wins_over_one_that_only_might():
     might, does = line(H[:4], [1e-3] * 4), replace(line(H), name="does")
-    assert quickest([might, does], 0.002).line == "does"
-    assert quickest([might], 0.002).how == "extrapolated"
-    assert quickest([might, does], 0.05).line == "made up"
-    assert quickest([Line("nothing", (Point.failed("h = 1", "no"),))], 0.1) is None
+    assert least_cost([might, does], 0.002).line == "does"
+    assert least_cost([might], 0.002).how == "extrapolated"
+    assert least_cost([might, does], 0.05).line == "made up"
+    assert least_cost([Line("nothing", (Point.failed("h = 1", "no"),))], 0.1) is None
 
 
 def test_lines_of_other_programs():
     made = Line.measured("other", [("h = 0.1", 1e-2, 0.5), Point.failed("h = 0.2", "it stopped")], note="version 4")
-    assert made.kind == PEER
+    assert made.kind == PEER_LINE
     assert made.points[0].error == 1e-2
     assert not made.points[1].drawn
     with pytest.raises(UsageError, match=r"line 'other', h = 1: error = nan; expected a number >= 0, or Point.failed"):
@@ -160,13 +168,13 @@ def test_lines_of_other_programs():
 
 
 def scene(x):
-    return decay(exact=None), Rows(np.linspace(0, 1, len(x)), np.array(x, float).reshape(len(x), -1))
+    return decay(exact=None), ReferenceRows(np.linspace(0, 1, len(x)), np.array(x, float).reshape(len(x), -1))
 
 
 def test_errors_are_those_one_finds_by_hand():
     """x(t) = t on [0, 1], largest value 1; the run is off by 0, 0.2, -0.4."""
     model, rows = scene([0, 0.7, 0.6])
-    reference = closed_form(lambda t: t[:, None], model, np.linspace(0, 1, 11), None)
+    reference = closed_form_reference(lambda t: t[:, None], model, np.linspace(0, 1, 11), None)
     errors = reference.errors(rows)
     assert errors == pytest.approx({"max": 0.4, "end": 0.4, "l2": np.sqrt((0.2**2 + 0.4**2) / 2)})
 
@@ -174,8 +182,8 @@ def test_errors_are_those_one_finds_by_hand():
 def test_multiplier_errors_are_integrals():
     """l = 2 against 1 on the second half, equal before: the integral of the difference is 0.5, of the reference 1.5 + ... = 1."""
     t = np.linspace(0, 1, 5)
-    right = Rows(t, np.zeros((5, 1)), np.array([[np.nan], [1], [1], [1], [1.0]]))
-    run = Rows(t, np.zeros((5, 1)), np.array([[np.nan], [1], [1], [2], [2.0]]))
+    right = ReferenceRows(t, np.zeros((5, 1)), np.array([[np.nan], [1], [1], [1], [1.0]]))
+    run = ReferenceRows(t, np.zeros((5, 1)), np.array([[np.nan], [1], [1], [2], [2.0]]))
     reference = Reference("made up", "", lambda t: (np.zeros((len(t), 1)), 0.0), np.ones(1), right, {"max": 0.0})
     assert reference.errors(run)["multipliers"] == pytest.approx(0.5)
     assert "multipliers" not in replace(reference, without_multipliers="not unique").errors(run)
@@ -184,10 +192,10 @@ def test_multiplier_errors_are_integrals():
 def test_a_state_that_stays_zero_is_measured_beside_its_group():
     q = ca.SX.sym("q", 4)
     model = SweepingProcess(q=q, f=[0] * 4, q0=[0] * 4, t_end=1, step=0.1)
-    assert scale_of(model, np.array([[0, 0, 2.0, 1e-12]])) == pytest.approx([2, 2, 2, 2])
-    assert scale_of(model, np.zeros((1, 4))) == pytest.approx([1, 1, 1, 1])
+    assert state_scales(model, np.array([[0, 0, 2.0, 1e-12]])) == pytest.approx([2, 2, 2, 2])
+    assert state_scales(model, np.zeros((1, 4))) == pytest.approx([1, 1, 1, 1])
     named = SweepingProcess(q=q, f=[0] * 4, q0=[0] * 4, t_end=1, step=0.1, names=list("abcd"))
-    assert scale_of(named, np.array([[0, 0, 2.0, 1e-12]])) == pytest.approx([1, 1, 2, 1e-12])
+    assert state_scales(named, np.array([[0, 0, 2.0, 1e-12]])) == pytest.approx([1, 1, 2, 1e-12])
 
 
 def no_step(row, h):
@@ -198,15 +206,15 @@ def no_step(row, h):
 def test_a_refined_run_knows_its_own_error(p):
     """x_h = (1 + h^p) t: the last of three runs is off by h^p, beside the largest value 1 + h^p."""
     grids = [np.linspace(0, 1, n + 1) for n in (10, 20, 40)]
-    runs = [Rows(t, ((1 + t[1] ** p) * t)[:, None]) for t in grids]
-    assert refined_run(decay(exact=None), "a run", runs, "", no_step).own["max"] == pytest.approx(40.0**-p, rel=0.05)
+    runs = [ReferenceRows(t, ((1 + t[1] ** p) * t)[:, None]) for t in grids]
+    assert refined_run_reference(decay(exact=None), "a run", runs, "", no_step).own["max"] == pytest.approx(40.0**-p, rel=0.05)
 
 
 def test_points_near_the_references_own_error_are_unresolved():
     reference = Reference(
         "made up", "", lambda t: (np.zeros((len(t), 1)), 0.0), np.ones(1), None, {"max": 1e-3, "end": 1e-5, "l2": 1e-9}
     )
-    point = reference.point("h = 1", Rows(np.array([0, 1.0]), np.array([[0], [4e-3]])), 1.0)
+    point = reference.point("h = 1", ReferenceRows(np.array([0, 1.0]), np.array([[0], [4e-3]])), 1.0)
     assert point.unresolved == ("max",)
     assert not point.resolved
 
@@ -214,15 +222,15 @@ def test_points_near_the_references_own_error_are_unresolved():
 def test_a_wrong_closed_form_is_refused():
     model = decay(exact=lambda t: np.zeros((len(t), 2)))
     with pytest.raises(UsageError, match=r"exact: it returned shape \(11, 2\) for 11 times; expected \(11, 1\)"):
-        closed_form(model.exact, model, np.linspace(0, 1, 11), None)
+        closed_form_reference(model.exact, model, np.linspace(0, 1, 11), None)
 
 
 def test_redundant_constraints_have_no_unique_multipliers():
     q = ca.SX.sym("q")
     twice = SweepingProcess(q=q, f=-1, constraints={"a": q, "b": 2 * q}, q0=0.5, t_end=1, step=0.05)
-    assert "the active rows (a, b) is singular" in why_not_unique(twice, one_step_problem(twice), nsmodel.simulate(twice))
+    assert "the active rows (a, b) is singular" in nonuniqueness_reason(twice, one_step_problem(twice), nsmodel.simulate(twice))
     once = SweepingProcess(q=q, f=-1, constraints={"a": q}, q0=0.5, t_end=1, step=0.05)
-    assert why_not_unique(once, one_step_problem(once), nsmodel.simulate(once)) == ""
+    assert nonuniqueness_reason(once, one_step_problem(once), nsmodel.simulate(once)) == ""
 
 
 # ---------------------------------------------------------------------------------------------- between the rows of a reference
@@ -272,9 +280,9 @@ def general(**given):
 def test_a_step_from_a_row_of_a_run_leads_to_the_next_row(model, load_case):
     model = load_case(model) if isinstance(model, str) else model
     run = prepare(model, t_end=20 * model.step, compiled=False)
-    start = run.walk.state.copy()
+    start = run.propagator.state.copy()
     made = run.go()
-    step = steps_from(run.walk, start, made)
+    step = make_row_stepper(run.propagator, start, made)
     for row in range(20):
         np.testing.assert_allclose(step(row, made.step[row + 1]), made.x[row + 1], rtol=1e-9, atol=1e-12)
     assert np.isfinite(step(3, 0.3 * model.step)).all()
@@ -290,7 +298,7 @@ def test_a_reference_that_jumps_or_bends_is_stepped_and_not_drawn_through():
         asked.append((row, h))
         return np.array([np.maximum(t[row] + h, 1.0)])
 
-    between = Between(t, x, step, np.ones(1), 1e-3)
+    between = InterpolatedRun(t, x, step, np.ones(1), 1e-3)
     times = np.array([0, 1e-6, 0.04, 0.1, 0.55, 1.0, 1.03, 1.55, 2.0])
     found, left = between(times)
     np.testing.assert_allclose(found.ravel(), np.where(times > 0, np.maximum(times, 1.0), 0.0), rtol=1e-12)
@@ -300,26 +308,27 @@ def test_a_reference_that_jumps_or_bends_is_stepped_and_not_drawn_through():
 
 
 def test_what_cannot_be_stepped_leaves_its_rows_unresolved(monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.study.between"], "MOST", 1)
+    monkeypatch.setattr(sys.modules["nsmodel.study.between"], "MAX_SINGLE_STEPS", 1)
     t = np.linspace(0, 1, 11)
     x = np.where(t > 0, 1.0, 0.0)[:, None]
-    between = Between(t, x, lambda row, h: np.ones(1), np.ones(1), 1e-3)
+    between = InterpolatedRun(t, x, lambda row, h: np.ones(1), np.ones(1), 1e-3)
     reference = Reference("made up", "", between, np.ones(1), None, dict.fromkeys(("max", "end", "l2"), 1e-6))
     one, two = (
-        Rows(np.array([0, *times, 1.0]), np.array([0, *np.ones(len(times)), 1.0])[:, None]) for times in ([0.01], [0.01, 0.02])
+        ReferenceRows(np.array([0, *times, 1.0]), np.array([0, *np.ones(len(times)), 1.0])[:, None])
+        for times in ([0.01], [0.01, 0.02])
     )
     assert reference.point("one", one, 1.0).errors["max"] == 0
     assert reference.point("one", one, 1.0).unresolved == ("max", "end", "l2")  # errors of 0 always are
     assert reference.point("two", two, 1.0).errors["max"] > 0.5
     assert "max" not in reference.point("two", replace(two, x=two.x + 20), 1.0).unresolved
     assert "max" in reference.point("two", two, 1.0).unresolved
-    lost = Between(t, x, lambda row, h: np.full(1, np.nan), np.ones(1), 1e-3)
+    lost = InterpolatedRun(t, x, lambda row, h: np.full(1, np.nan), np.ones(1), 1e-3)
     assert lost(np.array([0.05]))[1] > 0.1
 
 
 def test_variable_steps_over_a_jump_are_within_what_they_ask(monkeypatch):
     """The first row of error control lies far inside the reference's first step, over which a capacitor is charged at once."""
-    monkeypatch.setattr(methods, "TOLERANCES", (1e-4,))
+    monkeypatch.setattr(methods, "STUDY_RTOLS", (1e-4,))
     found = study(filtered_bridge(t_end=4e-5), steps=[1e-5], solvers=[], budget=300)
     variable = [line for line in found.lines if "variable" in line.name]
     assert len(variable) == 2
@@ -336,7 +345,7 @@ def test_variable_steps_over_a_jump_are_within_what_they_ask(monkeypatch):
 def half_line(load_case):
     """With all tolerances, and really compiled; each run is made once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(methods, "LONG", 0.0)
+        patch.setattr(methods, "LONG_RUN_SECONDS", 0.0)
         return study(load_case("moving_half_line"), steps=[0.06, 0.03, 0.015], solvers=["lemke"], target=5e-3, budget=600)
 
 
@@ -402,16 +411,16 @@ def test_richardson_gains_the_orders_that_theory_says(theta, expected):
 
 
 def test_schemes_with_other_weights_are_measured_too(load_case):
-    names = {method.name for method in methods.schemes(load_case("rlc_diode"))}
+    names = {method.name for method in methods.scheme_methods(load_case("rlc_diode"))}
     assert names == {"theta = 1/2, gamma = 1", "theta = 1, gamma = 1", "theta = 1/2, gamma = 1/2"}
-    assert [method.name for method in methods.schemes(load_case("friction_oscillator"))] == [""]
+    assert [method.name for method in methods.scheme_methods(load_case("friction_oscillator"))] == [""]
 
 
 def test_default_steps_nest_around_the_models_own():
-    counts = measure._counts(12, 1e-3)
+    counts = measure._default_step_counts(12, 1e-3)
     assert counts == [750 * 2**j for j in range(8)]
-    assert measure._counts(0.7, 0.02) == [8, 16, 32, 64, 128, 256]
-    assert measure._counts(3, 1.0) == [3, 6, 12, 24]
+    assert measure._default_step_counts(0.7, 0.02) == [8, 16, 32, 64, 128, 256]
+    assert measure._default_step_counts(3, 1.0) == [3, 6, 12, 24]
 
 
 # ---------------------------------------------------------------------------------------------- failures, budget, Ctrl-C
@@ -436,21 +445,21 @@ def test_failed_runs_are_kept_and_shown():
 
 def test_what_the_budget_leaves_out_is_named():
     found = study(decay(), steps=[0.1, 0.05], solvers=[], budget=1e-9)
-    assert {point.status for line in found.lines for point in line.points} == {LEFT_OUT}
+    assert {point.status for line in found.lines for point in line.points} == {POINT_LEFT_OUT}
     assert "h = 0.1, h = 0.05: left out for the time budget" in found.text()
     with pytest.raises(nsmodel.PlotError, match="no point with an error and a time"):
         found.plot()
 
 
 def test_an_interrupted_study_keeps_what_it_has(monkeypatch, tmp_path, capsys):
-    timed, count = methods.timed, iter(range(100))
+    timed, count = methods.time_runs, iter(range(100))
 
     def stopping(*arguments):
         if next(count) == 3:
             signal.raise_signal(signal.SIGINT)
         return timed(*arguments)
 
-    monkeypatch.setattr(methods, "timed", stopping)
+    monkeypatch.setattr(methods, "time_runs", stopping)
     with pytest.raises(StudyInterrupted) as stop:
         study(decay(), steps=[0.1, 0.05, 0.025], solvers=[])
     assert stop.value.study.status == "interrupted"
@@ -616,11 +625,11 @@ def test_what_steps_and_pieces_differ_by_counts_as_the_error_of_the_steps():
     model = swinging()
     rough, fine = (simulate(model, rtol=rtol) for rtol in (1e-9, 1e-11))
     run = simulate(model, step=0.01)
-    rows = Rows(run.t, run.x + np.array([0.1, 0.0]))
+    rows = ReferenceRows(run.t, run.x + np.array([0.1, 0.0]))
     one = np.ones(2)
     own = {"max": 1e-4, "end": 1e-4}
-    refined = Reference("a run of 1200 steps", "", Between(run.t, rows.x, None, one, np.inf), one, rows, own)
-    found, doubt = polynomials(model, 1e-11, rough, fine, refined)
+    refined = Reference("a run of 1200 steps", "", InterpolatedRun(run.t, rows.x, None, one, np.inf), one, rows, own)
+    found, doubt = event_driven_reference(model, 1e-11, rough, fine, refined)
     assert found.text == refined.text
     assert "an event-driven run and a run of 1200 steps differ by" in doubt
     errors = np.abs(rows.x - fine.at(run.t).x) / [5.3, 4.3]  # the mass starts 5.3 away, and is at most 4.3 fast

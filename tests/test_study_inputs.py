@@ -29,10 +29,10 @@ from nsmodel.scheme import one_step_problem
 from nsmodel.signals.pwm import Pwm
 from nsmodel.simulate import prepare
 from nsmodel.stress import RIGHT, STOPPED
-from nsmodel.stress.judge import by_formulas
+from nsmodel.stress.judge import formula_residuals
 from nsmodel.study import methods
-from nsmodel.study.between import AtRows, steps_from
-from nsmodel.study.reference import why_not_unique
+from nsmodel.study.between import RunAtRows, make_row_stepper
+from nsmodel.study.reference import nonuniqueness_reason
 
 T = input_scenes.T
 UNITS = pytest.mark.parametrize(("u", "tau"), [(1e-9, 1e9), (3.0, 1e-9), (1.0, 7.0)])
@@ -179,19 +179,19 @@ def test_the_judge_sees_what_a_step_saw_at_both_its_ends(name):
     model, matters = SCENES[name]
     model = model.bind()
     run = simulate(model, compiled=False)
-    assert max(by_formulas(model, run).values()) <= 1
+    assert max(formula_residuals(model, run).values()) <= 1
     for side, seen in zip(("inputs_begin", "inputs"), matters, strict=True):
         run.arrays[side][5:] += 1e-2
-        assert not seen or max(by_formulas(model, run).values()) > 1, side
+        assert not seen or max(formula_residuals(model, run).values()) > 1, side
         run.arrays[side][5:] -= 1e-2
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_step_from_a_row_leads_to_the_next_row(name):
     run = prepare(SCENES[name][0], compiled=False)
-    start = run.walk.state.copy()
+    start = run.propagator.state.copy()
     made = run.go()
-    step = steps_from(run.walk, start, made)
+    step = make_row_stepper(run.propagator, start, made)
     for row in range(min(20, len(made.t) - 1)):
         np.testing.assert_allclose(step(row, made.step[row + 1]), made.x[row + 1], rtol=1e-9, atol=1e-12)
     assert np.isfinite(step(3, 0.3 * made.step[4])).all()
@@ -199,7 +199,7 @@ def test_a_step_from_a_row_leads_to_the_next_row(name):
 
 @pytest.fixture
 def few_cells(monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "FACTORS", (1.0, 10.0))
+    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1.0, 10.0))
 
 
 @pytest.mark.usefixtures("few_cells")
@@ -253,12 +253,12 @@ def test_signals_that_are_none_at_other_steps_are_refused(of):
 @pytest.fixture
 def quick(monkeypatch):
     """One run a point, nothing compiled."""
-    monkeypatch.setattr(methods, "REPEATS", 1)
-    monkeypatch.setattr(methods, "ENOUGH", 0.0)
-    monkeypatch.setattr(methods, "TOLERANCES", (1e-3,))
-    monkeypatch.setattr(methods, "FINE", ())
+    monkeypatch.setattr(methods, "MAX_REPEATS", 1)
+    monkeypatch.setattr(methods, "ENOUGH_SECONDS", 0.0)
+    monkeypatch.setattr(methods, "STUDY_RTOLS", (1e-3,))
+    monkeypatch.setattr(methods, "FINE_RTOLS", ())
     words = ("interpreted", "compiled")
-    monkeypatch.setattr(methods, "ways", lambda scheme: [scheme.but(word, compiled=False) for word in words])
+    monkeypatch.setattr(methods, "backend_methods", lambda scheme: [scheme.with_options(word, compiled=False) for word in words])
 
 
 @pytest.mark.usefixtures("quick")
@@ -299,7 +299,7 @@ def test_a_refined_run_is_compared_at_any_time_by_steps_from_its_rows():
 
 def test_what_is_asked_beyond_the_steps_that_are_taken_is_not_known():
     rows = np.linspace(0, 1, 11)
-    state = AtRows(rows, rows[:, None] ** 2, lambda row, h: np.array([(rows[row] + h) ** 2]))
+    state = RunAtRows(rows, rows[:, None] ** 2, lambda row, h: np.array([(rows[row] + h) ** 2]))
     times = np.unique(np.concatenate([rows, np.linspace(0.001, 0.999, 1500)]))
     found, more = state(times)
     known = np.isfinite(found[:, 0])
@@ -312,7 +312,7 @@ def test_what_is_asked_beyond_the_steps_that_are_taken_is_not_known():
 def test_multipliers_are_looked_at_with_the_inputs_of_their_steps():
     """With u = 0 in place of them the boost converter's rows would be i - l and v - s: regular only as they are."""
     model = input_scenes.boost(t_end=4e-5).bind()
-    assert why_not_unique(model, one_step_problem(model), simulate(model)) == ""
+    assert nonuniqueness_reason(model, one_step_problem(model), simulate(model)) == ""
 
 
 FILE = """

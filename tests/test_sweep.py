@@ -246,10 +246,10 @@ def swept(folder=None, **options):
 
 def test_equal_sweeps_are_equal_bytes(tmp_path, monkeypatch):
     whole = swept(tmp_path / "a")
-    monkeypatch.setattr(work, "SECONDS", 1e-9)
+    monkeypatch.setattr(work, "TARGET_CHUNK_SECONDS", 1e-9)
     swept(tmp_path / "b", workers=3)
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b")
-    monkeypatch.setattr(work, "SECONDS", 1e-3)
+    monkeypatch.setattr(work, "TARGET_CHUNK_SECONDS", 1e-3)
     with pytest.raises(SweepInterrupted) as stop:
         interrupted_after(monkeypatch, 2, lambda: swept(tmp_path / "c"))
     assert 0 < (stop.value.result.status == 0).sum() < 36
@@ -282,7 +282,7 @@ def interrupted_after(monkeypatch, chunks, action):
 
     with monkeypatch.context() as patch:
         patch.setattr(SweepStore, "put", counting)
-        patch.setattr(work, "SECONDS", 1e-9)
+        patch.setattr(work, "TARGET_CHUNK_SECONDS", 1e-9)
         return action()
 
 
@@ -361,7 +361,7 @@ def test_a_killed_sweep_goes_on(tmp_path):
         from sweep_models import friction
         import numpy as np, nsmodel
         from nsmodel.sweep import work
-        work.SECONDS = 0.01
+        work.TARGET_CHUNK_SECONDS = 0.01
         if __name__ == "__main__":
             nsmodel.sweep(friction(t_end=1.0), grid={{"k": np.linspace(0.8, 1.2, 60)}}, outputs={{"end": "x_1[-1]"}},
                           compiled=False, workers=2, out=sys.argv[1], resume="--resume" in sys.argv)

@@ -11,7 +11,7 @@ from sweep_models import K, friction, with_stop
 
 from nsmodel import LureSystem, PlotError, StepError, StorageError, Sweep, UsageError, relay, simulate, sweep
 from nsmodel.cli import main
-from nsmodel.cli.sweep import IN_PYTHON
+from nsmodel.cli.sweep import OPTION_SPELLINGS
 
 END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
 
@@ -229,4 +229,4 @@ def test_what_the_command_says_otherwise_stands_in_messages():
     texts = [
         node.value for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)
     ]
-    assert [words for words in IN_PYTHON if not any(words in text for text in texts)] == []
+    assert [words for words in OPTION_SPELLINGS if not any(words in text for text in texts)] == []

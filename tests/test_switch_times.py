@@ -25,8 +25,8 @@ from nsmodel.codegen.library import compiler
 from nsmodel.grid import make_grid
 from nsmodel.identity import fingerprint
 from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.known import Known
-from nsmodel.run.event_driven import problem_of
+from nsmodel.pieces.known import SwitchTimes
+from nsmodel.run.event_driven import event_driven_problem
 from nsmodel.simulate import explain
 
 WAYS = [False, *([True] if compiler() else [])]
@@ -207,7 +207,7 @@ def test_oscillators_carry_their_velocity_over_an_edge():
 
 def test_known_times_are_for_any_problem():
     """The integrator takes them beside its problem, not from the model."""
-    integrator = Integrator(problem_of(pushed((), rate=1.0).bind()), 1e-6, None, Known([0.25, 0.5]))
+    integrator = Integrator(event_driven_problem(pushed((), rate=1.0).bind()), 1e-6, None, SwitchTimes([0.25, 0.5]))
     ends = [integrator.advance().end for _ in range(3)]
     assert ends[:2] == [0.25, 0.5]
     assert integrator.known.times == [0.25, 0.5]

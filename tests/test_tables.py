@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nsmodel import FrictionOscillator, MonotoneInclusion, SweepingProcess, check, simulate
-from nsmodel.model.tables import opened, read, written
+from nsmodel.model.tables import expand_tables, read_table, table_expression
 
 POINTS, VALUES = [-2.0, -1.0, 0.0, 1.0, 2.0], [4.0, 1.0, 0.0, 1.0, 4.0]
 LUT = ca.interpolant("lut", "linear", [POINTS], VALUES)
@@ -18,11 +18,11 @@ def test_a_table_is_read_and_written_out(n):
     rng = np.random.default_rng(n)
     points, values = np.sort(rng.normal(size=n)) * 3, rng.normal(size=n)
     lut = ca.interpolant("lut", "linear", [points.tolist()], values.tolist())
-    table = read(lut)
+    table = read_table(lut)
     np.testing.assert_array_equal(table.points, points)
     np.testing.assert_array_equal(table.values, values)
     x = ca.SX.sym("x")
-    f = ca.Function("f", [x], [written(table, x)])
+    f = ca.Function("f", [x], [table_expression(table, x)])
     at = rng.uniform(points[0], points[-1], 500)
     steep = np.abs(np.diff(values) / np.diff(points)).max()
     np.testing.assert_allclose(np.array(f.map(500)(at[None])).ravel(), np.interp(at, points, values), atol=1e-14 * n * steep)
@@ -33,14 +33,14 @@ def test_tables_inside_expressions_are_opened_and_others_stay():
     spline = ca.interpolant("spline", "bspline", [[0.0, 1, 2, 3, 4]], [1.0, 2, 4, 8, 16])
     plane = ca.interpolant("plane", "linear", [[0.0, 1], [0.0, 1]], [1.0, 2, 3, 5])
     mixed = ca.vertcat(ca.sin(LUT(LUT(x[0]) + x[1])), x[1], spline(LUT(x[0])), plane(x))
-    found = opened(mixed)
+    found = expand_tables(mixed)
     assert "lut" not in str(found)
     assert "spline" in str(found)
     f, g = (ca.Function("f", [x], [e]) for e in (mixed, found))
     for point in np.random.default_rng(1).uniform(0, 1.5, (20, 2)):
         np.testing.assert_allclose(np.array(f(point)), np.array(g(point)), atol=1e-13)
-    assert read(spline) is None
-    assert read(plane) is None
+    assert read_table(spline) is None
+    assert read_table(plane) is None
 
 
 def test_what_the_check_says_of_tables():

@@ -12,8 +12,8 @@ import pytest
 import nsmodel
 from nsmodel.pieces import multipliers, series
 from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.noted import Tape, TooLong
-from nsmodel.run.event_driven import problem_of
+from nsmodel.pieces.noted import TooManyOperations, TracingTape
+from nsmodel.run.event_driven import event_driven_problem
 
 CASES = Path(__file__).resolve().parents[1] / "cases"
 NAMES = (
@@ -55,7 +55,7 @@ def make_plain_sums(monkeypatch):
 @pytest.mark.parametrize("name", [*NAMES, of_conditions])
 @np.errstate(all="ignore")  # as in a run
 def test_the_same_bits_as_order_by_order(name):
-    made = Integrator(problem_of(nsmodel.load(CASES / f"{name}.py") if isinstance(name, str) else name()), 1e-6)
+    made = Integrator(event_driven_problem(nsmodel.load(CASES / f"{name}.py") if isinstance(name, str) else name()), 1e-6)
     system, place = made.system, made.place
     written = system._unrolled
     compared = 0
@@ -70,11 +70,11 @@ def test_the_same_bits_as_order_by_order(name):
             system._unrolled = unrolled
             how = system.expand(place.t, place.x, place.codes, place.tau, made.order)
             assert how is not None
-            compared += system._whole
+            compared += system._has_all_orders
             found.append(rows(system, made.order, how))
         assert found[0] == found[1]
         system._unrolled = written
-        made._left = None
+        made._selected_solver = None
         made.advance()
     assert compared
 
@@ -90,7 +90,7 @@ def test_what_has_no_number_is_left_to_the_recurrences():
 
 
 def test_operations_are_noted_once_and_in_their_order():
-    tape = Tape(20)
+    tape = TracingTape(20)
     known = tape.known({"sin": math.sin})
     a, b = tape.note("a[0]"), tape.note("b[0]")
     both = (a + 0.0) * 1.0 - b / 3
@@ -100,5 +100,5 @@ def test_operations_are_noted_once_and_in_their_order():
     exec(tape.written(list(given), "", [("out[:]", [c, 1.5])]), made)
     made["make"](**given)()
     assert given["out"] == [-math.sin(0.3 - 0.7 / 3) + math.sin(0.5), 1.5]
-    with pytest.raises(TooLong):
+    with pytest.raises(TooManyOperations):
         _ = [tape.note("a[{}]", k) for k in range(30)]

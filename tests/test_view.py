@@ -16,8 +16,8 @@ import nsmodel
 from nsmodel.cli import main
 from nsmodel.errors import PlotError, StorageError
 from nsmodel.view import packed
-from nsmodel.view.page import FOLDER
-from nsmodel.view.run import document
+from nsmodel.view.page import VIEW_FOLDER
+from nsmodel.view.run import run_document
 
 ORIGINS = re.compile(r"https?://|//[a-z]", re.IGNORECASE)
 
@@ -42,15 +42,15 @@ def columns_of(found):
 
 def test_numbers_in_double_precision_come_back_bit_for_bit():
     values = np.array([0.0, -0.0, 1 / 3, np.nan, np.inf, -np.inf, 5e-324, 1.7e308, -1e-300])
-    assert unpacked(packed.numbers(values)).tobytes() == values.tobytes()
-    assert unpacked(packed.numbers(values[:0])).size == 0
+    assert unpacked(packed.pack_numbers(values)).tobytes() == values.tobytes()
+    assert unpacked(packed.pack_numbers(values[:0])).size == 0
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-9, 1.0, 1e300])
 def test_numbers_in_single_precision_err_by_rounding_alone(scale):
     values = scale * np.random.default_rng(1).standard_normal(1000)
     values[::50], values[7], values[8] = 0.0, np.nan, np.inf
-    found = unpacked(packed.numbers(values, exact=False))
+    found = unpacked(packed.pack_numbers(values, exact=False))
     assert (found[::50] == 0).all()
     assert np.isnan(found[7])
     assert np.isposinf(found[8])
@@ -60,7 +60,7 @@ def test_numbers_in_single_precision_err_by_rounding_alone(scale):
 
 def test_what_lies_between_values_near_one_number_is_kept():
     values = 1 + 1e-9 * np.sin(np.arange(500.0))
-    assert abs(unpacked(packed.numbers(values, exact=False)) - values).max() < 1e-15
+    assert abs(unpacked(packed.pack_numbers(values, exact=False)) - values).max() < 1e-15
 
 
 @pytest.mark.parametrize("length", [1, 2, 6, 7, 8, 1000])
@@ -72,8 +72,8 @@ def test_extremes_are_those_of_each_few_rows(length, width):
     values[rng.random(length) < 0.1] = np.inf
     values[rng.random(length) < 0.1] = -np.inf
     begin = rng.standard_normal(length)
-    low, high = packed.extremes(values, width)
-    both = packed.column(values, begin, packed.Rows(width, True))
+    low, high = packed.bucket_extremes(values, width)
+    both = packed.pack_column(values, begin, packed.PackedRows(width, True))
     for k in range(0, length, width):
         some = [v for v in values[k : k + width] if v == v]
         expected = (min(some), max(some)) if some else (np.nan, np.nan)
@@ -85,19 +85,19 @@ def test_extremes_are_those_of_each_few_rows(length, width):
 @pytest.mark.parametrize("cells", [(10, 1), (25_000, 10), (25_001, 10), (300_000, 10), (300_001, 10), (10**6, 10), (10**7, 50)])
 def test_columns_find_room_whatever_their_number(cells):
     rows, columns = cells
-    width, exact = packed.rows_for(rows, columns)
+    width, exact = packed.packing_for(rows, columns)
     held = (8 if exact else 4) * rows * columns if width == 1 else 8 * -(-rows // width) * columns
-    assert held <= packed.ROOM + 8 * columns
-    assert width == 1 or 4 * rows * columns > packed.ROOM
+    assert held <= packed.MAX_BYTES + 8 * columns
+    assert width == 1 or 4 * rows * columns > packed.MAX_BYTES
 
 
 def test_a_page_of_noise_has_the_size_that_is_meant_and_copies_no_run(tmp_path, monkeypatch):
     """A tenth of what is allowed, 20 MB. Noise compresses worst."""
-    monkeypatch.setattr(packed, "ROOM", packed.ROOM // 10)
+    monkeypatch.setattr(packed, "MAX_BYTES", packed.MAX_BYTES // 10)
     rng = np.random.default_rng(0)
     run = by_hand({f"x_{k}": rng.standard_normal(100_000) for k in range(10)})
     tracemalloc.start()
-    document(run)
+    run_document(run)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     size = run.view(tmp_path / "noise.html").stat().st_size
@@ -129,9 +129,9 @@ def test_a_page_allows_itself_alone(tmp_path, bridge):
         assert not any(key == "src" or key == "style" or key.startswith("on") for _, attrs in page.elements for key in attrs)
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.glob("*.*s")))
+@pytest.mark.parametrize("name", sorted(path.name for path in VIEW_FOLDER.glob("*.*s")))
 def test_scripts_and_styles_ask_for_nothing_and_make_no_elements_of_text(name):
-    text = (FOLDER / name).read_text(encoding="utf-8")
+    text = (VIEW_FOLDER / name).read_text(encoding="utf-8")
     code = re.sub(r"/\*.*?\*/|(?m:^\s*//.*$)", "", text, flags=re.DOTALL)
     assert not re.search(r"innerHTML|outerHTML|insertAdjacent|document\.write|eval\(|Function\(|import\(|fetch\(|XMLHttp", code)
     assert not ORIGINS.search(code)
@@ -188,7 +188,7 @@ def test_without_a_path_the_browser_is_asked(tmp_path, bridge, monkeypatch):
 
 
 def test_columns_of_one_unit_share_a_panel_and_hold_the_rows(bridge):
-    found = document(bridge)
+    found = run_document(bridge)
     columns = columns_of(found)
     by_unit = [(panel["title"], panel["unit"], len(panel["columns"])) for panel in found["panels"] if "columns" in panel]
     assert by_unit[:4] == [("States", "V", 1), ("States", "A", 1), ("Multipliers", "V", 2), ("Multipliers", "A", 2)]
@@ -204,7 +204,7 @@ def test_columns_of_one_unit_share_a_panel_and_hold_the_rows(bridge):
 
 
 def test_the_index_set_says_which_codes_were_seen(bridge):
-    strip = next(panel for panel in document(bridge)["panels"] if panel["look"] == "bands")
+    strip = next(panel for panel in run_document(bridge)["panels"] if panel["look"] == "bands")
     for k, band in enumerate(strip["bands"]):
         np.testing.assert_array_equal(unpacked(band["seen"]), 2.0 ** (bridge.index_set[:, k] + 2))
     assert strip["words"] == {"complementarity": [[2, "nothing", "open (l = 0)"], [4, "zero", "contact (y = 0)"]]}
@@ -213,7 +213,7 @@ def test_the_index_set_says_which_codes_were_seen(bridge):
 def test_kinds_of_laws_that_are_not_those_of_the_rows():
     run = by_hand({"a": np.ones(3)}, arrays={"index_set": np.zeros((3, 2), np.int8)}, law_kinds=["relay"])
     with pytest.raises(PlotError, match="law_kinds must name the kind of each of 2 rows"):
-        document(run)
+        run_document(run)
 
 
 def test_of_a_long_run_no_code_and_no_extreme_is_lost():
@@ -222,7 +222,7 @@ def test_of_a_long_run_no_code_and_no_extreme_is_lost():
     columns = {f"x_{k}": np.zeros(len(codes)) for k in range(3)}
     columns["x_1"][765_432] = 1.0
     run = by_hand(columns, arrays={"index_set": codes}, law_kinds=["relay"])
-    found = document(run)
+    found = run_document(run)
     width = found["clocks"][0]["width"]
     assert width == 3
     assert f"least and the largest value of each {width} rows" in found["note"]
@@ -239,7 +239,9 @@ def test_of_a_long_run_no_code_and_no_extreme_is_lost():
 
 def test_sizes_far_apart_are_drawn_apart_but_rounding_is_not():
     wave = np.sin(np.arange(100.0))
-    panels = {panel["title"]: panel for panel in document(by_hand({"a": wave, "b": 0.01 * wave, "c": 1e-16 * wave}))["panels"]}
+    panels = {
+        panel["title"]: panel for panel in run_document(by_hand({"a": wave, "b": 0.01 * wave, "c": 1e-16 * wave}))["panels"]
+    }
     assert [one["name"] for one in panels["States"]["columns"]] == ["a", "c"]
     assert [one["name"] for one in panels["States, the small ones"]["columns"]] == ["b"]
 
@@ -247,14 +249,14 @@ def test_sizes_far_apart_are_drawn_apart_but_rounding_is_not():
 def test_a_single_state_has_a_phase_plane_with_what_else_there_is(run_case, load_case):
     oscillator = nsmodel.simulate(load_case("friction_oscillator"), t_end=0.1)
     for run, up in ((run_case("moving_half_line"), "Multipliers"), (oscillator, "Velocities")):
-        found = document(run)
+        found = run_document(run)
         assert [found["panels"][p]["title"] for p, _ in found["phase"]] == ["States", up]
-    assert document(by_hand({"a": np.ones(3)}))["phase"] is None
+    assert run_document(by_hand({"a": np.ones(3)}))["phase"] is None
 
 
 def test_many_columns_are_some_and_the_page_says_so():
     run = by_hand({f"x_{k}": np.arange(5.0) + k for k in range(100)})
-    (panel,) = (one for one in document(run)["panels"] if one["title"] == "States")
+    (panel,) = (one for one in run_document(run)["panels"] if one["title"] == "States")
     names = [one["name"] for one in panel["columns"]]
     assert (names[0], names[-1], len(names)) == ("x_0", "x_99", 24)
     assert sum(one["shown"] for one in panel["columns"]) == 8
@@ -267,7 +269,7 @@ def test_inputs_and_outputs_jump_where_they_do():
         A=[[-1]], B=1, C=1, f=[u], law=nsmodel.relay(1), x0=1, t_end=1, step=0.1, title="Steps",
         inputs={u: nsmodel.steps([1.0] * 5 + [3.0] * 5)}, outputs={"twice": 2 * u},
     )  # fmt: skip
-    columns = columns_of(document(nsmodel.simulate(model)))
+    columns = columns_of(run_document(nsmodel.simulate(model)))
     for key, factor in ((("Inputs", "u"), 1), (("Outputs", "twice"), 2)):
         begin, end = unpacked(columns[key]["begin"]), unpacked(columns[key]["low"])
         assert end[5:7].tolist() == [factor, 3 * factor]
@@ -275,7 +277,7 @@ def test_inputs_and_outputs_jump_where_they_do():
 
 
 def test_an_event_driven_run_has_points_rows_and_events(event_driven):
-    run, found = event_driven, document(event_driven)
+    run, found = event_driven, run_document(event_driven)
     assert len(found["clocks"]) == 2
     np.testing.assert_array_equal(unpacked(found["clocks"][1]["times"])[:-1], run.t)
     columns = columns_of(found)
@@ -298,7 +300,7 @@ def test_the_energy_of_an_event_driven_run_is_that_of_its_states_where_the_model
     run = nsmodel.simulate(model, rtol=1e-8)
     off, notes = [], []
     for given in (model, None):
-        found = document(run, given)
+        found = run_document(run, given)
         (panel,) = (one for one in found["panels"] if one["title"] == "Energy")
         times = unpacked(found["clocks"][0]["times"])[:-1]
         exact = 5.3**2 / 2 - 4.3 * (1 - np.cos(times))
@@ -311,7 +313,7 @@ def test_the_energy_of_an_event_driven_run_is_that_of_its_states_where_the_model
 
 def test_discs_are_where_they_are():
     run = discs()
-    scene = document(run)["scene"]
+    scene = run_document(run)["scene"]
     places = unpacked(scene["places"]).reshape(18, 50)
     np.testing.assert_allclose(places, run.x.T, atol=1e-6)
     np.testing.assert_allclose(unpacked(scene["pressure"]).reshape(9, 50), run.arrays["pressure"].T, atol=1e-6)
@@ -322,7 +324,7 @@ def test_discs_are_where_they_are():
     assert scene["walls"] == [[-1, -1, 6, -1], [-1, 3, 6, 3]]
     pressed = run.arrays["pressure"][run.arrays["pressure"] > 0]
     assert scene["top"] == pytest.approx(np.percentile(pressed, 99.5))
-    titles = {panel["title"]: panel for panel in document(run)["panels"]}
+    titles = {panel["title"]: panel for panel in run_document(run)["panels"]}
     assert unpacked(titles["Bodies there"]["columns"][0]["low"]).tolist() == [9] * 25 + [8] * 25
     assert not titles["States"]["open"]
 
@@ -333,14 +335,14 @@ def test_reactions_make_pressures_where_constraints_know_their_bodies():
     del run.arrays["pressure"]
     run.arrays["reactions"] = run.arrays["multipliers"] = reactions
     run.metadata["constraint_bodies"] = [[0, 1], [1]]
-    found = unpacked(document(run)["scene"]["pressure"]).reshape(9, 3)
+    found = unpacked(run_document(run)["scene"]["pressure"]).reshape(9, 3)
     np.testing.assert_allclose(found[:2], [[1, 2, 3], [11, 22, 33]])
     assert not found[2:].any()
 
 
 def test_of_a_long_film_some_rows_are_drawn():
     run = discs(rows=60_000)
-    scene = document(run)["scene"]
+    scene = run_document(run)["scene"]
     assert scene["of"] == 60_000
     assert scene["rows"][0] == 0
     assert scene["rows"][-1] == 59_999
@@ -353,7 +355,7 @@ def test_the_forbidden_set_is_where_a_constraint_is_negative(load_case):
     disc = ca.norm_2(q - ca.vertcat(t, 0)) - 1
     model = nsmodel.SweepingProcess(t=t, q=q, constraints={"disc": disc}, q0=[1.5, 0.3], t_end=2, step=0.1, title="Pushed")
     run = nsmodel.simulate(model)
-    found = document(run, model)["forbidden"]
+    found = run_document(run, model)["forbidden"]
     x0, x1, y0, y1 = found["window"]
     times, size = unpacked(found["times"]), found["size"]
     assert times.tolist() == run.t.tolist()
@@ -361,11 +363,11 @@ def test_the_forbidden_set_is_where_a_constraint_is_negative(load_case):
     inside = np.hypot(across - times[:, None, None], up) < 1
     np.testing.assert_array_equal(unpacked(found["inside"]).reshape(len(times), size, size), inside)
     assert 0.05 < inside.mean() < 0.95
-    assert document(run)["forbidden"] is None
+    assert run_document(run)["forbidden"] is None
     one = load_case("moving_half_line")
     with pytest.raises(PlotError, match="the model has 1 states and the run 2"):
         run.view("never.html", one)
-    line = document(nsmodel.simulate(one), one)["forbidden"]
+    line = run_document(nsmodel.simulate(one), one)["forbidden"]
     times, q = (np.linspace(*ends, size) for ends in (line["window"][:2], line["window"][2:]))
     edge = np.sin(times)[None] > q[:, None] + 1e-9
     assert (unpacked(line["inside"]).reshape(size, size) == edge).mean() > 0.999
@@ -377,14 +379,14 @@ def test_a_run_that_failed_says_so():
     model = nsmodel.SweepingProcess(t=t, q=q, constraints=walls, q0=[0, 0], t_end=1, step=0.1, title="Two walls")
     with pytest.raises(nsmodel.StepError) as stopped:
         nsmodel.simulate(model)
-    found = document(stopped.value.trajectory)
+    found = run_document(stopped.value.trajectory)
     assert found["status"] == "failed"
     assert dict(found["facts"])["status"][0].startswith("failed: step")
 
 
 def test_a_run_of_one_row_has_a_page(tmp_path):
     one = by_hand({"a": np.ones(1)})
-    assert document(one)["rows"] == 1
+    assert run_document(one)["rows"] == 1
     assert one.view(tmp_path / "one.html").exists()
 
 

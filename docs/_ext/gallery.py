@@ -10,7 +10,7 @@ from as_markdown import fenced, plain, prose, relative, table
 from runs import Job, Made, forget, made
 from sphinx.util.display import status_iterator
 
-from nsmodel.shelf import TOPICS, Case, cases
+from nsmodel.shelf import TOPICS, Case, all_cases
 
 OTHERS = "more"
 INTRODUCTION = """# Gallery
@@ -31,7 +31,7 @@ def setup(app: Any) -> dict[str, bool]:
 
 def write_pages(app: Any) -> None:
     """Write gallery/*.md where they are other than before; remove those of cases that are gone."""
-    chosen = [case for case in cases() if not app.config.gallery_cases or case.name in app.config.gallery_cases]
+    chosen = [case for case in all_cases() if not app.config.gallery_cases or case.name in app.config.gallery_cases]
     folder, kept = Path(app.srcdir) / "gallery", Path(app.config.made_in) / "cases"
     jobs = [Job(case.path.name, case.path.read_text(encoding="utf-8"), case=True) for case in chosen]
     results = status_iterator(made(jobs, kept), "running cases... ", "brown", len(jobs), stringify_func=lambda one: one.file.stem)

@@ -222,7 +222,7 @@ def cells() -> tuple[Figure, list[str]]:
     words = {RIGHT: "all right", STOPPED: "some stopped, with the reason", WRONG: "some wrong"}
     heat_map(
         figure.add_subplot(), rows, columns, table, "Extreme cells: how many are right", "step, in natural times of the scene",
-        words=words,
+        labels=words,
     )  # fmt: skip
     lines = ["| scene | class | from ... to | cells | right | stopped | wrong |", "| --- | --- | --- | --- | --- | --- | --- |"]
     for scene in scenes:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.pickled import Pickled
+from nsmodel.pickled import Picklable
 
 
 @dataclass(frozen=True, eq=False)
-class Block(Pickled):
+class Block(Picklable):
     """Symbols that are held between ticks; see `sampled` and `each_step`.
 
     Attributes:
@@ -34,7 +34,7 @@ class Block(Pickled):
     start: Mapping[Any, Any]
     values: Mapping[Any, Sequence[float]]
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def sampled(
@@ -70,7 +70,7 @@ def sampled(
         raise ModelError(f"block '{name}': period = {period!r:.60}; expected a time > 0")
     if not (_is_time(offset) and offset >= 0):
         raise ModelError(f"block '{name}': offset = {offset!r:.60}; expected a time >= 0")
-    return _block(name, float(period), float(offset), memory, outputs, update, start, values)
+    return _make_block(name, float(period), float(offset), memory, outputs, update, start, values)
 
 
 def each_step(
@@ -92,10 +92,10 @@ def each_step(
     Raises:
         ModelError: names and shapes, once a model is declared.
     """
-    return _block(name, None, 0.0, memory, None, update, None, values)
+    return _make_block(name, None, 0.0, memory, None, update, None, values)
 
 
-def _block(name: str, period: float | None, offset: float, *parts: Mapping[Any, Any] | None) -> Block:
+def _make_block(name: str, period: float | None, offset: float, *parts: Mapping[Any, Any] | None) -> Block:
     labels = ("memory", "outputs", "update", "start", "values")
     for label, part in zip(labels, parts, strict=True):
         if part is not None and not isinstance(part, Mapping):

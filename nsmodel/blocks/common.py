@@ -21,9 +21,9 @@ def hysteresis(
         below, above: its values.
         period: of its ticks; left out: each step.
     """
-    u = _symbol(u)
+    u = _scalar_symbol(u)
     update = {u: ca.if_else(y <= low, below, ca.if_else(y >= high, above, u))}
-    return _remembering(f"hysteresis {u}", period, {u: start}, update, {u: (start, below, above)})
+    return _memory_block(f"hysteresis {u}", period, {u: start}, update, {u: (start, below, above)})
 
 
 def latch(q: Any, set: Any, reset: Any, *, start: float = 0.0, period: float | None = None) -> Block:
@@ -33,9 +33,9 @@ def latch(q: Any, set: Any, reset: Any, *, start: float = 0.0, period: float | N
         q: its symbol; set, reset: expressions whose signs say so, such as ``reset=i - 4``; start: its value before the start.
         period: of its ticks; left out: each step.
     """
-    q = _symbol(q)
+    q = _scalar_symbol(q)
     update = {q: ca.if_else(reset >= 0, 0, ca.if_else(set > 0, 1, q))}
-    return _remembering(f"latch {q}", period, {q: start}, update, {q: (start, 0, 1)})
+    return _memory_block(f"latch {q}", period, {q: start}, update, {q: (start, 0, 1)})
 
 
 def thyristor(q: Any, gate: Any, current: Any, *, period: float | None = None) -> Block:
@@ -47,9 +47,9 @@ def thyristor(q: Any, gate: Any, current: Any, *, period: float | None = None) -
         q: its symbol; gate, current: expressions.
         period: of its ticks; left out: each step.
     """
-    q = _symbol(q)
+    q = _scalar_symbol(q)
     fired = ca.if_else(gate > 0, 1, ca.if_else(current <= 0, 0, q))
-    return _remembering(f"thyristor {q}", period, {q: 0.0}, {q: fired}, {q: (0, 1)})
+    return _memory_block(f"thyristor {q}", period, {q: 0.0}, {q: fired}, {q: (0, 1)})
 
 
 def delay(w: Any, y: Any, *, samples: int, period: float, start: float = 0.0) -> Block:
@@ -62,7 +62,7 @@ def delay(w: Any, y: Any, *, samples: int, period: float, start: float = 0.0) ->
     Raises:
         ModelError: a number of samples that is not >= 1.
     """
-    w = _symbol(w)
+    w = _scalar_symbol(w)
     if not (isinstance(samples, int) and samples >= 1):
         raise ModelError(f"delay {w}: samples = {samples!r:.60}; expected a whole number >= 1")
     line = [ca.SX.sym(f"{w}.{k}") for k in range(1, samples + 1)]
@@ -91,14 +91,14 @@ def pid(
         kp, ki, kd: gains, numbers or parameters; period: of its ticks.
         low, high: bounds of w; start: z at the start.
     """
-    w, e = _symbol(w), ca.SX(e)
-    z, last, begun = (ca.SX.sym(f"{w}.{part}") for part in ("integral", "error", "begun"))
-    slope = ca.if_else(begun > 0, (e - last) / period, 0)
+    w, e = _scalar_symbol(w), ca.SX(e)
+    z, last, started = (ca.SX.sym(f"{w}.{part}") for part in ("integral", "error", "begun"))
+    slope = ca.if_else(started > 0, (e - last) / period, 0)
     free = kp * e + z + kd * slope
     wound = ca.logic_or(ca.logic_and(free > high, ki * e > 0), ca.logic_and(free < low, ki * e < 0))
     return sampled(
-        f"pid {w}", period=period, memory={z: start, last: 0.0, begun: 0.0}, outputs={w: ca.fmin(ca.fmax(free, low), high)},
-        update={z: ca.if_else(wound, z, z + ki * period * e), last: e, begun: ca.SX(1)},
+        f"pid {w}", period=period, memory={z: start, last: 0.0, started: 0.0}, outputs={w: ca.fmin(ca.fmax(free, low), high)},
+        update={z: ca.if_else(wound, z, z + ki * period * e), last: e, started: ca.SX(1)},
     )  # fmt: skip
 
 
@@ -110,17 +110,17 @@ def dead_time(on: Any, off: Any, command: Any, t: Any, *, delay: float, period: 
         delay: a time >= 0, found to within a tick.
         period: of its ticks; left out: each step.
     """
-    on, off = _symbol(on), _symbol(off)
+    on, off = _scalar_symbol(on), _scalar_symbol(off)
     was, since = ca.SX.sym(f"{on}.command"), ca.SX.sym(f"{on}.since")
     now = ca.if_else(command > 0, 1, 0)
-    begun = ca.if_else(now == was, since, t)
-    ready = t - begun >= delay * (1 - 1e-9)
+    started = ca.if_else(now == was, since, t)
+    ready = t - started >= delay * (1 - 1e-9)
     up, down = ca.if_else(ca.logic_and(now == 1, ready), 1, 0), ca.if_else(ca.logic_and(now == 0, ready), 1, 0)
-    memory, update = {was: 0.0, since: -delay, on: 0.0, off: 1.0}, {was: now, since: begun, on: up, off: down}
-    return _remembering(f"dead time {on}", period, memory, update, {on: (0, 1), off: (0, 1)})
+    memory, update = {was: 0.0, since: -delay, on: 0.0, off: 1.0}, {was: now, since: started, on: up, off: down}
+    return _memory_block(f"dead time {on}", period, memory, update, {on: (0, 1), off: (0, 1)})
 
 
-def _remembering(
+def _memory_block(
     name: str, period: float | None, memory: Mapping[Any, Any], update: Mapping[Any, Any], values: Mapping[Any, Sequence[Any]]
 ) -> Block:  # fmt: skip
     """A block of memory alone; ``values``: those that its symbols take, left out where one is no number."""
@@ -130,7 +130,7 @@ def _remembering(
     return sampled(name, period=period, memory=memory, update=update, values=few)
 
 
-def _symbol(symbol: Any) -> ca.SX:
+def _scalar_symbol(symbol: Any) -> ca.SX:
     """A scalar symbol of CasADi's, or by its name."""
     if isinstance(symbol, str):
         return ca.SX.sym(symbol)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.certificate.graph import NoProgram, graph, matrix, text
+from nsmodel.certificate.graph import UnsupportedOperation, exact_matrix_text, exact_number_text, straight_line_program
 from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.laws import Law
@@ -18,7 +18,7 @@ from nsmodel.model.base import Model
 Data = dict[str, Any]
 
 
-class Subject(NamedTuple):
+class CertificateSubject(NamedTuple):
     """What a certificate speaks of: the model with its constraints one by one, as data; ``box`` of inputs that are no states."""
 
     model: Model
@@ -26,7 +26,7 @@ class Subject(NamedTuple):
     box: Mapping[str, Sequence[float]] = MappingProxyType({})
 
 
-def subject_of(model: Model, findings: Mapping[str, Finding]) -> Subject:
+def certificate_subject(model: Model, findings: Mapping[str, Finding]) -> CertificateSubject:
     """The model as data; its parameters have values, and numbers of findings may be data too.
 
     Raises:
@@ -37,41 +37,41 @@ def subject_of(model: Model, findings: Mapping[str, Finding]) -> Subject:
     return subject._replace(data=named | subject.data)
 
 
-def numbers(column: Any) -> list[str]:
+def column_text(column: Any) -> list[str]:
     """A column."""
-    return [text(entry) for entry in np.array(ca.DM(column)).ravel()]
+    return [exact_number_text(entry) for entry in np.array(ca.DM(column)).ravel()]
 
 
-def program(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
+def expression_program(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
     """The program, or why there is none: not every statement needs it."""
     try:
-        return graph(expr, inputs, names)
-    except NoProgram as why:
+        return straight_line_program(expr, inputs, names)
+    except UnsupportedOperation as why:
         return {"inputs": list(names), "why": str(why)}
 
 
-def dense(entries: Any) -> list[list[str]]:
+def dense_matrix_text(entries: Any) -> list[list[str]]:
     """A matrix, also an empty one."""
     values = np.array(ca.DM(ca.densify(entries))).reshape(entries.shape)
-    return matrix(values) if values.size else [[] for _ in range(len(values))]
+    return exact_matrix_text(values) if values.size else [[] for _ in range(len(values))]
 
 
-def _numbers_of(value: Any) -> str | list[str] | list[list[str]]:
+def _array_text(value: Any) -> str | list[str] | list[list[str]]:
     array = np.asarray(value, float)
     if array.ndim > 1:
-        return matrix(array)
-    return [text(number) for number in array] if array.ndim else text(float(array))
+        return exact_matrix_text(array)
+    return [exact_number_text(number) for number in array] if array.ndim else exact_number_text(float(array))
 
 
 def law_data(law: Law) -> list[Data]:
     """The blocks of a law."""
     return [
-        {"kind": block.kind, "size": block.size} | {name: _numbers_of(value) for name, value in block.data().items()}
+        {"kind": block.kind, "size": block.size} | {name: _array_text(value) for name, value in block.data().items()}
         for block in law.blocks
     ]
 
 
-def steps(model: Model) -> list[str]:
+def step_sizes_text(model: Model) -> list[str]:
     """The model's own steps."""
     steps = [model.step] if model.steps is None else list(np.ravel(model.steps))
-    return [text(step) for step in steps if step is not None]
+    return [exact_number_text(step) for step in steps if step is not None]

@@ -49,18 +49,18 @@ def rounded(x, up=False):
     over, under = (n << shift, d) if shift > 0 else (n, d << -shift)
     whole = -(-over // under) if up else over // under
     return Q(whole, 1 << shift) if shift > 0 else Q(whole << -shift)
-class Interval:
+class VerifierInterval:
     """lo <= x <= hi, fractions or infinite; operations round outwards. Functions raise Undefined where they may have no value."""
     def __init__(self, lo, hi=None, slack=0):
         self.lo, self.hi = rounded(lo - slack), rounded((lo if hi is None else hi) + slack, True)
-    def __add__(self, other): return Interval(self.lo + other.lo, self.hi + other.hi)
-    def __neg__(self): return Interval(-self.hi, -self.lo)
+    def __add__(self, other): return VerifierInterval(self.lo + other.lo, self.hi + other.hi)
+    def __neg__(self): return VerifierInterval(-self.hi, -self.lo)
     def __mul__(self, other):
         ends = [a * b if a and b else Q(0) for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
-        return Interval(min(ends), max(ends))
-    def scaled(self, c): return self * Interval(c)
+        return VerifierInterval(min(ends), max(ends))
+    def scaled(self, c): return self * VerifierInterval(c)
     def within(self, bound): return -bound <= self.lo and self.hi <= bound
-    def clipped(self, bound): return Interval(max(self.lo, -bound), min(self.hi, bound))
+    def clipped(self, bound): return VerifierInterval(max(self.lo, -bound), min(self.hi, bound))
     def middle(self):
         """Where a cover cuts: where an end is infinite at 0, or twice as far out."""
         if self.hi < INF:
@@ -68,57 +68,56 @@ class Interval:
         return max(2 * self.lo, Q(1)) if self.lo > -INF else Q(0)
     def power(self, n):
         if n.denominator == 2:
-            return Interval(root(self.lo).lo, root(self.hi).hi).power(2 * n)
+            return VerifierInterval(root(self.lo).lo, root(self.hi).hi).power(2 * n)
         if n.denominator > 2:
             return (self.log().scaled(n)).exp()
         need(n >= 0 or not self.lo <= 0 <= self.hi, "a division by an interval around 0", Undefined)
-        if n < 0:
-            return Interval(1 / self.hi, 1 / self.lo).power(-n)
+        if n < 0: return VerifierInterval(1 / self.hi, 1 / self.lo).power(-n)
         ends = sorted((self.lo**n, self.hi**n))
-        return Interval(0 if n and n % 2 == 0 and self.lo < 0 < self.hi else ends[0], ends[1])
-    def exp(self): return Interval(exp(self.lo).lo, exp(self.hi).hi)
-    def log(self): return Interval(log(self.lo).lo, log(self.hi).hi)
-    def atan(self): return Interval(atan(self.lo).lo, atan(self.hi).hi)
-    def tanh(self): return Interval(1) + (self.scaled(2).exp() + Interval(1)).power(Q(-1)).scaled(-2)
+        return VerifierInterval(0 if n and n % 2 == 0 and self.lo < 0 < self.hi else ends[0], ends[1])
+    def exp(self): return VerifierInterval(exp(self.lo).lo, exp(self.hi).hi)
+    def log(self): return VerifierInterval(log(self.lo).lo, log(self.hi).hi)
+    def atan(self): return VerifierInterval(atan(self.lo).lo, atan(self.hi).hi)
+    def tanh(self): return VerifierInterval(1) + (self.scaled(2).exp() + VerifierInterval(1)).power(Q(-1)).scaled(-2)
     def sin(self, quarters=0):
         """sin(x + quarters pi/2): the value in the middle, and the slope 1."""
         if self.lo == self.hi == 0 or self.hi - self.lo > 7:
-            return Interval(quarters) if self.lo == self.hi else Interval(-1, 1)
+            return VerifierInterval(quarters) if self.lo == self.hi else VerifierInterval(-1, 1)
         middle, half = (self.lo + self.hi) / 2 + quarters * PI / 2, (self.hi - self.lo) / 2
         k = round(middle / PI)
         y, total = rounded(middle - k * PI), Q(0)
         term = -y if k % 2 else y
         for i in range(1, 36, 2):
             total, term = total + term, rounded(-term * y * y / ((i + 1) * (i + 2)))
-        return Interval(total, slack=half + Q(abs(k) + 2, 2**70)).clipped(Q(1))
+        return VerifierInterval(total, slack=half + Q(abs(k) + 2, 2**70)).clipped(Q(1))
 def root(x):
     need(x >= 0, "a root of what may be negative", Undefined)
-    if x == INF:
-        return Interval(BIG, INF)
+    if x == INF: return VerifierInterval(BIG, INF)
     shift = max(0, BITS - (x.numerator.bit_length() - x.denominator.bit_length()) // 2)
     low = Q(math.isqrt((x.numerator << 2 * shift) // x.denominator), 1 << shift)
-    return Interval(low, low if low * low == x else low + Q(1, 1 << shift))
+    return VerifierInterval(low, low if low * low == x else low + Q(1, 1 << shift))
 def digits(x): return CONTEXT.divide(decimal.Decimal(x.numerator), decimal.Decimal(x.denominator))
 def exp(x):  # Python rounds exp and ln of decimals correctly; exp(700) > BIG
     if abs(x) > 700:
-        return Interval(BIG, INF) if x > 0 else Interval(0, 1 / BIG)
+        return VerifierInterval(BIG, INF) if x > 0 else VerifierInterval(0, 1 / BIG)
     value = Q(CONTEXT.exp(digits(x)))
-    return Interval(value, slack=value / 2**150 if x else 0)
+    return VerifierInterval(value, slack=value / 2**150 if x else 0)
 def log(x):
     need(x >= 0, "a logarithm of what may be negative", Undefined)
-    return Interval(-INF, INF) if x in (0, INF) else Interval(Q(CONTEXT.ln(digits(x))), slack=Q(int(x != 1), 2**150))
+    return VerifierInterval(-INF, INF) if x in (0, INF) else VerifierInterval(
+        Q(CONTEXT.ln(digits(x))), slack=Q(int(x != 1), 2**150))
 def atan(x):
     """y + atan(e) where tan(y) is about x and e = (x cos y - sin y)/(cos y + x sin y)."""
-    x, y = max(-BIG, min(x, BIG)), Interval(Q(math.atan(x)))
-    e = (Interval(x) * y.sin(1) + -y.sin()) * (y.sin(1) + Interval(x) * y.sin()).power(Q(-1))
+    x, y = max(-BIG, min(x, BIG)), VerifierInterval(Q(math.atan(x)))
+    e = (VerifierInterval(x) * y.sin(1) + -y.sin()) * (y.sin(1) + VerifierInterval(x) * y.sin()).power(Q(-1))
     need(e.within(Q(1, 2**40)), "an arctangent that the machine gets wrong")
-    return y + Interval(e.lo, e.hi, slack=Q(int(x != 0), 2**110))
+    return y + VerifierInterval(e.lo, e.hi, slack=Q(int(x != 0), 2**110))
 FUNCTIONS = {  # f(x), f'(x), f''(x)
     "exp": lambda x: (x.exp(), x.exp(), x.exp()), "log": lambda x: (x.log(), x.power(Q(-1)), -x.power(Q(-2))),
     "sin": lambda x: (x.sin(), x.sin(1), -x.sin()), "cos": lambda x: (x.sin(1), -x.sin(), -x.sin(1)),
-    "tanh": lambda x: (t := x.tanh(), d := Interval(1) + -t.power(Q(2)), (t * d).scaled(-2)),
-    "atan": lambda x: (x.atan(), d := (Interval(1) + x.power(Q(2))).power(Q(-1)), ((x * d).clipped(HALF) * d).scaled(-2))}
-def length(row): return sum((x.power(Q(2)) for x in row), Interval(0)).power(HALF)
+    "tanh": lambda x: (t := x.tanh(), d := VerifierInterval(1) + -t.power(Q(2)), (t * d).scaled(-2)),
+    "atan": lambda x: (x.atan(), d := (VerifierInterval(1) + x.power(Q(2))).power(Q(-1)), ((x * d).clipped(HALF) * d).scaled(-2))}
+def length(row): return sum((x.power(Q(2)) for x in row), VerifierInterval(0)).power(HALF)
 # -- graphs
 def run(graph, inputs, const, apply):
     """The outputs in an algebra with + and *; ``apply(op, u, w)`` does the other operations, w the second argument."""
@@ -129,31 +128,31 @@ def run(graph, inputs, const, apply):
         nodes.append(inputs[i] if op == "in" else const(Q(i)) if op == "const" else nodes[i] + w if op == "add"
                      else nodes[i] * w if op == "mul" else apply(op, nodes[i], w))
     return [nodes[k] for k in graph["outputs"]]
-class Jet:
+class VerifierJet:
     """Value, gradient and Hessian on a box, in intervals; gradient and Hessian may be left out."""
     def __init__(self, v, g, H):
         self.v, self.g, self.H = v, g, H
     def __add__(self, o):
-        return Jet(self.v + o.v, [a + b for a, b in zip(self.g, o.g, strict=True)],
+        return VerifierJet(self.v + o.v, [a + b for a, b in zip(self.g, o.g, strict=True)],
                    [[a + b for a, b in zip(r, s, strict=True)] for r, s in zip(self.H, o.H, strict=True)])
     def __mul__(self, o):
         n, g = range(len(self.H)), [self.v * b + o.v * a for a, b in zip(self.g, o.g, strict=True)]
-        return Jet(self.v * o.v, g, [[self.v * o.H[i][j] + o.v * self.H[i][j] + self.g[i] * o.g[j] + self.g[j] * o.g[i]
+        return VerifierJet(self.v * o.v, g, [[self.v * o.H[i][j] + o.v * self.H[i][j] + self.g[i] * o.g[j] + self.g[j] * o.g[i]
                                       for j in n] for i in n])
     def chain(self, f, d, dd):
         n = range(len(self.H))
-        return Jet(f, [d * a for a in self.g], [[dd * self.g[i] * self.g[j] + d * self.H[i][j] for j in n] for i in n])
+        return VerifierJet(f, [d * a for a in self.g], [[dd * self.g[i] * self.g[j] + d * self.H[i][j] for j in n] for i in n])
     def larger(self, o):
         """fmax; where it is not settled the hull of both, without second derivatives."""
         if self.v.lo >= o.v.hi or o.v.lo >= self.v.hi:
             return self if self.v.lo >= o.v.hi else o
         need(not self.H, "a kink", Undefined)
-        g = [Interval(min(a.lo, b.lo), max(a.hi, b.hi)) for a, b in zip(self.g, o.g, strict=True)]
-        return Jet(Interval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
+        g = [VerifierInterval(min(a.lo, b.lo), max(a.hi, b.hi)) for a, b in zip(self.g, o.g, strict=True)]
+        return VerifierJet(VerifierInterval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
 def jets(graph, box, order=2, wrt=None):
     """The Jet of each output; derivatives up to ``order`` by the inputs ``wrt`` (None: all)."""
     own = list(range(len(graph["inputs"])) if wrt is None else wrt)
-    zero = [Interval(0)] * len(own) if order else []
+    zero = [VerifierInterval(0)] * len(own) if order else []
     flat = [zero] * len(own) if order > 1 else []
     def apply(op, u, w):
         if op in FUNCTIONS:
@@ -162,13 +161,13 @@ def jets(graph, box, order=2, wrt=None):
             first = u.v.power(w - 1).scaled(w) if order else None
             return u.chain(u.v.power(w), first, u.v.power(w - 2).scaled(w * (w - 1)) if order > 1 else None)
         return u.larger(w) if op == "fmax" else need(False, f"no operation {op}")
-    inputs = [Jet(x, [Interval(int(k == i)) for i in own] if order else [], flat) for k, x in enumerate(box)]
-    return run(graph, inputs, lambda c: Jet(Interval(c), zero, flat), apply)
+    inputs = [VerifierJet(x, [VerifierInterval(int(k == i)) for i in own] if order else [], flat) for k, x in enumerate(box)]
+    return run(graph, inputs, lambda c: VerifierJet(VerifierInterval(c), zero, flat), apply)
 def cover(tree, box, leaf):
     """Whether ``leaf`` holds on each part: a tree [coordinate, left, right] halves the box; anything else is a hint."""
     if isinstance(tree, list) and len(tree) == 3 and isinstance(tree[0], int):
         k, middle = tree[0], box[tree[0]].middle()
-        sides = Interval(box[k].lo, middle), Interval(middle, box[k].hi)
+        sides = VerifierInterval(box[k].lo, middle), VerifierInterval(middle, box[k].hi)
         return all(cover(part, [*box[:k], side, *box[k + 1 :]], leaf) for part, side in zip(tree[1:], sides, strict=True))
     return bool(leaf(box, tree))
 def interval_psd(H):
@@ -179,9 +178,8 @@ def interval_psd(H):
         [[H[i][i].lo - radii[i] if i == j else H[i][j].middle() for j in n] for i in n])
 def norm_below(J, K):
     """|J| <= K for an interval matrix: [K, J; J', K] is psd."""
-    if K == INF:
-        return True
-    m, n, k, zero = len(J), len(J[0]), Interval(K), Interval(0)
+    if K == INF: return True
+    m, n, k, zero = len(J), len(J[0]), VerifierInterval(K), VerifierInterval(0)
     rows = [[k if i == j else zero for j in range(m)] + J[i] for i in range(m)]
     return interval_psd(rows + [[J[i][j] for i in range(m)] + [k if j == l else zero for l in range(n)] for j in range(n)])
 # -- polynomials in the inputs 0, 1, ... and in atoms, {monomial: coefficient}
@@ -255,8 +253,7 @@ def bends(v, n, own, atoms):
     if v in own:
         return n % 2 == 0 or v in atoms.nonnegative
     op, u, *more = atoms.meaning[v]
-    if n > 1 and not positive(variable(v), atoms):
-        return False
+    if n > 1 and not positive(variable(v), atoms): return False
     if op == "pow" and more[0] == HALF:  # z^2 u(x/z) is a psd quadratic form, z the variable -1
         form = Poly({(*[(-1, k)] * (k > 0), *m): a for m, a in u.items() for k in [2 - sum(n for _, n in m)]})
         H = hessian(form, sorted({w for m in form for w, _ in m}), atoms)
@@ -265,17 +262,18 @@ def bends(v, n, own, atoms):
     return (powers or op in ("fmax", "exp")) and all(convex(part, own, atoms) for part in (u, *more) if isinstance(part, Poly))
 def positive(p, atoms):
     """Whether all terms are >= 0: even powers, and inputs and atoms that are."""
-    def sure(v):
+    def is_nonnegative(v):
         op, u, *more = atoms.meaning.get(v, ("in", None))
         return (v in atoms.nonnegative or op == "exp" or (op == "pow" and more[0].denominator > 1)
                 or (op == "fmax" and (u == -more[0] or positive(u, atoms) or positive(more[0], atoms))))
-    return all(a >= 0 and all(n % 2 == 0 or sure(v) for v, n in m) for m, a in p.items())
+    return all(a >= 0 and all(n % 2 == 0 or is_nonnegative(v) for v, n in m) for m, a in p.items())
 # -- statements: each proves one hypothesis of the model m; s has the numbers, the scope and the hints
 def box_of(names, s, *graphs):
     """The scope's intervals of some inputs, all numbers where it has none; 0 where no step of the graphs looks at one."""
     used = {step[1] for graph in graphs for step in graph.get("steps", ()) if step[0] == "in"} if graphs else range(len(names))
     own = {**((s["scope"] or {}).get("states") or {}), "t": (s["scope"] or {}).get("time")}
-    return [Interval(*(numbers(own.get(name)) or (-INF, INF))) if k in used else Interval(0) for k, name in enumerate(names)]
+    return [VerifierInterval(*(numbers(own.get(name)) or (-INF, INF))) if k in used else VerifierInterval(0)
+            for k, name in enumerate(names)]
 def on_cover(graph, s, tree, order, leaf, wrt=None):
     """``leaf(jets)`` on each part of the scope's box."""
     need(cover(tree, box_of(graph["inputs"], s, graph), lambda part, _: leaf(jets(graph, part, order, wrt))), "a bound fails")
@@ -303,9 +301,10 @@ class Shape:
     def in_time(self, leaf):
         """``leaf(|c'|, offset', offset)`` at all times of the scope."""
         if not self.atoms.inputs(*self.centre, self.offset):
-            return need(leaf(Interval(0), Interval(0), Interval(self.offset.number() or 0)), "a bound fails")
+            return need(leaf(VerifierInterval(0), VerifierInterval(0), VerifierInterval(self.offset.number() or 0)),
+                        "a bound fails")
         def part(box, _):
-            rest = [Interval(0)] * len(self.own)  # of an affine g the offset is its value where q = 0
+            rest = [VerifierInterval(0)] * len(self.own)  # of an affine g the offset is its value where q = 0
             found = [jets(g, (box + rest)[: len(g["inputs"])], 1, [0])[0] for g in [*self.hint["c"], self.hint["offset"]]]
             return leaf(length([j.g[0] for j in found[:-1]]), found[-1].g[0], found[-1].v)
         need(cover(self.hint.get("time"), box_of(["t"], self.s), part), "a bound fails at some time")
@@ -353,8 +352,8 @@ def qualified(m, s):
         if len(close) <= 1 or any(g.v.hi < 0 for _, g in found):
             return True
         d = dict(zip(names[1:], numbers(d), strict=True))
-        along = [sum((x.scaled(d[v]) for v, x in zip(own, slope, strict=True)), Interval(0)) for own, slope in close]
-        size = length([Interval(x) for x in d.values()])
+        along = [sum((x.scaled(d[v]) for v, x in zip(own, slope, strict=True)), VerifierInterval(0)) for own, slope in close]
+        size = length([VerifierInterval(x) for x in d.values()])
         return all(x.lo * gamma >= (length(slope) * size).hi for x, (_, slope) in zip(along, close, strict=True))
     graphs = [c["graph"] for c in m["constraints"]]
     used = {"steps": [["in", names.index(g["inputs"][k])] for g in graphs for op, k, *_ in g.get("steps", ()) if op == "in"]}
@@ -366,16 +365,16 @@ def velocity(m, s):
         rate = length([x.g[0] for x in j]).hi
         return length([x.v for x in j]).hi <= L * (1 + far) and rate <= value.get("L_t", rate)
     if all(found):
-        need(norm_below([[Interval(x) for x in row] for row, _ in found], K) and L >= K, "K_f")
-        time = box_of(["t"], s) if atoms.inputs(*(rest for _, rest in found)) else [Interval(0)]
-        part = lambda box, _: small(jets(f, box + [Interval(0)] * len(own), 1, [0]))  # noqa: E731
+        need(norm_below([[VerifierInterval(x) for x in row] for row, _ in found], K) and L >= K, "K_f")
+        time = box_of(["t"], s) if atoms.inputs(*(rest for _, rest in found)) else [VerifierInterval(0)]
+        part = lambda box, _: small(jets(f, box + [VerifierInterval(0)] * len(own), 1, [0]))  # noqa: E731
         return need(cover(s["proof"].get("time"), time, part), "L_f or L_t")
     part = lambda box, _: small(j := jets(f, box, 1), length(box[1:]).lo) and norm_below([x.g[1:] for x in j], K)  # noqa: E731
     need(cover(s["proof"]["cover"], box_of(f["inputs"], s, f), part), "K_f, L_f or L_t")
 def start(m, s):
     q0 = dict(zip(m["f"]["inputs"][1:], numbers(m["q0"]), strict=True))
     for c in m["constraints"]:
-        (g,) = jets(c["graph"], [Interval(0), *(Interval(q0[name]) for name in c["graph"]["inputs"][1:])], 0)
+        (g,) = jets(c["graph"], [VerifierInterval(0), *(VerifierInterval(q0[name]) for name in c["graph"]["inputs"][1:])], 0)
         need(g.v.lo >= 0, "g < 0 at the start, or too near to 0")
 def law(m):  # (lower, upper) of each multiplier of a Lur'e system
     need(m["law"] and all(block["kind"] == "box" for block in m["law"]), "a law that is no box", NotCheckable)
@@ -396,7 +395,7 @@ def everything(m):
     """Whether the range of D + dXi is the whole space: D + D' > 0, K bounded, or a convex potential that is finite."""
     if m["phi"]:
         convex_phi = convex(*(atoms := Atoms()).read(m["phi"]), range(len(m["D"])), atoms)
-        return convex_phi and jets(m["phi"], [Interval(-INF, INF)] * len(m["D"]), 0)
+        return convex_phi and jets(m["phi"], [VerifierInterval(-INF, INF)] * len(m["D"]), 0)
     return psd(numbers(m["D"]), True) or bounded(m)
 def convex_ranges(m, s):  # 5.4b; of a potential of one variable the domain of dXi is an interval
     polyhedral = m["law"] and all(block["kind"] in ("box", "polyhedron") for block in m["law"])
@@ -413,13 +412,14 @@ def in_range(m, s, x=None):
         need(low < k < high and (free == 3 or (free == 1 and y > 0) or (free == 2 and y < 0)), "k or y is not inside")
 def at_rest(m, s):
     in_range(m, s, [Q(0)] * len(m["x0"]))
-    zero = all(x.v.lo == 0 == x.v.hi for x in jets(m["A"], [Interval(0)] * len(m["x0"]), 0)) and not any(Atoms().read(m["f"]))
+    zero = all(x.v.lo == 0 == x.v.hi for x in jets(m["A"], [VerifierInterval(0)] * len(m["x0"]), 0)) and not any(
+        Atoms().read(m["f"]))
     need(zero and "e" not in m and all(a <= 0 <= b for a, b in law(m)), "A(0), f or e is not 0, or 0 is not in K")
 def form_below(J, P, L):
     """P J + J'P <= 2 L P for an interval matrix J."""
     n = range(len(P))
-    PJ = [[sum((J[k][b].scaled(P[a][k]) for k in n), Interval(0)) for b in n] for a in n]
-    return interval_psd([[Interval(2 * L * P[a][b]) + -PJ[a][b] + -PJ[b][a] for b in n] for a in n])
+    PJ = [[sum((J[k][b].scaled(P[a][k]) for k in n), VerifierInterval(0)) for b in n] for a in n]
+    return interval_psd([[VerifierInterval(2 * L * P[a][b]) + -PJ[a][b] + -PJ[b][a] for b in n] for a in n])
 def one_sided(V, P, L, atoms):
     """<V(x) - V(y), P (x - y)> <= L <x - y, P (x - y)> of an affine V."""
     rows = [affine(p, list(range(len(P))), atoms) for p in V]
@@ -466,7 +466,7 @@ def set_with_interior(m, s, origin=False):
     """C is convex, and a point is inside; or 0 is in C."""
     atoms, n = Atoms(), list(range(len(m["C"]["inputs"])))
     need(all(convex(-p, n, atoms) for p in atoms.read(m["C"])), "a row is not concave by the rules")
-    point = [Interval(x) for x in ([0] * len(n) if origin else numbers(s["proof"]["interior"]))]
+    point = [VerifierInterval(x) for x in ([0] * len(n) if origin else numbers(s["proof"]["interior"]))]
     need(all(g.v.lo > 0 or (origin and g.v.lo == 0) for g in jets(m["C"], point, 0)), "the point is not inside")
 def smooth(m, s, names="F", order=0):
     """Operations that are continuous (or twice differentiable) everywhere, else values (or Hessians) on a cover."""
@@ -479,7 +479,7 @@ def linear_growth(m, s):
     V, switches = selection(m, atoms := Atoms())
     rows = [affine(p, list(range(len(V))), atoms) for p in V]
     need(all(row and row[1].number() is not None for row in rows) and len(switches) <= 12, "F or S is not affine", NotCheckable)
-    need(norm_below([[Interval(x) for x in row] for row, _ in rows], Q(s["value"]["a_2"])), "a_2")
+    need(norm_below([[VerifierInterval(x) for x in row] for row, _ in rows], Q(s["value"]["a_2"])), "a_2")
     for signs in product((-1, 1), repeat=len(switches)):
         lw = [(e * w, a) for e, (w, a, _) in zip(signs, switches, strict=True)]
         v = [b.number() + sum(w * a[i] for w, a in lw) for i, (_, b) in enumerate(rows)]
@@ -510,11 +510,11 @@ def leftover(p, atoms):  # without the terms that are no polynomials and convex 
 def friction(m, s):
     """theta'(0) >= 0, theta is C1 and theta'' >= 0 for s >= 0: by its Hessian on a cover, or but for convex terms as squares."""
     for graph, hint in zip(m["theta"], s["proof"]["theta"], strict=True):
-        atoms, line = Atoms(), [Interval(0, INF)]
+        atoms, line = Atoms(), [VerifierInterval(0, INF)]
         (p,), atoms.nonnegative = atoms.read(graph), {0}
         need(all(op != "fmax" for op, *_ in graph["steps"]), "a kink of theta", NotCheckable)
         need(cover(hint["slope"], line, lambda box, _, g=graph: jets(g, box, 1)), "theta is not C1")
-        need(jets(graph, [Interval(0)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")
+        need(jets(graph, [VerifierInterval(0)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")
         if "cover" in hint:
             need(cover(hint["cover"], line, lambda box, _, g=graph: jets(g, box)[0].H[0][0].lo >= 0), "theta'' < 0")
             continue
@@ -529,13 +529,13 @@ def potential(m, s):
     curved(m["g"], s, hint, n, atoms)
     if "mu" not in hint:
         return need(positive(p + constant(-bound) + -squares(hint["bound"]), atoms), "inf g")
-    mu, (g,) = Q(hint["mu"]), jets(m["g"], [Interval(x) for x in numbers(hint["least"])], 1)
+    mu, (g,) = Q(hint["mu"]), jets(m["g"], [VerifierInterval(x) for x in numbers(hint["least"])], 1)
     need(mu > 0 and convex(sum((variable(i) * variable(i, -mu / 2) for i in n), p), n, atoms), "g - mu |x|^2/2 is not convex")
     need(g.v.lo - length(g.g).hi ** 2 / (2 * mu) >= bound, "inf g")
 def dry(m, s):
     total = eye(len(m["g"]["inputs"]), -(Q(s["value"]["radius of A(0)"]) ** 2))
     for graph, H in zip(m["theta"], numbers(m["H"]), strict=True):
-        total = plus(total, times(transpose(H), H), max(jets(graph, [Interval(0)], 1)[0].g[0].lo, Q(0)) ** 2)
+        total = plus(total, times(transpose(H), H), max(jets(graph, [VerifierInterval(0)], 1)[0].g[0].lo, Q(0)) ** 2)
     need(psd(total) and Q(s["value"]["radius of A(0)"]) > 0, "the radius")
 def step(m, s):
     """1 - s X is regular for 0 <= s <= h, X = M^-1 (theta f_x + gamma g_x), as <v, X v> < |v|^2 / h."""
@@ -544,9 +544,9 @@ def step(m, s):
     need(times(numbers(m["M"]), inverse) == eye(n) and h >= max(numbers(m["steps"])), "M^-1 is another, or h not the step")
     theta, gamma = Q(m["theta"]), Q(m["gamma"])
     def part(box, _):
-        F, G = ([[Interval(x) for x in row] for row, _ in found] if all(found) else
+        F, G = ([[VerifierInterval(x) for x in row] for row, _ in found] if all(found) else
                 [j.g for j in jets(m[name], box, 1, range(1, n + 1))] for name, found in zip("fg", rows, strict=True))
-        X = [[sum((F[l][k].scaled(theta * row[l]) + G[l][k].scaled(gamma * row[l]) for l in range(n)), Interval(0))
+        X = [[sum((F[l][k].scaled(theta * row[l]) + G[l][k].scaled(gamma * row[l]) for l in range(n)), VerifierInterval(0))
               for k in range(n)] for row in inverse]
         return form_below(X, eye(n), (1 - Q(1, 2**30)) / h)
     need(cover(s["proof"]["cover"], box_of(m["f"]["inputs"], s, m["f"], m["g"]), part), "the bound fails on a part")

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel.certificate import verify
-from nsmodel.certificate.data import Subject, subject_of
-from nsmodel.certificate.graph import NoProgram, text
-from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, value_of
+from nsmodel.certificate.data import CertificateSubject, certificate_subject
+from nsmodel.certificate.graph import UnsupportedOperation, exact_number_text
+from nsmodel.certificate.hints import ROUNDING_ALLOWANCES, CoverTooLarge, UnprovedFinding, stated_values, verify_with_covers
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding
-from nsmodel.hypotheses.moving_law import standing
+from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, Finding
+from nsmodel.hypotheses.moving_law import freeze_law
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Scope
-from nsmodel.storage import replacing
+from nsmodel.storage import replace_atomically
 
-FORMAT = 2
+CERTIFICATE_FORMAT = 2
 
 
 def certificate_of(report: Report) -> dict[str, Any]:
@@ -32,43 +32,43 @@ def certificate_of(report: Report) -> dict[str, Any]:
     Raises:
         UsageError: a model with inputs, or with a law that moves.
     """
-    report.model.refuse("certificate")
-    if standing(report.model) is not report.model:
+    report.model.check_allowed("certificate")
+    if freeze_law(report.model) is not report.model:
         raise UsageError("certificate: the law moves with time; a certificate says nothing of laws that move")
-    found: dict[str, Any] = {"format": FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
+    found: dict[str, Any] = {"format": CERTIFICATE_FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
-    reason, subject = "", Subject(report.model, {})
+    reason, subject = "", CertificateSubject(report.model, {})
     try:
-        subject = subject_of(report.model, findings)
-    except Unproved as why:
+        subject = certificate_subject(report.model, findings)
+    except UnprovedFinding as why:
         reason = str(why)
     found["model"] = subject.data
     found["hash"] = verify.digest(found["model"])
     for finding in report.findings:
-        if finding.verdict == HOLDS and not finding.id.startswith(ALONG_A_RUN):
-            found["statements"].append(_statement(subject, finding, findings, reason))
+        if finding.verdict == HOLDS and not finding.id.startswith(RUN_FINDING_PREFIX):
+            found["statements"].append(_prove_statement(subject, finding, findings, reason))
     return found
 
 
-def _statement(subject: Subject, finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
+def _prove_statement(subject: CertificateSubject, finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
     part = class_of(subject.model).part("certificate")
     stated = part.STATED.get(finding.id, ())
     statement: dict[str, Any] = {
-        "id": finding.id, "statement": finding.statement, "source": finding.source, "value": value_of(finding, stated),
-        "scope": None if finding.scope is None else _scope(finding.scope, subject.box), "proof": None,
+        "id": finding.id, "statement": finding.statement, "source": finding.source, "value": stated_values(finding, stated),
+        "scope": None if finding.scope is None else _scope_data(finding.scope, subject.box), "proof": None,
     }  # fmt: skip
-    for room in ROOMS if not reason else ():
-        value = value_of(finding, stated, room)
+    for room in ROUNDING_ALLOWANCES if not reason else ():
+        value = stated_values(finding, stated, room)
         try:
             proofs = part.proofs(subject.model, subject.data, finding, findings, value, room)
-        except (Unproved, NoProgram, verify.NotCheckable) as why:
+        except (UnprovedFinding, UnsupportedOperation, verify.NotCheckable) as why:
             reason = str(why)
             break
         for proof in proofs:
             proved = statement | {"value": value, "proof": proof}
             try:
-                answer = covered(subject.data, proved)
-            except TooManyParts as why:
+                answer = verify_with_covers(subject.data, proved)
+            except CoverTooLarge as why:
                 reason = str(why)
                 continue
             if answer == "yes":
@@ -77,12 +77,12 @@ def _statement(subject: Subject, finding: Finding, findings: dict[str, Finding],
     return statement | {"why": reason}
 
 
-def _scope(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def _scope_data(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """The scope; what lies on a box of states has the box of the other inputs too."""
     states = {**box, **scope.states} if scope.states else {}
     return {
-        "states": {name: [text(end) for end in ends] for name, ends in states.items()} or None,
-        "time": None if scope.time is None else [text(end) for end in scope.time],
+        "states": {name: [exact_number_text(end) for end in ends] for name, ends in states.items()} or None,
+        "time": None if scope.time is None else [exact_number_text(end) for end in scope.time],
     }
 
 
@@ -102,8 +102,8 @@ def write_certificate(report: Report, folder: str | Path) -> tuple[Path, int, in
         raise UsageError(f"certificate: {target} cannot be made a folder ({error.strerror})") from error
     certificate = certificate_of(report)
     path = target / "certificate.json"
-    with replacing(path) as beside:
-        beside.write_text(json.dumps(certificate, indent=1) + "\n", encoding="utf-8")
+    with replace_atomically(path) as temporary:
+        temporary.write_text(json.dumps(certificate, indent=1) + "\n", encoding="utf-8")
     shutil.copyfile(verify.__file__, target / "verify.py")
     left = sum(statement["proof"] is None for statement in certificate["statements"])
     return path, len(certificate["statements"]) - left, left

@@ -35,7 +35,7 @@ class ModelClass:
 
     def optional(self, name: str) -> ModuleType | None:
         """A module that not every class has."""
-        return self.part(name) if _is_there(f"nsmodel.classes.{self.folder}.{name}") else None
+        return self.part(name) if _module_exists(f"nsmodel.classes.{self.folder}.{name}") else None
 
     def scheme(self, name: str) -> ModuleType:
         """The module of a scheme, one of the type's ``schemes``."""
@@ -43,7 +43,7 @@ class ModelClass:
 
 
 @cache
-def _is_there(module: str) -> bool:
+def _module_exists(module: str) -> bool:
     return find_spec(module) is not None
 
 

@@ -23,15 +23,15 @@ def in_units(model: Model, u: float, tau: float) -> Model:
     (u/tau)^2 times, theta u^2/tau^3, a potential in l ∈ -dPhi(y) u^2, the phi of an inclusion u^2/tau. Inputs, and what
     blocks hold, keep their values; edges and ticks move.
     """
-    common = {"t": model.t, "names": model.names, "title": model.title, "scheme": model.scheme, **_grid(model, tau)}
-    other = class_of(model).part("units").in_units(model, u, tau, common | {"inputs": _signals(model, tau)})
+    common = {"t": model.t, "names": model.names, "title": model.title, "scheme": model.scheme, **_scaled_time_grid(model, tau)}
+    other = class_of(model).part("units").in_units(model, u, tau, common | {"inputs": _scaled_signals(model, tau)})
     l = getattr(model, "lam", ca.SX(0, 1))
     own = (model.t, model.t / tau), (model.state, model.state / u), (l, l / u)
-    other._set(blocks=tuple(block.in_units(tau, lambda read: at(read, *own)) for block in model.blocks))
+    other._set(blocks=tuple(block.in_units(tau, lambda read: substitute_pairs(read, *own)) for block in model.blocks))
     return other
 
 
-def potential(phi: ConvexSplit) -> ca.SX:
+def potential_expression(phi: ConvexSplit) -> ca.SX:
     """The finite part of a split potential as one expression; nothing in it may be nested."""
     sizes = {
         "abs": lambda u: ca.sum1(ca.fabs(u)), "max": lambda u: ca.sum1(ca.fmax(u, 0)), "norm": ca.norm_2,
@@ -39,20 +39,20 @@ def potential(phi: ConvexSplit) -> ca.SX:
     return phi.smooth + sum((term.weight * sizes[term.kind](term.u) for term in phi.terms if term.kind in sizes), ca.SX(0))
 
 
-def at(expression: Any, *pairs: tuple[ca.SX, ca.SX]) -> ca.SX:
+def substitute_pairs(expression: Any, *pairs: tuple[ca.SX, ca.SX]) -> ca.SX:
     """The expression with (symbol, what stands in its place) put in."""
     old, new = zip(*pairs, strict=True)
     return ca.substitute([ca.SX(expression)], list(old), list(new))[0]
 
 
-def _grid(model: Model, tau: float) -> dict[str, Any]:
+def _scaled_time_grid(model: Model, tau: float) -> dict[str, Any]:
     edges = {"switch_times": [tau * time for time in model.switch_times]}
     if model.steps is not None:
         return {"steps": tau * np.asarray(model.steps)} | edges
     return {"step": None if model.step is None else tau * model.step, "t_end": tau * model.t_end} | edges
 
 
-def _signals(model: Model, tau: float) -> dict[ca.SX, Any]:
+def _scaled_signals(model: Model, tau: float) -> dict[ca.SX, Any]:
     """What drives the symbols of each input; blocks among them, which follow."""
     ends = np.cumsum([0, *map(len, model.input_groups.values())])
     entries = (model.u[int(a) : int(b)] for a, b in pairwise(ends))

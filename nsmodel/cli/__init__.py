@@ -8,13 +8,13 @@ import sys
 from collections.abc import Sequence
 
 from nsmodel.cli import cases, check, codegen, completion, new, run, stress, study, sweep, view
-from nsmodel.cli.output import apart
-from nsmodel.cli.parser import Parser
-from nsmodel.cli.signals import by_signal, signals
-from nsmodel.cli.status import DONE, refused, silenced
+from nsmodel.cli.output import reserve_stdout
+from nsmodel.cli.parser import CommandParser
+from nsmodel.cli.signals import handled_signals, signal_exit_status
+from nsmodel.cli.status import EXIT_DONE, close_stdout, report_refusal
 from nsmodel.errors import NsmodelError
 from nsmodel.version import VERSION
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -26,23 +26,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
     arguments = _parser().parse_args(argv)
-    status = DONE
+    status = EXIT_DONE
     try:
-        with signals(), apart(arguments):
+        with handled_signals(), reserve_stdout(arguments):
             status = arguments.command(arguments)
             arguments.stdout.flush()
             return status
     except NsmodelError as error:
-        return refused(error)
+        return report_refusal(error)
     except KeyboardInterrupt as stop:
         print("nsmodel: interrupted", file=sys.stderr)
-        return by_signal(stop)
+        return signal_exit_status(stop)
     except OSError as error:
-        return max(status, silenced(error))
+        return max(status, close_stdout(error))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = CommandParser(
         prog="nsmodel",
         description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "

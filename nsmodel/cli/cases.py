@@ -12,9 +12,9 @@ from typing import Any
 from nsmodel import shelf
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands
-from nsmodel.cli.status import DONE
+from nsmodel.cli.status import EXIT_DONE
 from nsmodel.shelf import TOPICS, Case
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
 def add(commands: Commands) -> None:
@@ -23,33 +23,33 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("cases", help="list the cases that come with nsmodel", description=about)
     parser.add_argument("name", metavar="CASE", nargs="?", help="the case to describe, or a topic to list (default: list all)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
-    parser.set_defaults(command=_cases)
+    parser.set_defaults(command=_print_cases)
 
 
-def _cases(arguments: argparse.Namespace) -> int:
+def _print_cases(arguments: argparse.Namespace) -> int:
     """Print all cases, or one."""
     if arguments.name is None or arguments.name in TOPICS:
-        found = [case for case in shelf.cases() if arguments.name in (None, case.topic)]
-        document: Any = [_document(case) for case in found]
-        text = _listed(found)
+        found = [case for case in shelf.all_cases() if arguments.name in (None, case.topic)]
+        document: Any = [_case_document(case) for case in found]
+        text = _list_by_topic(found)
     else:
-        case = shelf.case(arguments.name)
-        document, text = _document(case), _described(case)
+        case = shelf.find_case(arguments.name)
+        document, text = _case_document(case), _describe_case(case)
     if arguments.json:
         print_json(arguments, document)
     else:
         print(text)
-    return DONE
+    return EXIT_DONE
 
 
-def _document(case: Case) -> dict[str, str]:
+def _case_document(case: Case) -> dict[str, str]:
     return asdict(case) | {"path": str(case.path)}
 
 
-def _listed(cases: Sequence[Case]) -> str:
+def _list_by_topic(cases: Sequence[Case]) -> str:
     """A line a case under its topic, cut to the terminal's width; those without a topic come last."""
     width = max(len(case.name) for case in cases) + 4
-    room = max(20, _columns() - width)
+    room = max(20, _terminal_width() - width)
     blocks = []
     for topic in dict.fromkeys([*TOPICS, *(case.topic for case in cases if case.topic), ""]):
         titles = {case.name: textwrap.shorten(case.title, room, placeholder=" ...") for case in cases if case.topic == topic}
@@ -59,20 +59,20 @@ def _listed(cases: Sequence[Case]) -> str:
     return "\n\n".join([*blocks, "one of them: nsmodel cases CASE, nsmodel run CASE, nsmodel new NAME --like CASE"])
 
 
-def _described(case: Case) -> str:
+def _describe_case(case: Case) -> str:
     """The case's own words, its file, and what to type next."""
     labels = {"What to see": case.see, "A wrong answer": case.wrong, "Source": case.source, "Topic": case.topic}
     labelled = [f"{label}: {text}" for label, text in labels.items() if text]
     parts = [f"{case.name}: {case.title}", *case.story.split("\n\n"), *labelled]
     parts.append(f"    {case.path}\n\n    nsmodel run {case.name} --plot\n    nsmodel new my_{case.name} --like {case.name}")
-    return "\n\n".join(_filled(part) for part in parts if part)
+    return "\n\n".join(_fill_paragraph(part) for part in parts if part)
 
 
-def _filled(text: str) -> str:
+def _fill_paragraph(text: str) -> str:
     """A paragraph in lines as long as the terminal's, 100 characters at most; one that is set in, a formula, as it stands."""
-    return text if text.startswith("    ") else textwrap.fill(" ".join(text.split()), min(_columns(), 100))
+    return text if text.startswith("    ") else textwrap.fill(" ".join(text.split()), min(_terminal_width(), 100))
 
 
-def _columns() -> int:
+def _terminal_width() -> int:
     """The width of the terminal; 120 where there is none."""
     return shutil.get_terminal_size((120, 24)).columns

@@ -6,14 +6,14 @@ import argparse
 from pathlib import Path
 
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_files, add_set, by_name, load, place, setting
-from nsmodel.cli.status import AT_FAULT, DONE, refused
+from nsmodel.cli.settings import Commands, add_files, add_set, load_model, output_path, parse_setting, unique_by_name
+from nsmodel.cli.status import EXIT_AT_FAULT, EXIT_DONE, report_refusal
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.signals import Within, within
 from nsmodel.storage import write_text
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 BOUND_OPTIONS = ("rate", "start")
 
@@ -43,18 +43,20 @@ def add(commands: Commands) -> None:
     parser.add_argument("--quick", action="store_true", help="skip runs and global searches")
     parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    parser.add_argument("--markdown", type=place, metavar="PATH", help="also write the report as Markdown, with the equations")
-    parser.add_argument("--html", type=place, metavar="PAGE", help="also write the report as a page for a browser")
+    parser.add_argument(
+        "--markdown", type=output_path, metavar="PATH", help="also write the report as Markdown, with the equations"
+    )
+    parser.add_argument("--html", type=output_path, metavar="PAGE", help="also write the report as a page for a browser")
     parser.add_argument(
         "--certificate",
-        type=place,
+        type=output_path,
         metavar="DIR",
         help="also write what proves each hypothesis that holds, and a program that verifies it",
     )
-    parser.set_defaults(command=_check)
+    parser.set_defaults(command=_run_check)
 
 
-def _check(arguments: argparse.Namespace) -> int:
+def _run_check(arguments: argparse.Namespace) -> int:
     """Check each file; several end in a line a file. The status is that of the worst."""
     from nsmodel.checking import check
 
@@ -62,10 +64,10 @@ def _check(arguments: argparse.Namespace) -> int:
     for option in ("markdown", "html", "certificate"):
         if several and getattr(arguments, option):
             raise UsageError(f"--{option} takes one model file; check them one by one")
-    region = by_name((_interval("--region", one, "q_0=-2:2") for one in arguments.region), "--region")
-    boxes = by_name((_interval("--parameters", one, "mu=0.1:0.5") for one in arguments.parameters), "--parameters")
-    bounds = by_name(map(_bound, arguments.bound), "--bound")
-    if twice := set(boxes) & set(by_name(map(setting, arguments.set), "--set")):
+    region = unique_by_name((_parse_interval("--region", one, "q_0=-2:2") for one in arguments.region), "--region")
+    boxes = unique_by_name((_parse_interval("--parameters", one, "mu=0.1:0.5") for one in arguments.parameters), "--parameters")
+    bounds = unique_by_name(map(_parse_bound, arguments.bound), "--bound")
+    if twice := set(boxes) & set(unique_by_name(map(parse_setting, arguments.set), "--set")):
         raise UsageError(f"'{min(twice)}' is given with --set and with --parameters; keep one")
     if boxes and arguments.certificate:
         raise UsageError("--certificate: certificates are of numbers; give the parameters values with --set")
@@ -73,21 +75,21 @@ def _check(arguments: argparse.Namespace) -> int:
     documents = []
     for file in arguments.files:
         try:
-            model, values = load(file, arguments.set)
+            model, values = load_model(file, arguments.set)
             if arguments.certificate:
-                model.refuse("--certificate")
+                model.check_allowed("--certificate")
             report = check(model, parameters={**values, **boxes}, region=region, bounds=bounds, quick=arguments.quick)
         except NsmodelError as error:
-            reports.append((file, None, refused(error)))
+            reports.append((file, None, report_refusal(error)))
             documents.append({"file": file, "status": "refused", "message": str(error)})
             continue
         at_fault = arguments.strict and report.having(VIOLATED)
-        reports.append((file, report, AT_FAULT if at_fault else DONE))
+        reports.append((file, report, EXIT_AT_FAULT if at_fault else EXIT_DONE))
         documents.append({"file": file, **report.document()} if arguments.json else {})
         if not arguments.json:
             print(report.text(), end="\n\n" if several else "\n")
     if reports[0][1] is not None:
-        _write(reports[0][1], arguments)
+        _write_report(reports[0][1], arguments)
     if arguments.json:
         print_json(arguments, documents if several else documents[0])
     elif several:
@@ -97,19 +99,19 @@ def _check(arguments: argparse.Namespace) -> int:
     return max(status for *_, status in reports)
 
 
-def _write(report: Report, arguments: argparse.Namespace) -> None:
+def _write_report(report: Report, arguments: argparse.Namespace) -> None:
     """Write what was asked for of a report."""
     if arguments.markdown:
         write_text(Path(arguments.markdown), report.markdown())
     if arguments.html:
         report.view(arguments.html)
     if arguments.certificate:
-        _certify(report, arguments.certificate, quiet=arguments.json)
+        _save_certificate(report, arguments.certificate, silenced=arguments.json)
     if arguments.html and not arguments.json:
         print(f"\npage  {arguments.html}")
 
 
-def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:
+def _parse_interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:
     name, equals, text = setting.partition("=")
     low, colon, high = text.partition(":")
     try:
@@ -120,9 +122,9 @@ def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float
         raise UsageError(f"{option} {setting}: expected NAME=LOW:HIGH, for example {option} {example}") from None
 
 
-def _bound(setting: str) -> tuple[str, Within]:
+def _parse_bound(setting: str) -> tuple[str, Within]:
     interval, *options = setting.split(",")
-    name, (low, high) = _interval("--bound", interval, "u=-1:1")
+    name, (low, high) = _parse_interval("--bound", interval, "u=-1:1")
     given: dict[str, float] = {}
     for option in options:
         key, _, text = option.partition("=")
@@ -138,10 +140,10 @@ def _bound(setting: str) -> tuple[str, Within]:
         raise UsageError(f"--bound {setting}: {error}") from None
 
 
-def _certify(report: Report, folder: str, quiet: bool) -> None:
+def _save_certificate(report: Report, folder: str, silenced: bool) -> None:
     from nsmodel.certificate.write import write_certificate
 
     path, proved, left = write_certificate(report, folder)
-    if not quiet:
+    if not silenced:
         more = f", {left} of them not checkable: each says why" if left else ""
         print(f"\ncertificate  {path}: {proved + left} statements{more}\n             python {path.parent / 'verify.py'} {path}")

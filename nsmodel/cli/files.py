@@ -9,10 +9,10 @@ from pathlib import Path
 from nsmodel.errors import PlotError, UsageError
 from nsmodel.model.base import Model
 from nsmodel.trajectory import Trajectory
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
-def window_of(text: str | None) -> tuple[float | None, float | None] | None:
+def parse_window(text: str | None) -> tuple[float | None, float | None] | None:
     """What --window says."""
     if text is None:
         return None
@@ -26,20 +26,20 @@ def window_of(text: str | None) -> tuple[float | None, float | None] | None:
     return begin, end
 
 
-def refuse_late(text: str | None, t_end: float | None) -> None:
+def check_window_start(text: str | None, t_end: float | None) -> None:
     """Refuse a window that begins where the run is over, before it is run."""
-    window = window_of(text)
+    window = parse_window(text)
     if window is not None and window[0] is not None and t_end is not None and window[0] >= t_end:
         raise UsageError(f"--window {text} begins after the run, which ends at t = {t_end:g}")
 
 
-def refuse_film(path: str | None, model: Model) -> None:
+def check_film_possible(path: str | None, model: Model) -> None:
     """Refuse a film of what has no discs, before it is run."""
     if path:
-        from nsmodel.plot.crowd import scene_of
+        from nsmodel.plot.crowd import check_disc_scene
 
         try:
-            scene_of(getattr(model, "scene", None), len(model.names))
+            check_disc_scene(getattr(model, "scene", None), len(model.names))
         except PlotError:
             raise UsageError(
                 "--film shows bodies in the plane, and this model has no scene of discs; --plot writes pictures, --html a page "
@@ -47,7 +47,7 @@ def refuse_film(path: str | None, model: Model) -> None:
             ) from None
 
 
-def written(arguments: argparse.Namespace, run: Trajectory, model: Model, folder: Path | None) -> list[str]:
+def write_requested_files(arguments: argparse.Namespace, run: Trajectory, model: Model, folder: Path | None) -> list[str]:
     """Write the files that were asked for; the paths of the pictures, and of the page."""
     pictures = []
     if arguments.csv:
@@ -55,7 +55,7 @@ def written(arguments: argparse.Namespace, run: Trajectory, model: Model, folder
     if arguments.plot and folder is not None:
         from nsmodel.plot import save_all
 
-        pictures = [str(path) for path in save_all(run, model, folder, t=window_of(arguments.window))]
+        pictures = [str(path) for path in save_all(run, model, folder, t=parse_window(arguments.window))]
     if arguments.film:
         from nsmodel.plot import animate
 
@@ -72,15 +72,17 @@ def print_paths(arguments: argparse.Namespace, paths: Sequence[str]) -> None:
         print(f"  {'page' if Path(path) == page else 'picture':15} {path}")
 
 
-def of_stopped(arguments: argparse.Namespace, run: Trajectory, model: Model | None, folder: Path) -> tuple[list[str], str]:
+def write_files_of_failed_run(
+    arguments: argparse.Namespace, run: Trajectory, model: Model | None, folder: Path
+) -> tuple[list[str], str]:
     """Write the files that were asked for of a run that failed; the paths, and why there are none."""
-    asked = [f"--{name}" for name in ("csv", "plot", "film", "html") if getattr(arguments, name)]
-    if not asked:
+    requested = [f"--{name}" for name in ("csv", "plot", "film", "html") if getattr(arguments, name)]
+    if not requested:
         return [], ""
     try:
         if model is not None and len(run):
-            return written(arguments, run, model, folder), ""
+            return write_requested_files(arguments, run, model, folder), ""
         reason = ""
     except Exception as error:  # Where a run fails there may be numbers that no picture shows; it is told in any case.
         reason = f" ({error})"
-    return [], f"{', '.join(asked)}: not all was written{reason}"
+    return [], f"{', '.join(requested)}: not all was written{reason}"

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.cli.settings import by_name
+from nsmodel.cli.settings import unique_by_name
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.signals import Signal, table
 
-OPTIONS = ("kind", "after", "period")
+INPUT_OPTIONS = ("kind", "after", "period")
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:
@@ -26,12 +26,12 @@ def add_input(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def inputs_of(texts: Sequence[str], groups: Any) -> dict[str, float | Signal]:
+def parse_inputs(texts: Sequence[str], groups: Any) -> dict[str, float | Signal]:
     """The signals by the names of inputs; ``groups``: names of their entries, see `Model.input_groups`."""
-    return by_name([_input(text, groups) for text in texts], "--input")
+    return unique_by_name([_parse_input(text, groups) for text in texts], "--input")
 
 
-def _input(text: str, groups: Any) -> tuple[str, float | Signal]:
+def _parse_input(text: str, groups: Any) -> tuple[str, float | Signal]:
     name, equals, rest = text.partition("=")
     if not equals or not name.strip():
         raise UsageError(f"--input {text}: expected NAME=FILE.csv or NAME=NUMBER, for example --input u=cycle.csv,kind=linear")
@@ -44,17 +44,17 @@ def _input(text: str, groups: Any) -> tuple[str, float | Signal]:
     given: dict[str, Any] = {}
     for option in options:
         key, equals, value = option.partition("=")
-        if key not in OPTIONS or not equals or key in given:
+        if key not in INPUT_OPTIONS or not equals or key in given:
             raise UsageError(f"--input {text}: '{option}'; expected kind=..., after=..., period=..., each once at most")
-        given[key] = float(value) if key == "period" and _is_number(value) else value
-    t, values = _columns(Path(path), list(groups.get(name, (name,))), text)
+        given[key] = float(value) if key == "period" and _is_number_text(value) else value
+    t, values = _read_input_columns(Path(path), list(groups.get(name, (name,))), text)
     try:
         return name, table(t, values, **given)
     except ModelError as error:
         raise UsageError(f"--input {text}: {error}") from None
 
 
-def _columns(path: Path, names: list[str], text: str) -> tuple[np.ndarray, np.ndarray]:
+def _read_input_columns(path: Path, names: list[str], text: str) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of a file: under the names t and those of the input where it has them, else the first columns."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -64,7 +64,7 @@ def _columns(path: Path, names: list[str], text: str) -> tuple[np.ndarray, np.nd
     if not rows:
         raise UsageError(f"--input {text}: {path} is empty; expected rows of a time and {len(names)} value(s)")
     head = [cell.strip() for cell in rows[0]]
-    titled = not all(map(_is_number, head))
+    titled = not all(map(_is_number_text, head))
     named = titled and {"t", *names} <= set(head)
     at = [head.index(name) for name in ("t", *names)] if named else list(range(len(head)))
     if len(at) != len(names) + 1:
@@ -81,7 +81,7 @@ def _columns(path: Path, names: list[str], text: str) -> tuple[np.ndarray, np.nd
     return values[:, 0], values[:, 1:]
 
 
-def _is_number(text: str) -> bool:
+def _is_number_text(text: str) -> bool:
     try:
         float(text)
     except ValueError:

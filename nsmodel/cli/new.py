@@ -9,12 +9,12 @@ from pathlib import Path
 
 from nsmodel import shelf
 from nsmodel.cli.settings import Commands
-from nsmodel.cli.status import DONE
+from nsmodel.cli.status import EXIT_DONE
 from nsmodel.errors import UsageError
 from nsmodel.storage import write_text
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
-TEMPLATE = '''
+MODEL_TEMPLATE = '''
 """A mass on a spring with dry friction: one line that says what the model is.
 
 What to see: what a reader should look at in the pictures. Here the mass swings a few
@@ -46,7 +46,7 @@ def model(mu=0.1):
         title="A mass on a spring with dry friction",
     )
 '''.lstrip()
-NOT_NAMES = sys.stdlib_module_names | {"nsmodel", "casadi", "numpy", "scipy", "sympy", "matplotlib"}
+FORBIDDEN_NAMES = sys.stdlib_module_names | {"nsmodel", "casadi", "numpy", "scipy", "sympy", "matplotlib"}
 
 
 def add(commands: Commands) -> None:
@@ -56,10 +56,10 @@ def add(commands: Commands) -> None:
     parser.add_argument("name", metavar="NAME", help="name of the file, which is NAME.py in this folder")
     parser.add_argument("--like", metavar="CASE", help="the case to copy (see nsmodel cases)")
     parser.add_argument("--force", action="store_true", help="replace NAME.py where it is there already")
-    parser.set_defaults(command=_new)
+    parser.set_defaults(command=_write_new_model)
 
 
-def _new(arguments: argparse.Namespace) -> int:
+def _write_new_model(arguments: argparse.Namespace) -> int:
     """Write the file and say what to do with it."""
     name = arguments.name.removesuffix(".py")
     if not re.fullmatch(r"[A-Za-z_][\w-]*", name, re.ASCII):
@@ -67,7 +67,7 @@ def _new(arguments: argparse.Namespace) -> int:
             f"'{arguments.name}' is no name for a model file: expected letters, digits, _ and -, a letter first, such as "
             "my_model; the file is written into this folder"
         )
-    if name in NOT_NAMES:
+    if name in FORBIDDEN_NAMES:
         raise UsageError(
             f"{name}.py would hide the Python module {name} from its neighbours; take another name, such as my_{name}"
         )
@@ -75,10 +75,10 @@ def _new(arguments: argparse.Namespace) -> int:
     if path.exists() and not arguments.force:
         raise UsageError(f"{path} is there already; take another name, or --force to replace it")
     if arguments.like is None:
-        text, what = TEMPLATE.replace("NAME", name), "a mass on a spring with dry friction"
+        text, what = MODEL_TEMPLATE.replace("NAME", name), "a mass on a spring with dry friction"
     else:
-        case = shelf.case(arguments.like)
+        case = shelf.find_case(arguments.like)
         text, what = case.path.read_text(encoding="utf-8"), f"a copy of {case.name}"
     write_text(path, text.rstrip("\n"))
     print(f"{path}: {what}\n\n    nsmodel run {path} --plot\n    nsmodel check {path}")
-    return DONE
+    return EXIT_DONE

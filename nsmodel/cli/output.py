@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from nsmodel.storage import dumps
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
 @contextlib.contextmanager
-def apart(arguments: argparse.Namespace) -> Iterator[None]:
+def reserve_stdout(arguments: argparse.Namespace) -> Iterator[None]:
     """Keep standard output for the document of --json: what a model file prints meanwhile goes to standard error."""
     arguments.stdout = sys.stdout
     with contextlib.redirect_stdout(sys.stderr if getattr(arguments, "json", False) else sys.stdout):

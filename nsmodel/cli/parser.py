@@ -8,10 +8,10 @@ import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-CHOICE = re.compile(r"invalid choice: '(.*?)' \(choose from")
+CHOICE_PATTERN = re.compile(r"invalid choice: '(.*?)' \(choose from")
 
 
-class Parser(argparse.ArgumentParser):
+class CommandParser(argparse.ArgumentParser):
     """A parser of all its arguments; those of its commands are such parsers too."""
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -19,15 +19,15 @@ class Parser(argparse.ArgumentParser):
         found, left = super().parse_known_args(args, namespace)
         if left:
             names = [one.partition("=")[0] for one in left if one.startswith("-")]
-            self.error(f"unrecognized arguments: {' '.join(left)}{_near(names, self._option_string_actions)}")
+            self.error(f"unrecognized arguments: {' '.join(left)}{_suggestion(names, self._option_string_actions)}")
         return found, left
 
     def error(self, message: str) -> NoReturn:
         """Say what is near to a word that is none of those there are."""
         choices = [str(one) for action in self._actions for one in action.choices or ()]
-        super().error(message + _near(CHOICE.findall(message), choices))
+        super().error(message + _suggestion(CHOICE_PATTERN.findall(message), choices))
 
 
-def _near(words: Sequence[str], known: Any) -> str:
-    found = [near[0] for word in words if (near := difflib.get_close_matches(word, list(known), 1))]
+def _suggestion(tokens: Sequence[str], known: Any) -> str:
+    found = [near[0] for word in tokens if (near := difflib.get_close_matches(word, list(known), 1))]
     return f"; did you mean {' '.join(found)}?" if found else ""

@@ -11,23 +11,30 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from nsmodel.cli.files import of_stopped, print_paths, refuse_film, refuse_late, window_of, written
-from nsmodel.cli.inputs import add_input, inputs_of
+from nsmodel.cli.files import (
+    check_film_possible,
+    check_window_start,
+    parse_window,
+    print_paths,
+    write_files_of_failed_run,
+    write_requested_files,
+)
+from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_files, add_set, load, place
-from nsmodel.cli.signals import INTERRUPTED, TERMINATED, no_more_signals
-from nsmodel.cli.status import DONE, FAILED_STEP, USAGE, refused, silenced
-from nsmodel.defaults import TOLERANCE
+from nsmodel.cli.settings import TOLERANCE_HELP, Commands, add_files, add_set, load_model, output_path
+from nsmodel.cli.signals import EXIT_INTERRUPTED, EXIT_TERMINATED, ignore_signals
+from nsmodel.cli.status import EXIT_DONE, EXIT_FAILED_STEP, EXIT_USAGE, close_stdout, report_refusal
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import NsmodelError, StepError, StorageError, UsageError
-from nsmodel.lock import held
+from nsmodel.lock import hold_folder
 from nsmodel.model.base import Model
 from nsmodel.run.loop import RunInterrupted
-from nsmodel.run.options import CERTIFICATES, METHODS
+from nsmodel.run.options import CERTIFY_CHOICES, METHODS
 from nsmodel.simulate import explain, simulate
-from nsmodel.solve.choose import SOLVERS
-from nsmodel.storage import STAMP, refuse_unwritable, write_json
+from nsmodel.solve.choose import STEP_SOLVERS
+from nsmodel.storage import FORMAT_STAMP, check_writable, write_json
 from nsmodel.trajectory import Trajectory
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
 def add(commands: Commands) -> None:
@@ -42,36 +49,40 @@ def add(commands: Commands) -> None:
         help="with --rtol: auto (event-driven, else time stepping), or one of them alone",
     )  # fmt: skip
     parser.add_argument(
-        "--certify", default="estimate", choices=CERTIFICATES, help="interval: prove the pieces of an event-driven run"
+        "--certify", default="estimate", choices=CERTIFY_CHOICES, help="interval: prove the pieces of an event-driven run"
     )
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     add_set(parser)
     add_input(parser)
-    parser.add_argument("--solver", default="auto", metavar="SOLVER", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
+    parser.add_argument(
+        "--solver", default="auto", metavar="SOLVER", help=f"use this solver alone: {', '.join(STEP_SOLVERS[1:])}"
+    )
     parser.add_argument(
         "--compiled", action="store_true",
         help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
     )  # fmt: skip
-    parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
+    parser.add_argument("--tolerance", type=float, default=DEFAULT_TOLERANCE, metavar="TOL", help=TOLERANCE_HELP)
     parser.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
     parser.add_argument("--resume", action="store_true", help="continue the run found in --out")
-    parser.add_argument("--out", type=place, metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
-    parser.add_argument("--csv", type=place, metavar="PATH", help="also write the trajectory as CSV")
+    parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
+    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
     parser.add_argument(
         "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
     )
-    parser.add_argument("--html", type=place, metavar="PAGE", help="also write a page on which the run is looked at in a browser")
     parser.add_argument(
-        "--film", type=place, metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg"
+        "--html", type=output_path, metavar="PAGE", help="also write a page on which the run is looked at in a browser"
+    )
+    parser.add_argument(
+        "--film", type=output_path, metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg"
     )
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-    parser.set_defaults(command=_run)
+    parser.set_defaults(command=_run_files)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run_files(arguments: argparse.Namespace) -> int:
     """Run each file; several files end in a table. The status is that of the worst run."""
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out DIR, the folder of the run to continue")
@@ -88,32 +99,32 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError("--film takes one model file; run them one by one")
     if arguments.window is not None and not arguments.plot:
         raise UsageError("--window is a window of pictures: give --plot as well")
-    window_of(arguments.window)
+    parse_window(arguments.window)
     if arguments.film:
         from nsmodel.plot.film import check_film
 
         check_film(arguments.film)
     for path in filter(None, (arguments.csv, arguments.html)):
-        refuse_unwritable(path)
-    results: list[Result] = []
+        check_writable(path)
+    results: list[FileResult] = []
     for file in arguments.files:
-        results.append(_run_file(arguments, file, _folder(arguments, file)))
-        if results[-1].status in (INTERRUPTED, TERMINATED):
+        results.append(_run_file(arguments, file, _result_folder(arguments, file)))
+        if results[-1].status in (EXIT_INTERRUPTED, EXIT_TERMINATED):
             break
     with contextlib.ExitStack() as kept:
         for result in results:
             if result.run is not None and result.folder is None:
-                kept.enter_context(_kept(result.file, result.run))
+                kept.enter_context(_save_unreported_run(result.file, result.run))
         if arguments.json:
             documents = [result.document for result in results]
             print_json(arguments, documents if several else documents[0])
         elif several and not arguments.quiet:
-            print(_table(results))
+            print(_results_table(results))
         arguments.stdout.flush()
     return max(result.status for result in results)
 
 
-class Result(NamedTuple):
+class FileResult(NamedTuple):
     """What became of one file; ``document`` is what --json prints."""
 
     status: int
@@ -124,25 +135,25 @@ class Result(NamedTuple):
     document: dict[str, Any]
 
 
-def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
+def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> FileResult:
     """Run a file; its folder is held until everything is written there."""
     try:
-        with contextlib.nullcontext() if folder is None else held(folder):
-            return _run_here(arguments, file, folder)
+        with contextlib.nullcontext() if folder is None else hold_folder(folder):
+            return _run_in_folder(arguments, file, folder)
     except NsmodelError as error:
         document = {"file": file, "status": "refused", "message": str(error)}
-        return Result(refused(error), file, None, 0.0, None, document)
+        return FileResult(report_refusal(error), file, None, 0.0, None, document)
 
 
-def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
+def _run_in_folder(arguments: argparse.Namespace, file: str, folder: Path | None) -> FileResult:
     start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
     bound: Model | None = None
     try:
-        model, values = load(file, arguments.set)
+        model, values = load_model(file, arguments.set)
         bound = model.bind(values)
-        refuse_film(arguments.film, model)
-        refuse_late(arguments.window, arguments.t_end or model.t_end)
-        inputs = inputs_of(arguments.input, model.input_groups)
+        check_film_possible(arguments.film, model)
+        check_window_start(arguments.window, arguments.t_end or model.t_end)
+        inputs = parse_inputs(arguments.input, model.input_groups)
         if arguments.explain and not arguments.json:
             how = explain(
                 model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
@@ -157,51 +168,51 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
             method=arguments.method, certify=arguments.certify, inputs=inputs,
         )  # fmt: skip
     except StepError as error:
-        return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start, bound)
+        return _report_stopped_run(arguments, file, folder, error.trajectory, f"error: {error}", EXIT_FAILED_STEP, start, bound)
     except RunInterrupted as stop:
-        return _stopped(arguments, file, folder, stop.trajectory, str(stop), 128 + stop.signal, start)
+        return _report_stopped_run(arguments, file, folder, stop.trajectory, str(stop), 128 + stop.signal, start)
     except StorageError as error:
         if error.trajectory is None:
             raise
-        return _stopped(arguments, file, None, error.trajectory, f"storage error: {error}", USAGE, start)
-    with contextlib.nullcontext() if folder is not None else _kept(file, run):
-        return _report(arguments, file, run, time.perf_counter() - start, bound, folder)
+        return _report_stopped_run(arguments, file, None, error.trajectory, f"storage error: {error}", EXIT_USAGE, start)
+    with contextlib.nullcontext() if folder is not None else _save_unreported_run(file, run):
+        return _report_run(arguments, file, run, time.perf_counter() - start, bound, folder)
 
 
 @contextlib.contextmanager
-def _kept(file: str, run: Trajectory) -> Iterator[None]:
+def _save_unreported_run(file: str, run: Trajectory) -> Iterator[None]:
     """Save a run that nobody asked to be saved where it cannot be reported in the way that was asked for."""
     try:
         yield
     except BrokenPipeError:
         raise
     except Exception:
-        path = _own_folder(file) / "trajectory.npz"
+        path = _default_folder(file) / "trajectory.npz"
         run.save(path)
         print(f"nsmodel: the run is saved in {path}", file=sys.stderr)
         raise
 
 
-def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
+def _result_folder(arguments: argparse.Namespace, file: str) -> Path | None:
     """Where a file's results go: --out, with a folder for each of several files; FILE-run where --plot needs one."""
     if arguments.out is None:
-        return _own_folder(file) if arguments.plot else None
+        return _default_folder(file) if arguments.plot else None
     return Path(arguments.out) / Path(file).stem if len(arguments.files) > 1 else Path(arguments.out)
 
 
-def _own_folder(file: str) -> Path:
+def _default_folder(file: str) -> Path:
     return Path(f"{Path(file).stem}-run")
 
 
-def _report(
+def _report_run(
     arguments: argparse.Namespace, file: str, run: Trajectory, seconds: float, model: Model, folder: Path | None
-) -> Result:
+) -> FileResult:
     """Write what was asked for; print the summary of a single run."""
-    pictures = written(arguments, run, model, folder)
+    pictures = write_requested_files(arguments, run, model, folder)
     printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
-    document = _document(file, run, seconds, folder, pictures)
+    document = _json_document(file, run, seconds, folder, pictures)
     if printed or arguments.json or folder is not None:
-        document["hypotheses"] = _verdict(model, run)
+        document["hypotheses"] = _quick_verdict(model, run)
     if folder is not None:
         write_json(folder / "summary.json", document)
     where = f"{file}: " if len(arguments.files) > 1 else ""
@@ -214,10 +225,10 @@ def _report(
             print(f"  saved           {folder / 'trajectory.npz'}")
         print_paths(arguments, pictures)
         sys.stdout.flush()
-    return Result(DONE, file, run, seconds, folder, document)
+    return FileResult(EXIT_DONE, file, run, seconds, folder, document)
 
 
-def _verdict(model: Model, run: Trajectory) -> str:
+def _quick_verdict(model: Model, run: Trajectory) -> str:
     """What the quick check says, in one line; a run that is done is not refused for what cannot be checked."""
     from nsmodel.checking import check
 
@@ -227,27 +238,27 @@ def _verdict(model: Model, run: Trajectory) -> str:
         return f"not checked: {error}"
 
 
-def _stopped(
+def _report_stopped_run(
     arguments: argparse.Namespace, file: str, folder: Path | None, run: Trajectory | None, message: str, status: int,
     start: float, model: Model | None = None,
-) -> Result:  # fmt: skip
+) -> FileResult:  # fmt: skip
     """Save what a stopped run has computed, and say where; ``model``: of a run that failed, whose files are written as well."""
     seconds = time.perf_counter() - start
     where = f"{file}: " if len(arguments.files) > 1 else ""
     if run is None:
         print(f"nsmodel: {where}{message}", file=sys.stderr)
-        return Result(status, file, None, seconds, None, {"file": file, "status": "failed", "message": message})
-    no_more_signals()
+        return FileResult(status, file, None, seconds, None, {"file": file, "status": "failed", "message": message})
+    ignore_signals()
     resumable = folder is not None
     if folder is None:
-        folder = _own_folder(file)
+        folder = _default_folder(file)
         try:
             run.save(folder / "trajectory.npz")
         except StorageError:
             print(f"nsmodel: {where}{message}", file=sys.stderr)
             raise
-    pictures, why = of_stopped(arguments, run, model, folder)
-    document = _document(file, run, seconds, folder, pictures)
+    pictures, why = write_files_of_failed_run(arguments, run, model, folder)
+    document = _json_document(file, run, seconds, folder, pictures)
     write_json(folder / "summary.json", document)
     if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
         try:
@@ -255,21 +266,21 @@ def _stopped(
             print_paths(arguments, pictures)
             sys.stdout.flush()
         except OSError as error:
-            silenced(error)
+            close_stdout(error)
     steps = len(run) if run.is_event_driven else sum(run.metadata["solver_counts"].values())
-    how = "; go on with --resume" if resumable and status in (INTERRUPTED, TERMINATED) else ""
+    how = "; go on with --resume" if resumable and status in (EXIT_INTERRUPTED, EXIT_TERMINATED) else ""
     print(f"nsmodel: {where}{message}", file=sys.stderr)
     print(f"nsmodel: {where}{steps} verified steps are saved in {folder / 'trajectory.npz'}{how}", file=sys.stderr)
     if why:
         print(f"nsmodel: {where}{why}; nsmodel view {folder} shows what there is", file=sys.stderr)
-    return Result(status, file, run, seconds, folder, document)
+    return FileResult(status, file, run, seconds, folder, document)
 
 
-def _document(file: str, run: Trajectory, seconds: float, folder: Path | None, pictures: list[str]) -> dict[str, Any]:
+def _json_document(file: str, run: Trajectory, seconds: float, folder: Path | None, pictures: list[str]) -> dict[str, Any]:
     """What --json prints and summary.json holds: the summary with its plan, its files and its run time."""
     plan = {key: run.metadata[key] for key in ("scheme", "used", "left_out")}
     saved = None if folder is None else str(folder / "trajectory.npz")
-    return {**STAMP, "file": file, **run.summary(), "seconds": seconds, "saved": saved, "pictures": pictures, "plan": plan}
+    return {**FORMAT_STAMP, "file": file, **run.summary(), "seconds": seconds, "saved": saved, "pictures": pictures, "plan": plan}
 
 
 def _print_summary(run: Trajectory, seconds: float) -> None:
@@ -280,7 +291,7 @@ def _print_summary(run: Trajectory, seconds: float) -> None:
     print(f"  run time        {seconds:.3g} s ({text} a step, loading and set-up included)")
 
 
-def _table(results: Sequence[Result]) -> str:
+def _results_table(results: Sequence[FileResult]) -> str:
     """One line a file: steps, time simulated and used, worst residual, index-set changes, the overview picture."""
     head = ("model", "status", "steps", "t", "worst residual", "index set changes", "run time", "picture")
     lines: list[tuple[str, ...]] = [head]

@@ -9,25 +9,25 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from nsmodel import shelf
-from nsmodel.defaults import TOLERANCE
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import UsageError
-from nsmodel.loader import load_with
+from nsmodel.loader import load_with_values
 from nsmodel.model.base import Model
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 T = TypeVar("T")
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
-FILE = "a Python file that defines model = ... or def model(...), or the name of a case (see nsmodel cases)"
-ACCEPTED = f"largest accepted residual (default {TOLERANCE:g})".replace("e-0", "e-")
+FILE_HELP = "a Python file that defines model = ... or def model(...), or the name of a case (see nsmodel cases)"
+TOLERANCE_HELP = f"largest accepted residual (default {DEFAULT_TOLERANCE:g})".replace("e-0", "e-")
 
 
 def add_file(parser: argparse.ArgumentParser) -> None:
     """Add the model file."""
-    parser.add_argument("file", metavar="FILE", type=_model_file, help=FILE)
+    parser.add_argument("file", metavar="FILE", type=_model_file, help=FILE_HELP)
 
 
-def place(text: str) -> str:
+def output_path(text: str) -> str:
     """A path to write to, which is some text."""
     if not text.strip():
         raise argparse.ArgumentTypeError("it is empty; give a path, or leave the option out")
@@ -36,14 +36,14 @@ def place(text: str) -> str:
 
 def add_files(parser: argparse.ArgumentParser) -> None:
     """Add the model files, one at least."""
-    parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE)
+    parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE_HELP)
 
 
 def _model_file(text: str) -> str:
     """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
-    if note := shelf.beside(text):
+    if note := shelf.shadowed_case_note(text):
         print(f"nsmodel: note: {note}", file=sys.stderr)
-    return text if (path := shelf.path_of(text)) == Path(text) else str(path)
+    return text if (path := shelf.case_or_file_path(text)) == Path(text) else str(path)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -54,12 +54,12 @@ def add_set(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def load(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, Any]]:
+def load_model(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, Any]]:
     """The model and the values of its parameters; settings that the file's model() takes go there."""
-    return load_with(file, by_name(map(setting, settings), "--set"))
+    return load_with_values(file, unique_by_name(map(parse_setting, settings), "--set"))
 
 
-def by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
+def unique_by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
     """The values by name; a name that is given twice is refused."""
     found: dict[str, T] = {}
     for name, value in pairs:
@@ -69,18 +69,18 @@ def by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
     return found
 
 
-def setting(setting: str) -> tuple[str, Any]:
+def parse_setting(setting: str) -> tuple[str, Any]:
     """The name and its number, list of numbers or list of rows."""
     name, equals, text = setting.partition("=")
     if not equals or not name.strip():
         raise UsageError(f"--set {setting}: expected NAME=VALUE, for example --set mu=0.3")
     try:
-        rows = [[parsed(one) for one in row.split(",")] for row in text.split(";")]
+        rows = [[parse_number(one) for one in row.split(",")] for row in text.split(";")]
     except ValueError:
         raise UsageError(f"--set {setting}: '{text}' is not a number, nor numbers with commas between") from None
     return name.strip(), rows if len(rows) > 1 else rows[0] if len(rows[0]) > 1 else rows[0][0]
 
 
-def parsed(text: str) -> int | float:
+def parse_number(text: str) -> int | float:
     """The number that a text spells."""
     return int(text) if text.strip().lstrip("+-").isdigit() else float(text)

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+EXIT_INTERRUPTED, EXIT_TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
 class Terminated(KeyboardInterrupt):
@@ -18,7 +18,7 @@ class Terminated(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def signals() -> Iterator[None]:
+def handled_signals() -> Iterator[None]:
     """SIGTERM raises Terminated; afterwards signals do what they did before."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -37,14 +37,14 @@ def signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def no_more_signals() -> None:
+def ignore_signals() -> None:
     """One more Ctrl-C would cost what is being saved."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
-def by_signal(stop: BaseException | None) -> int:
+def signal_exit_status(stop: BaseException | None) -> int:
     """The exit status of an interruption: that of the first signal among what led to it."""
     while stop is not None and not hasattr(stop, "signal"):
         stop = stop.__context__

@@ -6,15 +6,15 @@ import argparse
 from itertools import product
 from pathlib import Path
 
-from nsmodel.cli.inputs import add_input, inputs_of
+from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_file, add_set, by_name, parsed, place, setting
-from nsmodel.cli.status import AT_FAULT, DONE
+from nsmodel.cli.settings import Commands, add_file, add_set, output_path, parse_number, parse_setting, unique_by_name
+from nsmodel.cli.status import EXIT_AT_FAULT, EXIT_DONE
 from nsmodel.errors import UsageError
-from nsmodel.loader import load_with
-from nsmodel.model.driven import driven_by
+from nsmodel.loader import load_with_values
+from nsmodel.model.driven import with_inputs
 from nsmodel.storage import write_json, write_text
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
 def add(commands: Commands) -> None:
@@ -33,25 +33,28 @@ def add(commands: Commands) -> None:
         "--budget", type=float, metavar="SECONDS", help="wall time; cells beyond it are left out (default: none is)"
     )
     parser.add_argument("--json", action="store_true", help="print all cells as JSON")
-    parser.add_argument("--out", type=place, metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
-    parser.set_defaults(command=_stress)
+    parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
+    parser.set_defaults(command=_run_stress)
 
 
-def _stress(arguments: argparse.Namespace) -> int:
+def _run_stress(arguments: argparse.Namespace) -> int:
     """Push a file's model, for each combination of the values given with --vary; the status says whether a cell is wrong."""
-    from nsmodel.stress import push
+    from nsmodel.stress import stress_variants
 
-    given, vary = by_name(map(setting, arguments.set), "--set"), by_name(map(_varied, arguments.vary), "--vary")
+    given, vary = (
+        unique_by_name(map(parse_setting, arguments.set), "--set"),
+        unique_by_name(map(_parse_varied, arguments.vary), "--vary"),
+    )
     twice = next((name for name in vary if name in given), None)
     if twice is not None:
         raise UsageError(f"'{twice}' is given with --set and with --vary; keep one")
     variants = []
     for values in product(*vary.values()):
         varied = dict(zip(vary, values, strict=True))
-        model, own = load_with(arguments.file, given | varied)
-        inputs = inputs_of(arguments.input, model.input_groups)
-        variants.append((varied, driven_by(model, inputs).bind(own)))
-    found = push(variants, step=arguments.step, budget=arguments.budget, progress=not arguments.json)
+        model, own = load_with_values(arguments.file, given | varied)
+        inputs = parse_inputs(arguments.input, model.input_groups)
+        variants.append((varied, with_inputs(model, inputs).bind(own)))
+    found = stress_variants(variants, step=arguments.step, budget=arguments.budget, progress=not arguments.json)
     document = {"file": arguments.file, **found.document()}
     if arguments.json:
         print_json(arguments, document)
@@ -66,14 +69,14 @@ def _stress(arguments: argparse.Namespace) -> int:
         save(found.plot().figure, folder / "stress.png")
         if not arguments.json:
             print(f"\nsaved in {folder}: stress.txt, stress.json, stress.png")
-    return AT_FAULT if found.wrong else DONE
+    return EXIT_AT_FAULT if found.wrong else EXIT_DONE
 
 
-def _varied(setting: str) -> tuple[str, list[int | float]]:
+def _parse_varied(setting: str) -> tuple[str, list[int | float]]:
     name, equals, text = setting.partition("=")
     try:
         if not equals or not name.strip():
             raise ValueError
-        return name.strip(), [parsed(one) for one in text.split(",")]
+        return name.strip(), [parse_number(one) for one in text.split(",")]
     except ValueError:
         raise UsageError(f"--vary {setting}: expected NAME=V1,V2,..., for example --vary mu=0.1,0.5,1") from None

@@ -6,14 +6,14 @@ import argparse
 import sys
 from pathlib import Path
 
-from nsmodel.cli.inputs import add_input, inputs_of
+from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_file, add_set, load, place
-from nsmodel.cli.signals import by_signal, no_more_signals
-from nsmodel.cli.status import DONE
+from nsmodel.cli.settings import Commands, add_file, add_set, load_model, output_path
+from nsmodel.cli.signals import ignore_signals, signal_exit_status
+from nsmodel.cli.status import EXIT_DONE
 from nsmodel.errors import UsageError
 from nsmodel.storage import write_json, write_text
-from nsmodel.words import print_shown as print
+from nsmodel.words import print_escaped as print
 
 
 def add(commands: Commands) -> None:
@@ -29,28 +29,30 @@ def add(commands: Commands) -> None:
     parser.add_argument("--solvers", metavar="A,B,...", help="solvers to time alone (default: all that apply; '' for none)")
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
-    parser.add_argument("--csv", type=place, metavar="PATH", help="also write one row a point as CSV")
-    parser.add_argument("--html", type=place, metavar="PAGE", help="also write the study as a page for a browser")
-    parser.add_argument("--out", type=place, metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
-    parser.set_defaults(command=_study)
+    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row a point as CSV")
+    parser.add_argument("--html", type=output_path, metavar="PAGE", help="also write the study as a page for a browser")
+    parser.add_argument(
+        "--out", type=output_path, metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png"
+    )
+    parser.set_defaults(command=_run_study)
 
 
-def _study(arguments: argparse.Namespace) -> int:
+def _run_study(arguments: argparse.Namespace) -> int:
     """Measure a file's model; Ctrl-C keeps what was measured."""
     from nsmodel.study import StudyInterrupted, study
 
-    model, values = load(arguments.file, arguments.set)
-    status, given = DONE, arguments.solvers
+    model, values = load_model(arguments.file, arguments.set)
+    status, given = EXIT_DONE, arguments.solvers
     try:
         found = study(
-            model, steps=None if arguments.steps is None else _steps(arguments.steps), target=arguments.target,
+            model, steps=None if arguments.steps is None else _parse_steps(arguments.steps), target=arguments.target,
             t_end=arguments.t_end, parameters=values, budget=arguments.budget, progress=not arguments.json,
-            inputs=inputs_of(arguments.input, model.input_groups),
+            inputs=parse_inputs(arguments.input, model.input_groups),
             solvers=None if given is None else [name for name in map(str.strip, given.split(",")) if name],
         )  # fmt: skip
     except StudyInterrupted as stop:
-        no_more_signals()
-        found, status = stop.study, by_signal(stop)
+        ignore_signals()
+        found, status = stop.study, signal_exit_status(stop)
     document = {"file": arguments.file, **found.document()}
     if arguments.json:
         print_json(arguments, document)
@@ -75,12 +77,12 @@ def _study(arguments: argparse.Namespace) -> int:
             print(f"\nsaved in {folder}: {', '.join(names)}")
     if arguments.html and not arguments.json:
         print(f"\npage  {arguments.html}")
-    if status != DONE:
+    if status != EXIT_DONE:
         print("nsmodel: interrupted; what was measured before is above", file=sys.stderr)
     return status
 
 
-def _steps(text: str) -> list[float]:
+def _parse_steps(text: str) -> list[float]:
     try:
         return [float(step) for step in text.split(",")]
     except ValueError:

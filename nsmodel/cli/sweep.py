@@ -11,24 +11,33 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.cli.inputs import add_input, inputs_of
+from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, by_name, parsed, place, setting
-from nsmodel.cli.signals import no_more_signals
-from nsmodel.cli.status import DONE, FAILED_STEP
-from nsmodel.defaults import TOLERANCE
+from nsmodel.cli.settings import (
+    TOLERANCE_HELP,
+    Commands,
+    add_file,
+    add_set,
+    output_path,
+    parse_number,
+    parse_setting,
+    unique_by_name,
+)
+from nsmodel.cli.signals import ignore_signals
+from nsmodel.cli.status import EXIT_DONE, EXIT_FAILED_STEP
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import UsageError
-from nsmodel.loader import load_with
+from nsmodel.loader import load_with_values
 from nsmodel.run.options import METHODS
-from nsmodel.storage import refuse_unwritable
-from nsmodel.sweep.design import LEAST, refuse_more_than_memory
-from nsmodel.words import print_shown as print
+from nsmodel.storage import check_writable
+from nsmodel.sweep.design import MIN_CELL_BYTES, check_memory
+from nsmodel.words import print_escaped as print
 
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
 
-FIRST = 12  # Cells whose numbers are printed where they are kept nowhere.
-IN_PYTHON = {  # What messages say of arguments, and the options for it.
+MAX_PRINTED_CELLS = 12  # Cells whose numbers are printed where they are kept nowhere.
+OPTION_SPELLINGS = {  # What messages say of arguments, and the options for it.
     "keep=['x1']": "--keep x1",
     "outputs={'end': 'x1[-1]'}": '--output "end=x1[-1]"',
     "outputs= in place of keep=": "--output in place of --keep",
@@ -41,7 +50,7 @@ IN_PYTHON = {  # What messages say of arguments, and the options for it.
     "is varied, and parameters gives": "is varied, and --set gives",
     "give times=, those of the rows": "leave --every out",
 }
-VALUES = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
+VALUES_FORMAT = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
 
 
 def add(commands: Commands) -> None:
@@ -50,12 +59,12 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("sweep", help="run a model file many times", description=about)
     add_file(parser)
     parser.add_argument(
-        "--grid", action="append", default=[], metavar=VALUES, help="values of a parameter, a dimension; repeatable"
+        "--grid", action="append", default=[], metavar=VALUES_FORMAT, help="values of a parameter, a dimension; repeatable"
     )
     parser.add_argument(
         "--samples", metavar="TABLE.csv", help="points that belong together: a column for each name, a first row of names"
     )
-    parser.add_argument("--start", action="append", default=[], metavar=VALUES, help="starts of a state; repeatable")
+    parser.add_argument("--start", action="append", default=[], metavar=VALUES_FORMAT, help="starts of a state; repeatable")
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 ... N-1 for def model(seed=...)")
     parser.add_argument("--step", metavar="H or H1,H2,...", help="time step; several are a dimension")
     add_set(parser)
@@ -75,82 +84,82 @@ def add(commands: Commands) -> None:
     parser.add_argument("--method", default="auto", choices=METHODS, help="with --rtol: as of nsmodel run")
     parser.add_argument("--solver", default="auto", metavar="SOLVER", help="use this solver alone")
     parser.add_argument("--compiled", action="store_true", help="run in C (left out: where it pays)")
-    parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
+    parser.add_argument("--tolerance", type=float, default=DEFAULT_TOLERANCE, metavar="TOL", help=TOLERANCE_HELP)
     parser.add_argument("--workers", type=int, metavar="N", help="how many at once (default: the cores)")
     parser.add_argument("--entropy", type=int, metavar="E", help="of random starts (default 0)")
     parser.add_argument(
-        "--out", type=place, metavar="DIR", help="folder of the sweep; NAME.nc and NAME.zarr are written so when it is done"
+        "--out", type=output_path, metavar="DIR", help="folder of the sweep; NAME.nc and NAME.zarr are written so when it is done"
     )
     parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
     parser.add_argument("--retry", action="store_true", help="with --resume: run failed cells again")
-    parser.add_argument("--csv", type=place, metavar="PATH", help="also write one row a cell as CSV")
+    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row a cell as CSV")
     parser.add_argument("--plot", action="store_true", help="write a picture of each quantity into --out (default: FILE-sweep)")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(command=_sweep)
+    parser.set_defaults(command=_run_sweep)
 
 
-def _sweep(arguments: argparse.Namespace) -> int:
+def _run_sweep(arguments: argparse.Namespace) -> int:
     """Sweep a file; what fails is a status of its cell, and 3 of the command."""
     from nsmodel.sweep.run import SweepInterrupted, sweep
 
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out DIR, the folder of the sweep to go on with")
     if arguments.csv:
-        refuse_unwritable(arguments.csv)
-    fixed = by_name(map(setting, arguments.set), "--set")
-    grid, samples = _grid(arguments.grid, "--grid"), _table(arguments.samples)
+        check_writable(arguments.csv)
+    fixed = unique_by_name(map(parse_setting, arguments.set), "--set")
+    grid, samples = _parse_grid(arguments.grid, "--grid"), _read_samples(arguments.samples)
     first = fixed | {name: values.tolist()[0] for name, values in (grid or samples or {}).items()}
     nothing_kept = not (arguments.keep or arguments.output) and arguments.seeds is None
-    model = load_with(arguments.file, first)[0] if arguments.input or nothing_kept else None  # A wrong name is told first.
-    inputs = inputs_of(arguments.input, model.input_groups) if arguments.input and model else None
-    steps: Any = [None] if arguments.step is None else _numbers(arguments.step, f"--step {arguments.step}").tolist()
+    model = load_with_values(arguments.file, first)[0] if arguments.input or nothing_kept else None  # A wrong name is told first.
+    inputs = parse_inputs(arguments.input, model.input_groups) if arguments.input and model else None
+    steps: Any = [None] if arguments.step is None else _parse_numbers(arguments.step, f"--step {arguments.step}").tolist()
     try:
         found = sweep(
-            arguments.file, grid=grid, samples=samples, start=_grid(arguments.start, "--start"), seeds=arguments.seeds,
+            arguments.file, grid=grid, samples=samples, start=_parse_grid(arguments.start, "--start"), seeds=arguments.seeds,
             step=steps[0] if len(steps) == 1 else steps, inputs=inputs, parameters=fixed,
             keep=[name for name in map(str.strip, arguments.keep.split(",")) if name], every=arguments.every,
-            outputs=by_name((_named(text, "--output", "rest=x[-1]") for text in arguments.output), "--output"),
+            outputs=unique_by_name((_split_name(text, "--output", "rest=x[-1]") for text in arguments.output), "--output"),
             t_end=arguments.t_end, rtol=arguments.rtol, atol=arguments.atol, method=arguments.method, solver=arguments.solver,
             tolerance=arguments.tolerance, compiled=True if arguments.compiled else "auto", workers=arguments.workers,
             out=arguments.out, resume=arguments.resume, retry=arguments.retry, entropy=arguments.entropy,
             progress=not (arguments.quiet or arguments.json),
         )  # fmt: skip
     except SweepInterrupted as stop:
-        no_more_signals()
-        return _interrupted(arguments, stop)
+        ignore_signals()
+        return _keep_interrupted(arguments, stop)
     except UsageError as error:
         text = str(error)
-        for python, option in IN_PYTHON.items():
+        for python, option in OPTION_SPELLINGS.items():
             text = text.replace(python, option)
         raise UsageError(text) from error
-    _report(arguments, found)
-    return FAILED_STEP if found.failures else DONE
+    _report_sweep(arguments, found)
+    return EXIT_FAILED_STEP if found.failures else EXIT_DONE
 
 
-def _interrupted(arguments: argparse.Namespace, stop: Any) -> int:
+def _keep_interrupted(arguments: argparse.Namespace, stop: Any) -> int:
     """Keep what was run, and say where."""
     where = arguments.out
     if where is None:
-        where = _folder(arguments) / "sweep.npz"
+        where = _pictures_folder(arguments) / "sweep.npz"
         stop.result.save(where)
     how = "; go on with --resume" if arguments.out is not None else ""
     print(f"nsmodel: {stop}; they are saved in {where}{how}", file=sys.stderr)
     return 128 + stop.signal
 
 
-def _report(arguments: argparse.Namespace, found: Sweep) -> None:
+def _report_sweep(arguments: argparse.Namespace, found: Sweep) -> None:
     """Print the summary, write what was asked for."""
     if arguments.csv:
         found.to_csv(arguments.csv)
-    pictures = _pictures(arguments, found) if arguments.plot else []
+    pictures = _save_pictures(arguments, found) if arguments.plot else []
     if arguments.json:
         print_json(arguments, {"file": arguments.file, **found.summary(), "pictures": pictures})
         return
     if not arguments.quiet:
         print(found.summary_text())
         if not (arguments.out or arguments.csv):
-            print(_cells(found), end="")
+            print(_cell_rows(found), end="")
         if arguments.out:
             print(f"  saved           {arguments.out}")
         for path in pictures:
@@ -159,40 +168,40 @@ def _report(arguments: argparse.Namespace, found: Sweep) -> None:
         print(f"nsmodel: {len(found.failures)} of {found.size} cells are not done; the others are", file=sys.stderr)
 
 
-def _cells(found: Sweep) -> str:
+def _cell_rows(found: Sweep) -> str:
     """What varies and the outputs of the first cells, a row each; "" where an output is no number."""
     from nsmodel.sweep import dataset
-    from nsmodel.sweep.asked import FACTS, OF_PIECES
+    from nsmodel.sweep.asked import CELL_FACTS, EVENT_DRIVEN_FACTS
 
     if not found.metadata["outputs"] or any(found.cells[name].ndim > 1 for name in found.metadata["outputs"]):
         return ""
-    hidden = {"cell", "message", "way", *FACTS, *OF_PIECES} - ({"status"} if found.failures else set())
-    table = dataset.table(found).items()
-    columns = {name: [_word(one) for one in values[:FIRST]] for name, values in table if name not in hidden}
-    widths = {name: max(len(name), *map(len, words)) for name, words in columns.items()}
-    rows = zip(*([name, *words] for name, words in columns.items()), strict=True)
+    hidden = {"cell", "message", "way", *CELL_FACTS, *EVENT_DRIVEN_FACTS} - ({"status"} if found.failures else set())
+    table = dataset.cell_table(found).items()
+    columns = {name: [_format_entry(one) for one in values[:MAX_PRINTED_CELLS]] for name, values in table if name not in hidden}
+    widths = {name: max(len(name), *map(len, texts)) for name, texts in columns.items()}
+    rows = zip(*([name, *texts] for name, texts in columns.items()), strict=True)
     lines = ["  ".join(word.rjust(width) for word, width in zip(row, widths.values(), strict=True)) for row in rows]
-    if (more := found.size - FIRST) > 0:
+    if (more := found.size - MAX_PRINTED_CELLS) > 0:
         lines.append(f"... {more} more; --out DIR or --csv FILE keeps them all")
     return "\n" + "\n".join(lines) + "\n"
 
 
-def _word(value: Any) -> str:
+def _format_entry(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
 
 
-def _pictures(arguments: argparse.Namespace, found: Sweep) -> list[str]:
+def _save_pictures(arguments: argparse.Namespace, found: Sweep) -> list[str]:
     from nsmodel.plot import save
 
     paths = []
     for name in (*found.metadata["keep"], *found.metadata["outputs"]):
-        path = _folder(arguments) / f"{name}.png"
+        path = _pictures_folder(arguments) / f"{name}.png"
         save(found.plot(name).figure, path)
         paths.append(str(path))
     return paths
 
 
-def _folder(arguments: argparse.Namespace) -> Path:
+def _pictures_folder(arguments: argparse.Namespace) -> Path:
     """Where pictures go."""
     if arguments.out is None:
         return Path(f"{Path(arguments.file).stem}-sweep")
@@ -200,35 +209,35 @@ def _folder(arguments: argparse.Namespace) -> Path:
     return out.with_name(f"{out.name}.parts") if out.suffix in (".nc", ".zarr") else out
 
 
-def _named(text: str, option: str, example: str) -> tuple[str, str]:
+def _split_name(text: str, option: str, example: str) -> tuple[str, str]:
     name, equals, rest = text.partition("=")
     if not equals or not name.strip() or not rest.strip():
         raise UsageError(f"{option} {text}: expected NAME=..., for example {option} {example}")
     return name.strip(), rest.strip()
 
 
-def _grid(texts: Sequence[str], option: str) -> dict[str, Any] | None:
+def _parse_grid(texts: Sequence[str], option: str) -> dict[str, Any] | None:
     """{name: values} of LOW:HIGH:COUNT or numbers with commas between."""
-    pairs = (_named(text, option, "mu=0:1:11") for text in texts)
-    return by_name(((name, _numbers(values, f"{option} {name}={values}")) for name, values in pairs), option) or None
+    pairs = (_split_name(text, option, "mu=0:1:11") for text in texts)
+    return unique_by_name(((name, _parse_numbers(values, f"{option} {name}={values}")) for name, values in pairs), option) or None
 
 
-def _numbers(text: str, label: str) -> np.ndarray:
+def _parse_numbers(text: str, label: str) -> np.ndarray:
     """The numbers that a text lists, or spaces evenly."""
     try:
         if ":" not in text:
-            return np.array([parsed(one) for one in text.split(",")])
+            return np.array([parse_number(one) for one in text.split(",")])
         begin, end, number = text.split(":")
         low, high, count = float(begin), float(end), int(number)
         if count < 1:
             raise ValueError
     except ValueError:
         raise UsageError(f"{label}: expected LOW:HIGH:COUNT, such as 0:1:11, or numbers with commas between") from None
-    refuse_more_than_memory([label.partition("=")[0]], [count], LEAST)
+    check_memory([label.partition("=")[0]], [count], MIN_CELL_BYTES)
     return np.linspace(low, high, count)
 
 
-def _table(path: str | None) -> dict[str, np.ndarray] | None:
+def _read_samples(path: str | None) -> dict[str, np.ndarray] | None:
     """The columns of a table by the names in its first row."""
     if path is None:
         return None

@@ -13,25 +13,25 @@ import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.codegen import bodies, pieces
-from nsmodel.codegen.bounds import MOST_WORK
-from nsmodel.codegen.files import all_files, description
-from nsmodel.codegen.fixed import MOST_LENGTHS, matrices
+from nsmodel.codegen.bounds import MAX_WORK
+from nsmodel.codegen.files import library_description, step_library_files
+from nsmodel.codegen.fixed import MAX_LENGTHS, step_matrices
 from nsmodel.codegen.library import Library, is_library, load
-from nsmodel.codegen.scene import make_scene
+from nsmodel.codegen.scene import make_step_spec
 from nsmodel.codegen.solver import Solver
-from nsmodel.codegen.source import Source, write_source
-from nsmodel.defaults import TOLERANCE
+from nsmodel.codegen.source import LibrarySource, write_source
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import Grid, check_times, make_grid, refuse_tolerance, written
+from nsmodel.grid import TimeGrid, check_times, check_tolerance, format_value, make_grid
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
-from nsmodel.model.driven import driven_by
+from nsmodel.model.driven import with_inputs
 from nsmodel.model.parameters import Values
 from nsmodel.storage import write_text
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
-MOST_ROWS = 4  # Of a law all of whose index sets have their inverses beforehand.
+MAX_WORST_CASE_ROWS = 4  # Of a law all of whose index sets have their inverses beforehand.
 _WORST_CASE = "worst_case (--worst-case) needs matrices that are numbers (none that move, parameters given with --set)"
 
 # No prefix: keywords, the standard headers (NAME.h would hide them), the example.
@@ -68,7 +68,7 @@ class Written(NamedTuple):
             "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
             "work": [
                 f"{about['max_work']} linear systems, index sets and sweeps in a step at most"
-                if about["max_work"] < MOST_WORK
+                if about["max_work"] < MAX_WORK
                 else "no bound of practical use (--max-work sets one)"
             ],
             "memory": [f"{about['memory'] / 1e6:.3g} MB to work in; a jam that needs more is refused"]
@@ -89,7 +89,7 @@ def write(
     step: float | Sequence[float] | None = None,
     any_step: bool = False,
     parameters: Values | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     max_work: int | None = None,
     worst_case: bool = False,
     event_driven: bool = False,
@@ -116,75 +116,75 @@ def write(
         UsageError: a wrong argument, or a folder with files that are not this library's; nothing is written.
         StorageError: the folder cannot be written.
     """
-    most = _most_work(model, tolerance, max_work, event_driven=event_driven)
-    name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
+    most = _max_work(model, tolerance, max_work, event_driven=event_driven)
+    name = identifier(model.title or type(model).__name__) if name is None else _check_name(name)
     bound = model.bind(parameters)
-    lengths = _lengths(step)
-    grid = _grid(bound, lengths, any_step=any_step)
+    lengths = _step_lengths(step)
+    grid = _step_grid(bound, lengths, any_step=any_step)
     mark = fingerprint(bound, grid)
     if isinstance(bound, ManyBodies):
         if event_driven:
             raise CodegenError("event-driven integration does not take many bodies; they are for time stepping")
         if worst_case:
             raise CodegenError(f"{_WORST_CASE}; those of many bodies change as they meet")
-        files, about = bodies.all_files(bound, name, grid, float(tolerance), mark, most)
+        files, about = bodies.bodies_library_files(bound, name, grid, float(tolerance), mark, most)
     else:
-        scene = make_scene(model, parameters, grid, float(tolerance), lengths)
-        scene = replace(scene, worst_case=worst_case, ticking=bool(bound.blocks))
+        spec = make_step_spec(model, parameters, grid, float(tolerance), lengths)
+        spec = replace(spec, worst_case=worst_case, ticking=bool(bound.blocks))
         if grid.drive is not None and grid.drive.moving:
             if worst_case:
                 raise CodegenError(f"{_WORST_CASE} and steps of known lengths; a block places edges of a pwm")
-            scene = replace(scene, h=grid.asked, lengths=lengths[1:])
-        source = write_source(scene, name, mark, most)
-        if worst_case and not _is_formed(source):
-            raise CodegenError(f"{_WORST_CASE} and a law of at most {MOST_ROWS} rows, none of them of a curved set")
-        if {"RESTARTED", "FIXED"} <= source.flags and matrices(scene.problem, 0.0) is None:
+            spec = replace(spec, h=grid.requested_step, lengths=lengths[1:])
+        source = write_source(spec, name, mark, most)
+        if worst_case and not _solves_no_system(source):
+            raise CodegenError(f"{_WORST_CASE} and a law of at most {MAX_WORST_CASE_ROWS} rows, none of them of a curved set")
+        if {"RESTARTED", "FIXED"} <= source.flags and step_matrices(spec.problem, 0.0) is None:
             raise CodegenError(
                 "after a jump of an input the reaction is found by a step of length 0, whose matrix is singular: take gamma=1"
             )
-        files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
+        files, about = step_library_files(spec, source, grid, mark), library_description(spec, source, mark)
         if event_driven:
-            files |= pieces.library_files(scene.model, scene.parameters, name)
-    folder = _free(Path(out), name, files)
+            files |= pieces.piece_library_files(spec.model, spec.parameters, name)
+    folder = _check_folder(Path(out), name, files)
     for file, text in files.items():
         write_text(folder / file, text.rstrip())
     return Written(folder, list(files), about)
 
 
-def _most_work(model: Model, tolerance: float, max_work: int | None, *, event_driven: bool) -> int:
+def _max_work(model: Model, tolerance: float, max_work: int | None, *, event_driven: bool) -> int:
     """The most work of a step; what does not go together is refused."""
-    refuse_tolerance(tolerance)
-    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
-        raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
+    check_tolerance(tolerance)
+    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MAX_WORK)):
+        raise UsageError(f"max_work = {format_value(max_work)}; expected a whole number from 1 to {MAX_WORK}")
     if model.blocks and event_driven:
         listed = ", ".join(block.name for block in model.blocks)
         raise CodegenError(
             f"event-driven integration in C does not take blocks ({listed}): write the model with what they set as inputs, and "
             "let the caller's loop tick"
         )
-    return MOST_WORK if max_work is None else max_work
+    return MAX_WORK if max_work is None else max_work
 
 
-def _is_formed(source: Source) -> bool:
+def _solves_no_system(source: LibrarySource) -> bool:
     """Whether steps need no linear system that is not formed before."""
     has = source.flags
-    return "FIXED" in has and ("LAW" not in has or ("WORST_CASE" in has and source.sizes["M"] <= MOST_ROWS))
+    return "FIXED" in has and ("LAW" not in has or ("WORST_CASE" in has and source.sizes["M"] <= MAX_WORST_CASE_ROWS))
 
 
-def _lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
+def _step_lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
     """The lengths of steps that are given."""
     given: list[Any] = [] if step is None else list(step) if np.iterable(step) else [step]
     for length in given:
         check_times(step=length)
-    if step is not None and not 1 <= len(given) <= MOST_LENGTHS:
-        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MOST_LENGTHS}")
+    if step is not None and not 1 <= len(given) <= MAX_LENGTHS:
+        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MAX_LENGTHS}")
     return tuple(map(float, given))
 
 
-def _grid(model: Model, lengths: tuple[float, ...], *, any_step: bool) -> Grid:
+def _step_grid(model: Model, lengths: tuple[float, ...], *, any_step: bool) -> TimeGrid:
     """The grid of the model's own run, which ends steps where its signals jump, and at ticks, whatever the caller gives."""
     if model.blocks:
-        model = driven_by(
+        model = with_inputs(
             model, {name: np.zeros(len(model.input_groups[name])) for name in model.inputs if model.inputs[name] is None}
         )
     driven = bool(model.inputs) and None not in model.inputs.values()
@@ -199,7 +199,7 @@ def identifier(text: str) -> str:
     return name[:40].rstrip("_")
 
 
-def _checked(name: str) -> str:
+def _check_name(name: str) -> str:
     if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", name)) or name.lower() in _RESERVED:
         raise UsageError(
             f"name = {name!r}; expected up to 63 letters, digits and _, beginning with a letter, no keyword or header of C: "
@@ -208,14 +208,14 @@ def _checked(name: str) -> str:
     return name
 
 
-def _free(folder: Path, name: str, files: Iterable[str]) -> Path:
+def _check_folder(folder: Path, name: str, files: Iterable[str]) -> Path:
     """The folder, if it has none of the files, or those of a library of this name."""
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; expected a folder for the library")
-    there = [file for file in files if (folder / file).exists()]
-    if there and not is_library(folder / f"{name}.json"):
+    existing = [file for file in files if (folder / file).exists()]
+    if existing and not is_library(folder / f"{name}.json"):
         raise UsageError(
-            f"{folder} has {', '.join(there)} already, which {'is' if len(there) == 1 else 'are'} not of a library '{name}'; "
-            "name another folder"
+            f"{folder} has {', '.join(existing)} already, which {'is' if len(existing) == 1 else 'are'} not of a library "
+            f"'{name}'; name another folder"
         )
     return folder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 
 
-def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
+def describe_used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
     """What a step does, a line for each part."""
     lines = []
     if "LENGTHS" in flags:
@@ -48,7 +48,7 @@ def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
     return lines
 
 
-def left_out(flags: Set[str]) -> list[str]:
+def describe_left_out(flags: Set[str]) -> list[str]:
     """What the scene does not need, and why."""
     lines = []
     if "LAW" not in flags:

@@ -7,18 +7,18 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen.loops import c_function
-from nsmodel.codegen.tables import exact_tables, table
+from nsmodel.codegen.loops import looped_c_function
+from nsmodel.codegen.tables import c_table, exact_tables
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.band import AtStep, matrix_at
-from nsmodel.solve.rounding import error_bound
-from nsmodel.solve.structure import Structure
+from nsmodel.solve.band import FactoredJacobian, step_jacobian
+from nsmodel.solve.rounding import rounding_error_bound
+from nsmodel.solve.structure import StepStructure
 
 
-class Matrices(NamedTuple):
+class BandedMatrices(NamedTuple):
     """J = [E_z E_l; Y_z Y_l] at one h, in the order and scales of its band."""
 
-    at: AtStep
+    at: FactoredJacobian
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -31,35 +31,35 @@ class Matrices(NamedTuple):
         }  # fmt: skip
 
 
-def matrices(problem: OneStepProblem, h: float, n: int) -> Matrices | None:
+def banded_matrices(problem: OneStepProblem, h: float, n: int) -> BandedMatrices | None:
     """Return the matrices at h; None where E_z is singular."""
     try:
-        return Matrices(AtStep(matrix_at(problem, h), n))
+        return BandedMatrices(FactoredJacobian(step_jacobian(problem, h), n))
     except np.linalg.LinAlgError:
         return None
 
 
-def text(problem: OneStepProblem, structure: Structure, h: float, M: Matrices) -> str:
+def banded_code(problem: OneStepProblem, structure: StepStructure, h: float, M: BandedMatrices) -> str:
     """The C functions and tables."""
     at, n, m = M.at, structure.n, structure.m
     zero_z, zero_l = ca.SX.zeros(n), ca.SX.zeros(m)
     both = ca.vertcat(problem.E, problem.Y)
     constant, guess = ca.substitute([both, problem.guess], [problem.h, problem.z, problem.l], [ca.SX(h), zero_z, zero_l])
-    function = c_function(
+    function = looped_c_function(
         "constant_part", {"s->t": problem.t, "s->x": problem.state}, {"constant": constant, "guess": ca.vertcat(guess, zero_l)},
         "E and Y at z = 0, l = 0; the z for which nothing moves",
     )  # fmt: skip
-    given = c_function(
-        "given_error", {"s->t": problem.t, "s->x": problem.state}, {"error": error_bound(constant, ca.SX(0, 1))},
+    given = looped_c_function(
+        "given_error", {"s->t": problem.t, "s->x": problem.state}, {"error": rounding_error_bound(constant, ca.SX(0, 1))},
         "running error bound of E and Y at z = 0, l = 0, in EPS/2",
     )  # fmt: skip
     tables = [
-        table("J", at.J.data, "MODEL_NONZEROS", "[E_z E_l; Y_z Y_l] by rows"),
-        table("J_column", at.J.indices, "MODEL_NONZEROS", kind="int"),
-        table("J_start", at.J.indptr, "MODEL_SIZE + 1", kind="int"),
-        table("place", at.order.place, "MODEL_SIZE", "of each unknown and equation in the band", "int"),
-        table("row_scale", at.rows, "MODEL_SIZE", "powers of 2"),
-        table("column_scale", at.columns, "MODEL_SIZE"),
+        c_table("J", at.J.data, "MODEL_NONZEROS", "[E_z E_l; Y_z Y_l] by rows"),
+        c_table("J_column", at.J.indices, "MODEL_NONZEROS", kind="int"),
+        c_table("J_start", at.J.indptr, "MODEL_SIZE + 1", kind="int"),
+        c_table("place", at.order.place, "MODEL_SIZE", "of each unknown and equation in the band", "int"),
+        c_table("row_scale", at.rows, "MODEL_SIZE", "powers of 2"),
+        c_table("column_scale", at.columns, "MODEL_SIZE"),
         exact_tables(structure, by_rows=True),
     ]
     return "".join(tables) + "\n" + function + "\n" + given

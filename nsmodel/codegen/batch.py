@@ -12,26 +12,26 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import inclusion, lanes, structs
-from nsmodel.codegen.all_values import all_values
-from nsmodel.codegen.rollout import SECONDS, library_for_all
+from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen.rollout import CALL_SECONDS, library_for_all
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, STATUSES
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.hypotheses.quick import admitted
 from nsmodel.model.base import Model
-from nsmodel.model.driven import inputs_at_start
-from nsmodel.record import INNER, UNSET, VECTORS
-from nsmodel.scheme import start_rows
+from nsmodel.model.driven import initial_inputs
+from nsmodel.record import INNER_COLUMNS, UNSET_INDEX, VECTOR_COLUMNS
+from nsmodel.scheme import symbolic_initial_rows
 
 TO_DO = -1  # The status of a cell that was not reached.
-ALIGNED = 64  # Bytes to which the memory of lanes is aligned.
-LANES = "in lanes, whose last bits are not those of a run alone"
+ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned.
+LANES_NOTE = "in lanes, whose last bits are not those of a run alone"
 
-_Cells = structs.CELLS.in_python()
+_CellsStruct = structs.BATCH_CELLS.ctypes_structure()
 
 
 @dataclass(frozen=True)
-class Cells:
+class BatchCells:
     """Runs at many values of the parameters, cell by cell.
 
     Attributes:
@@ -52,7 +52,7 @@ class Cells:
     failed_at: np.ndarray
 
 
-class Batch:
+class StepBatch:
     """The steps of a model on a grid for many values of its parameters, in one library; any number of threads may ``run`` it.
 
     Attributes:
@@ -69,12 +69,12 @@ class Batch:
 
     level = -1
 
-    def __init__(self, model: Model, grid: Grid, tolerance: float, in_lanes: bool = True) -> None:
+    def __init__(self, model: Model, grid: TimeGrid, tolerance: float, in_lanes: bool = True) -> None:
         """Build or load the library; ``in_lanes``: many runs in step, where the model has that."""
         self.names, self._grid, self._model = tuple(model.parameters), grid, model
-        self._scene = all_values(model, grid, tolerance)
-        self._layout = inclusion.layout(self._scene)
-        in_lanes = in_lanes and grid.steps is None and not lanes.refusal(self._scene)
+        self._spec = spec_for_all_values(model, grid, tolerance)
+        self._layout = inclusion.packed_layout(self._spec)
+        in_lanes = in_lanes and grid.steps is None and not lanes.lanes_obstacle(self._spec)
         try:
             library, self.way = library_for_all(model, grid, tolerance, in_lanes=in_lanes)
         except CodegenError:  # a compiler without what lanes ask for
@@ -86,23 +86,23 @@ class Batch:
         if library.function("init", ctypes.c_int, pointer)(memory.ctypes.data) == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[BAD_ARITHMETIC].text}")
         name, level = ("run_lanes", [ctypes.c_int]) if in_lanes else ("run_cells", [])
-        run = library.function(name, ctypes.c_int, pointer, ctypes.POINTER(_Cells), seconds, *level)
-        self._run = lambda *at: run(*at, SECONDS, *([self.level] if in_lanes else []))
+        run = library.function(name, ctypes.c_int, pointer, ctypes.POINTER(_CellsStruct), seconds, *level)
+        self._run = lambda *at: run(*at, CALL_SECONDS, *([self.level] if in_lanes else []))
         self._size = library.function("lanes_size" if in_lanes else "size", ctypes.c_long)()
-        self.way += f", {LANES}" if in_lanes else ""
-        rows = start_rows(model, self._scene.problem.h)
+        self.way += f", {LANES_NOTE}" if in_lanes else ""
+        rows = symbolic_initial_rows(model, self._spec.problem.h)
         self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
         start = ca.SX(row)
         for k, (state, records) in enumerate(rows):
             start[k, : state.numel()] = state
-            if self._scene.problem.inputs:
-                start[k, self._layout.inputs] = np.tile(inputs_at_start(model), 2)
+            if self._spec.problem.inputs:
+                start[k, self._layout.inputs] = np.tile(initial_inputs(model), 2)
             for name, value in records.items():
                 start[k, self._layout.slices[name]] = value
-        start = ca.substitute(start, self._scene.problem.h, grid.step(0))
-        self._start = ca.Function("start", [model.p], [ca.vec(start.T), admitted(model), self._scene.problem.assumed])
+        start = ca.substitute(start, self._spec.problem.h, grid.step(0))
+        self._start = ca.Function("start", [model.p], [ca.vec(start.T), admitted(model), self._spec.problem.assumed])
 
-    def numbers_kept(self, every: int) -> np.ndarray:
+    def kept_row_numbers(self, every: int) -> np.ndarray:
         """The numbers (R,) of the rows that are kept: those known before a step, every ``every``-th, the last."""
         if every < 1:
             raise UsageError(f"every = {every}; expected a whole number >= 1")
@@ -112,27 +112,27 @@ class Batch:
         last = [N] if N >= known and N % every else []
         return np.concatenate([np.arange(known), computed, np.array(last, int)])
 
-    def rows_kept(self, every: int) -> np.ndarray:
+    def kept_times(self, every: int) -> np.ndarray:
         """The times (R,) of the rows that are kept: the start, every ``every``-th step, the last."""
-        return np.array([self._grid.time(k) for k in self.numbers_kept(every).tolist()])
+        return np.array([self._grid.time(k) for k in self.kept_row_numbers(every).tolist()])
 
     def columns(self) -> Mapping[str, tuple[int, ...]]:
         """What can be kept, by the names that a Trajectory has, with the shape that one row has of it."""
         shapes = {name: () if isinstance(at, int) else (len(at),) for name, at in self._columns.items()}
-        return shapes | {"index_set": (self._scene.structure.m,)}
+        return shapes | {"index_set": (self._spec.structure.m,)}
 
     @cached_property
     def _columns(self) -> dict[str, int | list[int]]:
         """Where each stands in a packed row."""
-        model, slices, problem = self._model, self._layout.slices, self._scene.problem
+        model, slices, problem = self._model, self._layout.slices, self._spec.problem
         found: dict[str, Any] = {"x": list(range(len(model.names))), "residual": self._layout.residual}
         for name, first, other in (("multipliers", "multipliers", "l"), ("y", "outputs", "y")):
-            found[name] = _places(slices.get(first, slices[other]))
-        if self._scene.path == "NEWTON":
+            found[name] = _slice_indices(slices.get(first, slices[other]))
+        if self._spec.path == "NEWTON":
             found["newton"] = self._layout.newton
         for name, at in slices.items():
-            if name not in INNER:
-                found[name] = _places(at) if name in VECTORS or at.stop - at.start != 1 else at.start
+            if name not in INNER_COLUMNS:
+                found[name] = _slice_indices(at) if name in VECTOR_COLUMNS or at.stop - at.start != 1 else at.start
         of_states = {stem: list(at) if len(at) > 1 else at[0] for stem, at in model.stems.items()}
         of_states |= {name: i for i, name in enumerate(model.names)}
         of_rows = dict(zip(problem.multiplier_names, found["multipliers"], strict=True))
@@ -142,7 +142,7 @@ class Batch:
     def run(
         self, values: np.ndarray, keep: Sequence[str], every: int = 1, inputs: np.ndarray | None = None,
         stop: Callable[[], bool] = lambda: False,
-    ) -> Cells:  # fmt: skip
+    ) -> BatchCells:  # fmt: skip
         """Run all cells, each as if it were alone.
 
         Args:
@@ -157,35 +157,37 @@ class Batch:
         given = np.ascontiguousarray(values, float)
         if given.ndim != 2 or given.shape[1] != len(self.names):
             raise UsageError(f"values: shape {given.shape}; expected (cells, {len(self.names)}), a column for each parameter")
-        work = _Work(self._picked(keep), len(given), self.numbers_kept(every), self._scene.structure.m, "index_set" in keep)
-        self._begin(work, given)
-        control = self._control(work, given, every, self._driven(inputs))
-        memory = np.zeros(self._size // 8 + 1 + ALIGNED // 8)
-        at = memory.ctypes.data + -memory.ctypes.data % ALIGNED
+        work = _BatchArrays(
+            self._selected_columns(keep), len(given), self.kept_row_numbers(every), self._spec.structure.m, "index_set" in keep
+        )
+        self._initialise(work, given)
+        control = self._control(work, given, every, self._input_values(inputs))
+        memory = np.zeros(self._size // 8 + 1 + ALIGNMENT // 8)
+        at = memory.ctypes.data + -memory.ctypes.data % ALIGNMENT
         while not self._run(at, ctypes.byref(control)):
             if stop():
-                work.forget(control.cell)
+                work.discard_from(control.cell)
                 break
         return work.cells()
 
-    def _picked(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
+    def _selected_columns(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
         unknown = [name for name in keep if name not in self._columns and name != "index_set"]
         if unknown:
             raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
         return {name: self._columns[name] for name in keep if name != "index_set"}
 
-    def _begin(self, work: _Work, given: np.ndarray) -> None:
+    def _initialise(self, work: _BatchArrays, given: np.ndarray) -> None:
         """The rows that are known before a step; cells that a run refuses, and those whose problem has another form."""
         if not len(given):
             return
-        rows, asked, assumed = (np.array(part).T.reshape(len(given), -1) for part in self._start(given.T))
+        rows, conditions, assumed = (np.array(part).T.reshape(len(given), -1) for part in self._start(given.T))
         work.status[~(assumed > 0).all(axis=1)] = NOT_SOLVED
-        work.status[~(np.isfinite(asked) & (asked >= 0)).all(axis=1)] = BAD_PARAMETER
+        work.status[~(np.isfinite(conditions) & (conditions >= 0)).all(axis=1)] = BAD_PARAMETER
         work.status[~np.isfinite(given).all(axis=1)] = TO_DO  # the library says what these are
         work.kept[:, : self._known] = rows.reshape(len(given), self._known, -1)[:, :, work.columns] + 0.0
 
-    def _driven(self, inputs: np.ndarray | None) -> np.ndarray | None:
-        nu, N = self._scene.problem.inputs, self._grid.N
+    def _input_values(self, inputs: np.ndarray | None) -> np.ndarray | None:
+        nu, N = self._spec.problem.inputs, self._grid.N
         if not nu:
             return None
         if inputs is None and self._grid.drive is not None:
@@ -197,10 +199,10 @@ class Batch:
             raise UsageError(f"inputs: shape {found.shape}; expected ({N}, {2 * nu}), both ends of each step")
         return found
 
-    def _control(self, work: _Work, given: np.ndarray, every: int, inputs: np.ndarray | None) -> Any:
+    def _control(self, work: _BatchArrays, given: np.ndarray, every: int, inputs: np.ndarray | None) -> Any:
         """The record that the library reads and writes; it holds on to the arrays that it points to."""
         grid, known = self._grid, self._known
-        jumps = grid.drive.turns(grid.times) if grid.drive is not None and self._scene.restarted else []
+        jumps = grid.drive.jump_steps(grid.times) if grid.drive is not None and self._spec.finds_restart_reaction else []
         arrays = {
             "times": grid.times if grid.steps is not None else None, "lengths": grid.steps, "values": given, "inputs": inputs,
             "jumps": np.array(jumps, ctypes.c_long), "columns": work.columns.astype(ctypes.c_long),
@@ -208,7 +210,7 @@ class Batch:
             "taken": work.taken, "worst": work.worst, "changes": work.changes, "newton": work.newton, "failed_at": work.failed_at,
         }  # fmt: skip
         held = {name: None if a is None else np.ascontiguousarray(a) for name, a in arrays.items()}
-        control = _Cells(
+        control = _CellsStruct(
             cells=len(given), steps=grid.N, every=every, rows=work.rows, width=work.columns.size, last=grid.step(grid.N - 1),
             jumping=len(jumps), step=-1, first=known, **{name: None if a is None else a.ctypes.data for name, a in held.items()},
         )  # fmt: skip
@@ -216,7 +218,7 @@ class Batch:
         return control
 
 
-class _Work:
+class _BatchArrays:
     """What the cells of one call write."""
 
     def __init__(self, picked: dict[str, int | list[int]], cells: int, numbers: np.ndarray, m: int, index: bool) -> None:
@@ -227,28 +229,28 @@ class _Work:
             columns += own
         self.columns, self.rows = np.array(columns, int), numbers.size
         self.kept = np.full((cells, self.rows, len(columns)), np.nan)
-        self.index = np.full((cells, self.rows, m), UNSET, np.int8) if index else None
+        self.index = np.full((cells, self.rows, m), UNSET_INDEX, np.int8) if index else None
         self.status = np.full(cells, TO_DO, np.int8)
         self.taken, self.worst, self.changes, self.newton = (np.zeros(cells) for _ in range(4))
         self.failed_at = np.full(cells, np.nan)
 
-    def forget(self, cell: int) -> None:
+    def discard_from(self, cell: int) -> None:
         """Forget the rows of a cell that was left in the middle."""
         self.kept[cell:] = np.nan
         if self.index is not None:
-            self.index[cell:] = UNSET
+            self.index[cell:] = UNSET_INDEX
         for total in (self.taken, self.worst, self.changes, self.newton):
             total[cell:] = 0
 
-    def cells(self) -> Cells:
+    def cells(self) -> BatchCells:
         """What they found."""
         arrays: dict[str, np.ndarray] = {name: self.kept[:, :, at] for name, at in self._at.items()}
         if self.index is not None:
             arrays["index_set"] = self.index
         whole = (part.astype(int) for part in (self.taken, self.changes, self.newton))
         steps, changes, newton = whole
-        return Cells(arrays, self.status, steps, self.worst, changes, newton, self.failed_at)
+        return BatchCells(arrays, self.status, steps, self.worst, changes, newton, self.failed_at)
 
 
-def _places(at: slice) -> list[int]:
+def _slice_indices(at: slice) -> list[int]:
     return list(range(at.start, at.stop))

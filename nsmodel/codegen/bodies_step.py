@@ -10,22 +10,22 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, uses_neighbour_search
 from nsmodel.codegen import cache, structs
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
-from nsmodel.codegen.bounds import MOST_WORK
-from nsmodel.codegen.cache import kept, key_for
-from nsmodel.codegen.library import FLAGS as PORTABLE
-from nsmodel.codegen.library import NATIVE, Mapped, compiler, no_compiler
+from nsmodel.codegen.bounds import MAX_WORK
+from nsmodel.codegen.cache import cached_library, library_key
+from nsmodel.codegen.library import COMPILER_FLAGS as PORTABLE
+from nsmodel.codegen.library import NATIVE_FLAGS, MappedLibrary, compiler, no_compiler_error
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, NO_ROOM, STATUSES
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
+from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepResult, BodiesWarmStart, Contacts
 from nsmodel.solve.near import least_gap
 
-FLAGS = (*("-O3" if flag == "-O2" else flag for flag in PORTABLE), *NATIVE)
+BODIES_FLAGS = (*("-O3" if flag == "-O2" else flag for flag in PORTABLE), *NATIVE_FLAGS)
 
 
-def library(text: str, name: str) -> Mapped:
+def load_cached_library(text: str, name: str) -> MappedLibrary:
     """The compiled ``text``, built once for this processor and kept in the user's cache folder.
 
     Raises:
@@ -33,37 +33,37 @@ def library(text: str, name: str) -> Mapped:
     """
     by = compiler()
     if by is None:
-        raise no_compiler()
-    path = kept(_key(text, by), lambda: {f"{name}.c": text}, FLAGS)
+        raise no_compiler_error()
+    path = cached_library(_source_key(text, by), lambda: {f"{name}.c": text}, BODIES_FLAGS)
     try:
-        return Mapped(path)
+        return MappedLibrary(path)
     except OSError as error:
         raise CodegenError(f"the compiled step {path} cannot be loaded ({error})") from error
 
 
-def _key(text: str, by: str) -> str:
-    return key_for([text, FLAGS, by, platform.machine(), platform.node()])
+def _source_key(text: str, by: str) -> str:
+    return library_key([text, BODIES_FLAGS, by, platform.machine(), platform.node()])
 
 
-def has_solver(model: ManyBodies) -> bool:
+def is_solver_cached(model: ManyBodies) -> bool:
     """Whether the library that all models with bodies like these share is in the cache."""
-    return _is_kept(solver_source(model.bodies.d))
+    return _is_source_cached(solver_source(model.bodies.d))
 
 
-def has_own(model: ManyBodies) -> bool:
+def is_model_code_cached(model: ManyBodies) -> bool:
     """Whether the library of the model's own functions is in the cache."""
-    return _is_kept(model_source(model))
+    return _is_source_cached(model_source(model))
 
 
-def _is_kept(text: str) -> bool:
+def _is_source_cached(text: str) -> bool:
     by = compiler()
-    return by is not None and cache.is_kept(_key(text, by))
+    return by is not None and cache.has_cached_library(_source_key(text, by))
 
 
-Motion, Report = structs.MOTION.in_python(), structs.TIMED_REPORT.in_python()
+MotionStruct, ReportStruct = structs.BODIES_MOTION.ctypes_structure(), structs.TIMED_BODIES_REPORT.ctypes_structure()
 
 
-class CompiledStep:
+class CompiledBodiesStep:
     """A step of many bodies in C: what `solve.many_bodies.BodiesStepper` is in Python.
 
     Attributes:
@@ -75,11 +75,11 @@ class CompiledStep:
     def __init__(self, model: ManyBodies, tolerance: float) -> None:
         """Build or find the library; CodegenError where there is none."""
         self.model, self.problem, self.way = model, BodiesProblem(model), f"compiled by {compiler()}"
-        steps = library(solver_source(model.bodies.d), "bodies")
+        steps = load_cached_library(solver_source(model.bodies.d), "bodies")
         if not steps["is_sound"]():
             raise CodegenError(f"{compiler()}: {STATUSES[BAD_ARITHMETIC].text}")
         self._run = steps["move_bodies"]
-        self._own = library(model_source(model), "families")
+        self._own = load_cached_library(model_source(model), "families")
         self._run.restype = ctypes.c_int
         n, d = model.bodies.q0.shape
         families = list(model.constraints.values())
@@ -89,34 +89,36 @@ class CompiledStep:
         self._over = [np.ascontiguousarray(pairs, np.intc) for pairs in over]
         self._counts = np.array([[len(table) for table in tables], [len(pairs) for pairs in over]], np.intc)
         self._pointers = np.array([
-            [_at(table) for table in self._tables],
-            [0 if family.over is None else _at(pairs) for family, pairs in zip(families, self._over, strict=True)],
+            [_address_of(table) for table in self._tables],
+            [0 if family.over is None else _address_of(pairs) for family, pairs in zip(families, self._over, strict=True)],
         ], np.uintp)  # fmt: skip
-        self._fixed_reach = all(not ca.depends_on(family.reach, model.t) for family in families if searched(family))
+        self._fixed_reach = all(not ca.depends_on(family.reach, model.t) for family in families if uses_neighbour_search(family))
         self._q, self._present, self._velocity = np.zeros((n, d)), np.zeros(n, np.uint8), np.zeros((n, d))
         self._next = np.zeros((n, d))
         self._numbers = np.ascontiguousarray(model.bodies.table[:, d:])
-        self._farthest = np.array([*(0.0 if searched(family) else -1.0 for family in families), -1.0])
+        self._farthest = np.array([*(0.0 if uses_neighbour_search(family) else -1.0 for family in families), -1.0])
         self._halves = np.zeros((len(families), n))
-        self._shares = np.array([_at(row) for row in self._halves], np.uintp)
+        self._shares = np.array([_address_of(row) for row in self._halves], np.uintp)
         self._memory = np.empty(4096 * (n + 64), np.uint8)
-        self._missing, self.report = ctypes.c_size_t(0), Report()
+        self._missing, self.report = ctypes.c_size_t(0), ReportStruct()
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
-        s = self._motion = Motion()
+        s = self._motion = MotionStruct()
         s.model = ctypes.addressof(ctypes.c_char.in_dll(self._own, "own_functions"))
-        s.n, s.tolerance, s.budget = n, tolerance, MOST_WORK
-        s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))
-        s.velocity = None if isinstance(model.f, ca.SX) and not model.is_driven else _at(self._velocity)
-        s.items, s.over, s.item_count, s.over_count = map(_at, (*self._pointers, *self._counts))
-        s.q_next, s.halves = _at(self._next), _at(self._shares)
-        self._reach(0.0)
+        s.n, s.tolerance, s.budget = n, tolerance, MAX_WORK
+        s.q, s.present, s.numbers, s.farthest = map(_address_of, (self._q, self._present, self._numbers, self._farthest))
+        s.velocity = None if isinstance(model.f, ca.SX) and not model.is_driven else _address_of(self._velocity)
+        s.items, s.over, s.item_count, s.over_count = map(_address_of, (*self._pointers, *self._counts))
+        s.q_next, s.halves = _address_of(self._next), _address_of(self._shares)
+        self._update_reach(0.0)
 
-    def _reach(self, t: float) -> None:
+    def _update_reach(self, t: float) -> None:
         for k, family in enumerate(self.problem.families):
-            if searched(family):
+            if uses_neighbour_search(family):
                 self._halves[k] = np.maximum(self.problem.halves(k, t), 0.0)
 
-    def __call__(self, t: float, h: float, state: np.ndarray, warm: BodiesWarm = COLD, k: int = 0) -> BodiesStep:
+    def __call__(
+        self, t: float, h: float, state: np.ndarray, warm: BodiesWarmStart = COLD_BODIES_START, k: int = 0
+    ) -> BodiesStepResult:
         """Advance the bodies that are there, q = ``state`` (N, d), from t to t + h.
 
         Raises:
@@ -127,16 +129,16 @@ class CompiledStep:
         if s.velocity:
             self._velocity[:] = self.problem.f(t, state, present)
         if not self._fixed_reach:
-            self._reach(t + h)
+            self._update_reach(t + h)
         contacts = warm.contacts
         order = np.argsort(contacts.first, kind="stable")
         given = [contacts.family[order].astype(np.intc), contacts.first[order].astype(np.intc),
                  contacts.second[order].astype(np.intc), contacts.reaction[order] * h]  # fmt: skip
         s.t, s.h, s.motion, s.contacts = t, h, warm.moved / 2, len(order)
-        s.family, s.first, s.second, s.multiplier = map(_at, given)
+        s.family, s.first, s.second, s.multiplier = map(_address_of, given)
         while True:
             status = self._run(
-                ctypes.byref(s), ctypes.c_void_p(_at(self._memory)), ctypes.c_size_t(self._memory.size),
+                ctypes.byref(s), ctypes.c_void_p(_address_of(self._memory)), ctypes.c_size_t(self._memory.size),
                 ctypes.byref(self._missing), ctypes.byref(report),
             )  # fmt: skip
             if status != NO_ROOM:
@@ -148,8 +150,8 @@ class CompiledStep:
             raise StepError(f"no verified step in C from t = {t:.10g}: residual {report.residual:.3g}", residual=report.residual)
         after = np.where(present[:, None], self._next, np.nan)
         found = Contacts(
-            self._out(s.family_out, np.intc).astype(np.int8), self._out(s.first_out, np.intc).copy(),
-            self._out(s.second_out, np.intc).copy(), self._out(s.multiplier_out, np.float64) / h,
+            self._contact_array(s.family_out, np.intc).astype(np.int8), self._contact_array(s.first_out, np.intc).copy(),
+            self._contact_array(s.second_out, np.intc).copy(), self._contact_array(s.multiplier_out, np.float64) / h,
         )  # fmt: skip
         gap = report.gap
         if not gap <= report.cutoff - report.motion:
@@ -157,14 +159,16 @@ class CompiledStep:
             gap = least_gap(self.problem, t + h, after, present)
             self.seconds["search"] += time.process_time() - start
         solver = "none needed" if not s.contacts_out else "interior point" if report.by_interior else "active set"
-        return BodiesStep(after, found, gap, report.residual, BodiesWarm(found, 2 * report.motion), solver, report.groups)
+        return BodiesStepResult(
+            after, found, gap, report.residual, BodiesWarmStart(found, 2 * report.motion), solver, report.groups
+        )
 
-    def _out(self, address: int, kind: type) -> np.ndarray:
+    def _contact_array(self, address: int, kind: type) -> np.ndarray:
         """The contacts' numbers at an address in the memory of the step."""
-        start = address - _at(self._memory)
+        start = address - _address_of(self._memory)
         return self._memory[start : start + self._motion.contacts_out * np.dtype(kind).itemsize].view(kind)
 
 
-def _at(array: np.ndarray) -> int:
+def _address_of(array: np.ndarray) -> int:
     """Where an array begins."""
     return array.__array_interface__["data"][0]

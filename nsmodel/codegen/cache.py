@@ -21,23 +21,23 @@ from pathlib import Path
 
 import casadi as ca
 
-from nsmodel.cache_folder import SUFFIX, cache_folder
-from nsmodel.codegen.all_values import all_values
-from nsmodel.codegen.library import FLAGS, IN_LANES, TIMEOUT, compile_library, in_use
-from nsmodel.codegen.scene import Scene, make_scene
-from nsmodel.codegen.source import Source, write_source
+from nsmodel.cache_folder import LIBRARY_SUFFIX, cache_folder
+from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen.library import COMPILER_FLAGS, LANES_FLAGS, TIMEOUT, compile_library, loaded_library_paths
+from nsmodel.codegen.scene import StepSpec, make_step_spec
+from nsmodel.codegen.source import LibrarySource, write_source
 from nsmodel.errors import CodegenError
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.identity import fingerprint, versions
 from nsmodel.model.base import Model
 
-NAME = "step"
-MOST = 64  # Libraries that are kept; those that this process has loaded are kept besides.
-BUILDING = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
-OTHERS = stat.S_IWGRP | stat.S_IWOTH
+STEP_NAME = "step"
+MAX_LIBRARIES = 64  # Libraries that are kept; those that this process has loaded are kept besides.
+BUILD_PREFIX = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
-def cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
+def cached_steps(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
     """The compiled steps of a bound model on a grid, built where they are not there, or not whole.
 
     Raises:
@@ -45,12 +45,12 @@ def cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
     """
 
     def files() -> dict[str, str]:
-        return _files(make_scene(model, None, grid, tolerance))
+        return _spec_source_texts(make_step_spec(model, None, grid, tolerance))
 
-    return kept(key_of(model, grid, tolerance, compiler), files, FLAGS)
+    return cached_library(steps_key(model, grid, tolerance, compiler), files, COMPILER_FLAGS)
 
 
-def cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
+def cached_steps_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
     """The same for all values of the parameters of a model.
 
     Raises:
@@ -58,12 +58,12 @@ def cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) ->
     """
 
     def files() -> dict[str, str]:
-        return _files(all_values(model, grid, tolerance))
+        return _spec_source_texts(spec_for_all_values(model, grid, tolerance))
 
-    return kept(key_for_all(model, grid, tolerance, compiler), files, FLAGS)
+    return cached_library(steps_key_for_all(model, grid, tolerance, compiler), files, COMPILER_FLAGS)
 
 
-def cached_in_lanes(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
+def cached_steps_in_lanes(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
     """The same with many runs in step (see `lanes`).
 
     Raises:
@@ -71,20 +71,20 @@ def cached_in_lanes(model: Model, grid: Grid, tolerance: float, compiler: str) -
     """
 
     def files() -> dict[str, str]:
-        return _texts(write_source(all_values(model, grid, tolerance), NAME, "", in_lanes=True))
+        return _source_texts(write_source(spec_for_all_values(model, grid, tolerance), STEP_NAME, "", in_lanes=True))
 
-    return kept(key_for([key_for_all(model, grid, tolerance, compiler), IN_LANES]), files, IN_LANES)
-
-
-def _files(scene: Scene) -> dict[str, str]:
-    return _texts(write_source(scene, NAME, ""))
+    return cached_library(library_key([steps_key_for_all(model, grid, tolerance, compiler), LANES_FLAGS]), files, LANES_FLAGS)
 
 
-def _texts(source: Source) -> dict[str, str]:
-    return {"rollout.c": source.rollout, f"{NAME}.h": source.header, f"{NAME}.c": source.code}
+def _spec_source_texts(spec: StepSpec) -> dict[str, str]:
+    return _source_texts(write_source(spec, STEP_NAME, ""))
 
 
-def kept(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...]) -> Path:
+def _source_texts(source: LibrarySource) -> dict[str, str]:
+    return {"rollout.c": source.rollout, f"{STEP_NAME}.h": source.header, f"{STEP_NAME}.c": source.code}
+
+
+def cached_library(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...]) -> Path:
     """The library of a key, whose content must be part of its name; where there is none the first of the files is compiled.
 
     Raises:
@@ -93,39 +93,39 @@ def kept(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...
     folder = cache_folder()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _refuse_untrusted(folder)
-        for path in sorted(folder.glob(f"{key}-*{SUFFIX}")):
+        _check_trusted(folder)
+        for path in sorted(folder.glob(f"{key}-*{LIBRARY_SUFFIX}")):
             with contextlib.suppress(FileNotFoundError):  # another process has just removed it
-                if _own_file(path) and path.name == _name(key, path):
+                if _is_private_file(path) and path.name == _library_name(key, path):
                     os.utime(path)  # used last
                     return path
                 path.unlink()  # cut short, changed, or put there by somebody else
-        _tidy(folder)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=BUILDING) as place:
-            return _built(Path(place), files(), folder, key, flags)
+        _evict_old_libraries(folder)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=BUILD_PREFIX) as place:
+            return _build_library(Path(place), files(), folder, key, flags)
     except OSError as error:
         raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
 
 
-def is_cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> bool:
+def is_cached(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> bool:
     """Whether ``cached`` finds the compiled steps; nothing is built or changed."""
-    return is_kept(key_of(model, grid, tolerance, compiler))
+    return has_cached_library(steps_key(model, grid, tolerance, compiler))
 
 
-def is_cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) -> bool:
-    """The same of ``cached_for_all``."""
-    return is_kept(key_for_all(model, grid, tolerance, compiler))
+def is_cached_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> bool:
+    """The same of ``cached_steps_for_all``."""
+    return has_cached_library(steps_key_for_all(model, grid, tolerance, compiler))
 
 
-def is_kept(key: str) -> bool:
+def has_cached_library(key: str) -> bool:
     """Whether ``kept`` finds the library of a key, to the look of it."""
     try:
-        return any(map(_own_file, cache_folder().glob(f"{key}-*{SUFFIX}")))
+        return any(map(_is_private_file, cache_folder().glob(f"{key}-*{LIBRARY_SUFFIX}")))
     except (OSError, CodegenError):
         return False
 
 
-def _refuse_untrusted(folder: Path) -> None:
+def _check_trusted(folder: Path) -> None:
     """Refuse a folder in which another user may have put libraries.
 
     Raises:
@@ -140,7 +140,7 @@ def _refuse_untrusted(folder: Path) -> None:
         wrong = f"it is a link, which may lead anywhere; remove it, or {another}"
     elif here.st_uid != os.geteuid():
         wrong = f"it belongs to another user (number {here.st_uid}, you are {os.geteuid()}); {another}"
-    elif here.st_mode & OTHERS:
+    elif here.st_mode & WRITABLE_BY_OTHERS:
         wrong = f"others may write to it (mode {stat.S_IMODE(here.st_mode):o}); empty it and chmod 700 {folder}, or {another}"
     elif above.st_uid not in (0, os.geteuid()) or (above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX):
         wrong = f"others may exchange it, as {folder.parent} is theirs to write; {another}"
@@ -148,55 +148,55 @@ def _refuse_untrusted(folder: Path) -> None:
         raise CodegenError(f"the cache folder {folder} is not used, as what is loaded from it runs with your rights: {wrong}")
 
 
-def _own_file(path: Path) -> bool:
+def _is_private_file(path: Path) -> bool:
     """Whether a library is a file of this user that nobody else may write, and no link."""
     found = path.lstat()
-    own = not hasattr(os, "geteuid") or (found.st_uid == os.geteuid() and not found.st_mode & OTHERS)
+    own = not hasattr(os, "geteuid") or (found.st_uid == os.geteuid() and not found.st_mode & WRITABLE_BY_OTHERS)
     return stat.S_ISREG(found.st_mode) and own
 
 
-def _tidy(folder: Path) -> None:
+def _evict_old_libraries(folder: Path) -> None:
     """Make room for one more library, and remove what killed builds have left; other processes may do the same."""
-    loaded = in_use()
+    loaded = loaded_library_paths()
     with contextlib.suppress(OSError):
-        for path in folder.glob(f"{BUILDING}*"):
+        for path in folder.glob(f"{BUILD_PREFIX}*"):
             if time.time() - path.lstat().st_mtime > 2 * TIMEOUT:
                 shutil.rmtree(path, ignore_errors=True)
-        libraries = sorted(folder.glob(f"*{SUFFIX}"), key=lambda path: path.lstat().st_mtime_ns, reverse=True)
-        for path in [path for path in libraries if path not in loaded][MOST - 1 :]:
+        libraries = sorted(folder.glob(f"*{LIBRARY_SUFFIX}"), key=lambda path: path.lstat().st_mtime_ns, reverse=True)
+        for path in [path for path in libraries if path not in loaded][MAX_LIBRARIES - 1 :]:
             with contextlib.suppress(OSError):  # another process has removed it, or has it loaded
                 path.unlink()
 
 
-def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
+def steps_key(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> str:
     """A hash of all that the compiled steps depend on; the end of the run is not part of it."""
     endless = grid if grid.steps is not None else replace(grid, last=grid.h)
-    return key_for([fingerprint(model, endless), grid.step(0), grid.varies, tolerance, *made_by(compiler)])
+    return library_key([fingerprint(model, endless), grid.step(0), grid.has_varying_steps, tolerance, *build_identity(compiler)])
 
 
-def key_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
+def steps_key_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> str:
     """The same of a model whose parameters are symbols: their names and order count, no value does."""
-    return key_for([key_of(model, grid, tolerance, compiler), "all values", *map(str, ca.symvar(model.p))])
+    return library_key([steps_key(model, grid, tolerance, compiler), "all values", *map(str, ca.symvar(model.p))])
 
 
-def made_by(compiler: str) -> list[object]:
+def build_identity(compiler: str) -> list[object]:
     """What a library depends on beside the model."""
-    return [versions(), _own(), compiler, FLAGS, platform.machine(), platform.system()]
+    return [versions(), _package_hash(), compiler, COMPILER_FLAGS, platform.machine(), platform.system()]
 
 
-def key_for(parts: list[object]) -> str:
+def library_key(parts: list[object]) -> str:
     """A hash of what a library is made from."""
-    return _hash(repr(parts).encode())
+    return _short_hash(repr(parts).encode())
 
 
-def _built(place: Path, files: Mapping[str, str], folder: Path, key: str, flags: tuple[str, ...]) -> Path:
+def _build_library(place: Path, files: Mapping[str, str], folder: Path, key: str, flags: tuple[str, ...]) -> Path:
     """Compile in ``place``; the library appears in ``folder`` whole, whoever else builds the same one."""
     for name, text in files.items():
         (place / name).write_text(text, encoding="utf-8")
-    library = place / f"library{SUFFIX}"
+    library = place / f"library{LIBRARY_SUFFIX}"
     compile_library(place / next(iter(files)), library, flags)
     library.chmod(0o700)
-    named = folder / _name(key, library)
+    named = folder / _library_name(key, library)
     try:
         return library.replace(named)
     except PermissionError:
@@ -205,16 +205,16 @@ def _built(place: Path, files: Mapping[str, str], folder: Path, key: str, flags:
         return named  # the same, built by another process, which has it loaded
 
 
-def _name(key: str, path: Path) -> str:
-    return f"{key}-{_hash(path.read_bytes())}{SUFFIX}"
+def _library_name(key: str, path: Path) -> str:
+    return f"{key}-{_short_hash(path.read_bytes())}{LIBRARY_SUFFIX}"
 
 
 @cache
-def _own() -> str:
+def _package_hash() -> str:
     """A hash of nsmodel itself: what a changed one writes does not meet what an older one has built."""
     package = Path(__file__).parents[1]
-    return _hash(b"\0".join(path.read_bytes() for path in sorted([*package.rglob("*.py"), *package.rglob("*.[ch]")])))
+    return _short_hash(b"\0".join(path.read_bytes() for path in sorted([*package.rglob("*.py"), *package.rglob("*.[ch]")])))
 
 
-def _hash(content: bytes) -> str:
+def _short_hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:24]

@@ -9,41 +9,41 @@ import casadi as ca
 
 from nsmodel.errors import CodegenError
 
-LONGEST = 3000  # Operations from which on a function is cut into several: compilers take long over long ones.
-SCALARS = ("s->t", "s->h", "AT.h")
-READ = ("s->", "AT.")  # How the names of what is read from the solver begin; AT: the matrices of the step's length.
-WIDTH = 110  # Characters of an expression from which on it gets a name of its own.
-ZEROS = 64  # Zeros from which on a sparse matrix is cleared before its other entries are set.
-TARGETS = 8  # Entries set to one constant in a line.
+MAX_OPERATIONS = 3000  # Operations from which on a function is cut into several: compilers take long over long ones.
+SCALAR_NAMES = ("s->t", "s->h", "AT.h")
+SOLVER_PREFIXES = ("s->", "AT.")  # How the names of what is read from the solver begin; AT: the matrices of the step's length.
+MAX_EXPRESSION_WIDTH = 110  # Characters of an expression from which on it gets a name of its own.
+MIN_CLEARED_ZEROS = 64  # Zeros from which on a sparse matrix is cleared before its other entries are set.
+TARGETS_PER_LINE = 8  # Entries set to one constant in a line.
 ATOM, UNARY, PRODUCT, SUM, COMPARISON, LOGICAL, CHOICE = range(7)  # How tightly a piece of C binds.
 
 
-class Piece(NamedTuple):
+class CExpression(NamedTuple):
     """A piece of C and how it binds; ``truth``: it is an int, 0 or 1."""
 
     text: str
-    binds: int = ATOM
+    precedence: int = ATOM
     truth: bool = False
 
     def within(self, loosest: int) -> str:
         """The text as an operand that may bind no looser than ``loosest``."""
-        return self.text if self.binds <= loosest else f"({self.text})"
+        return self.text if self.precedence <= loosest else f"({self.text})"
 
     @property
-    def number(self) -> Piece:
+    def number(self) -> CExpression:
         """The piece as a double."""
-        return Piece(f"(double)({self.text})", UNARY) if self.truth else self
+        return CExpression(f"(double)({self.text})", UNARY) if self.truth else self
 
     @property
-    def condition(self) -> Piece:
+    def condition(self) -> CExpression:
         """The piece as a condition: true where it is not 0, NaN included."""
-        return self if self.truth else Piece(f"{self.within(SUM)} != 0.0", COMPARISON, True)
+        return self if self.truth else CExpression(f"{self.within(SUM)} != 0.0", COMPARISON, True)
 
 
 _INFIX = {ca.OP_ADD: ("+", SUM, SUM, PRODUCT), ca.OP_SUB: ("-", SUM, SUM, PRODUCT),
           ca.OP_MUL: ("*", PRODUCT, PRODUCT, UNARY), ca.OP_DIV: ("/", PRODUCT, PRODUCT, UNARY)}  # fmt: skip
-_COMPARED = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
-_CALLED = {
+_COMPARISON_SIGNS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
+_C_FUNCTIONS = {
     getattr(ca, f"OP_{name.upper()}"): name
     for name in (
         "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 fabs floor fmod hypot log log1p pow "
@@ -68,73 +68,75 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
         CodegenError: an operation that has no C counterpart.
     """
     entries = [(f"{key}[{i}]", entry) for key, e in outputs.items() for i, entry in enumerate(ca.vertsplit(ca.vec(e.T)))]
-    sparse = {key: e.numel() for key, e in outputs.items() if e.numel() - e.nnz() >= ZEROS and 2 * e.nnz() < e.numel()}
+    sparse = {
+        key: e.numel() for key, e in outputs.items() if e.numel() - e.nnz() >= MIN_CLEARED_ZEROS and 2 * e.nnz() < e.numel()
+    }
     entries = [(target, entry) for target, entry in entries if entry.nnz() or target.partition("[")[0] not in sparse]
     cleared = [f"memset({key}, 0, {size}*sizeof *{key});" for key, size in sparse.items()]
-    given = ["s", *(key for key in inputs if not key.startswith(READ))]
+    given = ["s", *(key for key in inputs if not key.startswith(SOLVER_PREFIXES))]
     arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
     arguments += [f"double *restrict {key}" for key in outputs]
-    whole = _function(inputs, entries)
+    whole = _column_function(inputs, entries)
     head = f"/* {comment} */\n" if comment else ""
-    if whole.n_instructions() <= LONGEST:
-        body = _body(whole, list(inputs), [target for target, _ in entries])
-        return head + written(name, arguments, [*given, *outputs], [*cleared, *body])
-    parts = -(-whole.n_instructions() // LONGEST)
+    if whole.n_instructions() <= MAX_OPERATIONS:
+        body = _assignment_lines(whole, list(inputs), [target for target, _ in entries])
+        return head + c_function_text(name, arguments, [*given, *outputs], [*cleared, *body])
+    parts = -(-whole.n_instructions() // MAX_OPERATIONS)
     size = -(-len(entries) // parts)
     text, calls = "", []
     for k in range(0, len(entries), size):
         part = entries[k : k + size]
-        body = _body(_function(inputs, part), list(inputs), [target for target, _ in part])
-        text += written(f"{name}_{k // size}", arguments, [*given, *outputs], body) + "\n"
+        body = _assignment_lines(_column_function(inputs, part), list(inputs), [target for target, _ in part])
+        text += c_function_text(f"{name}_{k // size}", arguments, [*given, *outputs], body) + "\n"
         calls.append(f"{name}_{k // size}({', '.join([*given, *outputs])});")
-    return text + head + written(name, arguments, [*given, *outputs], [*cleared, *calls])
+    return text + head + c_function_text(name, arguments, [*given, *outputs], [*cleared, *calls])
 
 
-def _function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX]]) -> ca.Function:
+def _column_function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX]]) -> ca.Function:
     column = ca.densify(ca.vertcat(ca.SX(0, 1), *(entry for _, entry in entries)))
     return ca.Function("f", list(inputs.values()), [column], {"cse": True})
 
 
-def written(name: str, arguments: list[str], names: list[str], body: list[str]) -> str:
+def c_function_text(name: str, arguments: list[str], names: list[str], body: list[str]) -> str:
     """A function with this body; names that it does not use are marked."""
     text = "\n".join(f"    {line}" for line in body)
-    used = {"s" if word == "AT" else word for word in _words(text)}
+    used = {"s" if word == "AT" else word for word in _c_tokens(text)}
     unused = "".join(f"    (void){key};\n" for key in names if key not in used)
     return f"static void {name}({', '.join(arguments)})\n{{\n{unused}{text}\n}}\n"
 
 
-def _words(text: str) -> list[str]:
+def _c_tokens(text: str) -> list[str]:
     return "".join(c if c.isalnum() or c == "_" else " " for c in text).split()
 
 
-def _body(function: ca.Function, inputs: list[str], targets: list[str]) -> list[str]:
+def _assignment_lines(function: ca.Function, inputs: list[str], targets: list[str]) -> list[str]:
     """The assignments of a function's graph in single-assignment form."""
-    nodes, stores, uses = graph(function)
+    nodes, stores, uses = expression_graph(function)
     lines: list[str] = []
-    pieces: dict[int, Piece] = {}
+    pieces: dict[int, CExpression] = {}
     for i, (op, args, extra) in enumerate(nodes):
         if not uses[i]:
             continue
         if op == ca.OP_INPUT:
             key = inputs[extra[0]]
-            pieces[i] = Piece(key if key in SCALARS else f"{key}[{extra[1]}]")
+            pieces[i] = CExpression(key if key in SCALAR_NAMES else f"{key}[{extra[1]}]")
             continue
         if op == ca.OP_CONST:
-            pieces[i] = number(extra)
+            pieces[i] = c_number(extra)
             continue
-        pieces[i], line = assigned(apply(op, [pieces[j] for j in args]), uses[i], f"a{len(lines) + 1}")
+        pieces[i], line = assign_if_shared(apply_operation(op, [pieces[j] for j in args]), uses[i], f"a{len(lines) + 1}")
         lines += line
-    return lines + _assignments([(targets[entry], pieces[i].text, nodes[i][0] == ca.OP_CONST) for (_, entry), i in stores])
+    return lines + _store_lines([(targets[entry], pieces[i].text, nodes[i][0] == ca.OP_CONST) for (_, entry), i in stores])
 
 
-def assigned(piece: Piece, uses: int, name: str) -> tuple[Piece, list[str]]:
+def assign_if_shared(piece: CExpression, uses: int, name: str) -> tuple[CExpression, list[str]]:
     """A piece as it is used: by name where it is used often or is long, with the line that gives it the name."""
-    if uses > 1 or len(piece.text) > WIDTH:
-        return Piece(name), [f"const double {name} = {piece.text};"]
+    if uses > 1 or len(piece.text) > MAX_EXPRESSION_WIDTH:
+        return CExpression(name), [f"const double {name} = {piece.text};"]
     return piece, []
 
 
-def _assignments(stores: list[tuple[str, str, bool]]) -> list[str]:
+def _store_lines(stores: list[tuple[str, str, bool]]) -> list[str]:
     """``target = value;`` for each store; constants that are equal share a line."""
     lines, constants = [], {}
     for target, value, constant in stores:
@@ -143,12 +145,12 @@ def _assignments(stores: list[tuple[str, str, bool]]) -> list[str]:
         else:
             lines.append(f"{target} = {value};")
     for value, targets in constants.items():
-        for i in range(0, len(targets), TARGETS):
-            lines.append(" = ".join(targets[i : i + TARGETS]) + f" = {value};")
+        for i in range(0, len(targets), TARGETS_PER_LINE):
+            lines.append(" = ".join(targets[i : i + TARGETS_PER_LINE]) + f" = {value};")
     return lines
 
 
-def graph(function: ca.Function) -> tuple[list[tuple], list[tuple[tuple[int, int], int]], list[int]]:
+def expression_graph(function: ca.Function) -> tuple[list[tuple], list[tuple[tuple[int, int], int]], list[int]]:
     """(nodes, stores, uses): each operation once, with the nodes it takes; what is stored where; how often a node is needed."""
     nodes: list[tuple] = []
     stores, uses, at = [], [], {}
@@ -169,47 +171,47 @@ def graph(function: ca.Function) -> tuple[list[tuple], list[tuple[tuple[int, int
     return nodes, stores, uses
 
 
-def apply(op: int, args: list[Piece]) -> Piece:
+def apply_operation(op: int, args: list[CExpression]) -> CExpression:
     """The C of one operation."""
     if op in _INFIX:
         sign, binds, left, right = _INFIX[op]
         a, b = (arg.number for arg in args)
-        return Piece(
+        return CExpression(
             f"{a.within(left)} {sign} {b.within(right)}" if binds == SUM else f"{a.within(left)}{sign}{b.within(right)}", binds
         )
-    if op in _COMPARED:
+    if op in _COMPARISON_SIGNS:
         a, b = (arg.number for arg in args)
-        return Piece(f"{a.within(SUM)} {_COMPARED[op]} {b.within(SUM)}", COMPARISON, True)
+        return CExpression(f"{a.within(SUM)} {_COMPARISON_SIGNS[op]} {b.within(SUM)}", COMPARISON, True)
     if op in (ca.OP_AND, ca.OP_OR):
         sign = "&&" if op == ca.OP_AND else "||"
-        return Piece(f"{args[0].condition.within(ATOM)} {sign} {args[1].condition.within(ATOM)}", LOGICAL, True)
+        return CExpression(f"{args[0].condition.within(ATOM)} {sign} {args[1].condition.within(ATOM)}", LOGICAL, True)
     if op == ca.OP_NOT:
-        return Piece(f"!{args[0].condition.within(ATOM)}", UNARY, True)
+        return CExpression(f"!{args[0].condition.within(ATOM)}", UNARY, True)
     if op == ca.OP_IF_ELSE_ZERO:
-        return Piece(f"{args[0].condition.within(ATOM)} ? {args[1].number.within(SUM)} : 0.0", CHOICE)
+        return CExpression(f"{args[0].condition.within(ATOM)} ? {args[1].number.within(SUM)} : 0.0", CHOICE)
     numbers = [arg.number for arg in args]
     if op == ca.OP_ASSIGN:
         return numbers[0]
     if op == ca.OP_NEG:
-        return Piece(f"-{numbers[0].within(ATOM)}", UNARY)
+        return CExpression(f"-{numbers[0].within(ATOM)}", UNARY)
     if op == ca.OP_SQ:
-        return Piece(f"{numbers[0].within(ATOM)}*{numbers[0].within(ATOM)}", PRODUCT)
+        return CExpression(f"{numbers[0].within(ATOM)}*{numbers[0].within(ATOM)}", PRODUCT)
     if op == ca.OP_TWICE:
-        return Piece(f"2.0*{numbers[0].within(UNARY)}", PRODUCT)
+        return CExpression(f"2.0*{numbers[0].within(UNARY)}", PRODUCT)
     if op == ca.OP_INV:
-        return Piece(f"1.0/{numbers[0].within(ATOM)}", PRODUCT)
-    if op in _CALLED:
-        return Piece(f"{_CALLED[op]}({', '.join(arg.text for arg in numbers)})")
+        return CExpression(f"1.0/{numbers[0].within(ATOM)}", PRODUCT)
+    if op in _C_FUNCTIONS:
+        return CExpression(f"{_C_FUNCTIONS[op]}({', '.join(arg.text for arg in numbers)})")
     if op == ca.OP_CALL:
         raise CodegenError("an expression calls a CasADi Function that is not inlined; build it with never_inline=False")
     raise CodegenError(f"the operation '{_NAMES.get(op, op)}' of an expression has no counterpart in C99")
 
 
-def number(value: float) -> Piece:
+def c_number(value: float) -> CExpression:
     """A double, exactly."""
     if value != value:
-        return Piece("NAN")
+        return CExpression("NAN")
     if value in (float("inf"), float("-inf")):
-        return Piece("INFINITY") if value > 0 else Piece("-INFINITY", UNARY)
+        return CExpression("INFINITY") if value > 0 else CExpression("-INFINITY", UNARY)
     text = repr(float(value)).removesuffix(".0") + ".0" if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
-    return Piece(text, UNARY if text.startswith("-") else ATOM)
+    return CExpression(text, UNARY if text.startswith("-") else ATOM)

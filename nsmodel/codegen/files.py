@@ -8,59 +8,59 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.codegen.about import left_out, used
-from nsmodel.codegen.fragments import fragment
-from nsmodel.codegen.scene import Scene
-from nsmodel.codegen.source import Source, names
-from nsmodel.grid import Grid
+from nsmodel.codegen.about import describe_left_out, describe_used
+from nsmodel.codegen.fragments import read_fragment
+from nsmodel.codegen.scene import StepSpec
+from nsmodel.codegen.source import LibrarySource, array_names
+from nsmodel.grid import TimeGrid
 from nsmodel.identity import versions
-from nsmodel.proof.sure import sure
-from nsmodel.words import UNSEEN
+from nsmodel.proof.sure import not_none
+from nsmodel.words import INVISIBLE_CHARACTERS
 
 STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example.
-STRETCHES = 10_000  # Nor more stretches of steps between edges of inputs,
-STRAIGHT = 1e-9  # which go on where an input bends by less than this part of its size.
-WIDTH = 100  # Characters of the table's header in a line of the example,
-LONGEST_STRING = 900  # and of one name: C99 asks for strings of 4095 bytes, escapes counted.
+MAX_SEGMENTS = 10_000  # Nor more stretches of steps between edges of inputs,
+BEND_TOLERANCE = 1e-9  # which go on where an input bends by less than this part of its size.
+HEADER_WIDTH = 100  # Characters of the table's header in a line of the example,
+MAX_STRING_LENGTH = 900  # and of one name: C99 asks for strings of 4095 bytes, escapes counted.
 
 
-def all_files(scene: Scene, source: Source, grid: Grid, fingerprint: str) -> dict[str, str]:
+def step_library_files(spec: StepSpec, source: LibrarySource, grid: TimeGrid, fingerprint: str) -> dict[str, str]:
     """Return every file of the library by name."""
     name = source.name
     return {
         f"{name}.h": source.header,
         f"{name}.c": source.code,
-        "example_main.c": _example(scene, source, grid),
-        "Makefile": fragment("Makefile", frozenset(), {"NAME": name}),
-        f"{name}.json": json.dumps(description(scene, source, fingerprint), indent=2) + "\n",
-        "README.md": _readme(scene, source),
+        "example_main.c": _example_main(spec, source, grid),
+        "Makefile": read_fragment("Makefile", frozenset(), {"NAME": name}),
+        f"{name}.json": json.dumps(library_description(spec, source, fingerprint), indent=2) + "\n",
+        "README.md": _readme(spec, source),
     }
 
 
-def description(scene: Scene, source: Source, fingerprint: str) -> dict:
+def library_description(spec: StepSpec, source: LibrarySource, fingerprint: str) -> dict:
     """What the library is, for programs."""
-    model, problem, own = scene.model, scene.problem, scene.places.names(scene.model)
+    model, problem, own = spec.model, spec.problem, spec.places.names(spec.model)
     return {
         "name": source.name,
         "title": model.title,
         "model_class": type(model).__name__,
         "scheme": problem.scheme,
         "paper": model.paper,
-        "sizes": {key: source.sizes[key] for key in "NX NSTATE NP NL N M".split() + _of_inputs(source.flags)},
+        "sizes": {key: source.sizes[key] for key in "NX NSTATE NP NL N M".split() + _input_size_names(source.flags)},
         "states": list(model.names),
-        "parameters": scene.parameters,
+        "parameters": spec.parameters,
         "inputs": own["u"],
         **({"blocks": {"memory": own["z"], "held": own["w"]}} if "BLOCKS" in source.flags else {}),
         "multipliers": list(problem.multiplier_names),
         "rows": list(problem.rows),
         "units": dict(model.units),
-        "step": scene.h,
+        "step": spec.h,
         "any_step": not {"ONE_STEP", "KNOWN_LENGTHS"} & source.flags,
-        "lengths": list(scene.known_lengths) if "LENGTHS" in source.flags else [],
-        "tolerance": scene.tolerance,
+        "lengths": list(spec.known_lengths) if "LENGTHS" in source.flags else [],
+        "tolerance": spec.tolerance,
         "max_work": source.bound,
-        "used": used(source.flags, source.sizes),
-        "left_out": left_out(source.flags),
+        "used": describe_used(source.flags, source.sizes),
+        "left_out": describe_left_out(source.flags),
         "velocity": "VELOCITY" in source.flags,
         "force": "FORCE" in source.flags,
         "model_hash": fingerprint,
@@ -68,39 +68,39 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
     }
 
 
-def _of_inputs(flags: Set[str]) -> list[str]:
+def _input_size_names(flags: Set[str]) -> list[str]:
     """The sizes that a model with inputs has."""
     return ["NU"] * ("INPUTS" in flags) + ["NZ", "NW"] * ("BLOCKS" in flags)
 
 
-def _example(scene: Scene, source: Source, grid: Grid) -> str:
-    model, first = scene.model, 1 if scene.model.tied_to_step else 0
+def _example_main(spec: StepSpec, source: LibrarySource, grid: TimeGrid) -> str:
+    model, first = spec.model, 1 if spec.model.tied_to_step else 0
     whole = grid.N if grid.steps is not None or grid.last == grid.h else grid.N - 1
-    stretches = _stretches(grid, first, whole, list(scene.places.given)) if grid.drive is not None else []
-    if stretches:
-        whole = first + sum(stretch.steps for stretch in stretches)
+    segments = _input_segments(grid, first, whole, list(spec.places.given)) if grid.drive is not None else []
+    if segments:
+        whole = first + sum(segment.steps for segment in segments)
     given = np.zeros(0) if grid.steps is None else grid.steps[:STEPS_IN_EXAMPLE]
     steps = given.tolist()
-    many = "STRETCHES" if stretches else "MANY_STEPS" if np.unique(given).size > 1 else ""
+    many = "STRETCHES" if segments else "MANY_STEPS" if np.unique(given).size > 1 else ""
     flags = source.flags | {many}
     names = list(model.names or ())
     columns = ["t", *names]
     columns += [f"v_{name}" for name in names] if "VELOCITY" in flags else []
-    columns += list(scene.problem.multiplier_names) if "LAW" in flags else []
-    words = {
+    columns += list(spec.problem.multiplier_names) if "LAW" in flags else []
+    replacements = {
         "NAME": source.name,
         "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",
         "MULTIPLIERS": ", multipliers" if "LAW" in flags else "",
         "STEPS": "\n".join("        " + ", ".join(map(repr, steps[i : i + 5])) + "," for i in range(0, len(steps), 5)),
-        "STRETCHES": "\n".join(stretch.until if "PULSES" in flags else str(stretch) for stretch in stretches),
+        "STRETCHES": "\n".join(segment.until if "PULSES" in flags else str(segment) for segment in segments),
         "LAST": str(min(whole, len(steps)) if steps else whole),
         "FIRST": str(first),
-        "COLUMNS": "\n".join(f'    fputs("{_c_string(line)}", stdout);' for line in _lines(columns)),
+        "COLUMNS": "\n".join(f'    fputs("{_c_string(line)}", stdout);' for line in _header_chunks(columns)),
     }
-    return fragment("example_main.c", flags, words)
+    return read_fragment("example_main.c", flags, replacements)
 
 
-class _Stretch(NamedTuple):
+class _InputSegment(NamedTuple):
     """Steps of one length between two edges: the inputs (nu,) at its begin and end, with straight lines between them."""
 
     t: float
@@ -124,69 +124,69 @@ class _Stretch(NamedTuple):
         return f"    {{{', '.join([*map(repr, numbers), *limits])}}},"
 
 
-def _stretches(grid: Grid, first: int, last: int, given: list[int]) -> list[_Stretch]:
+def _input_segments(grid: TimeGrid, first: int, last: int, given: list[int]) -> list[_InputSegment]:
     """Steps ``first`` up to ``last`` of a driven grid, at most STRETCHES stretches, with the inputs that are given."""
     t = grid.between(first, last)
-    begin, end = (limits[:, given] for limits in np.hsplit(sure(grid.drive).limits(t, first), 2))
+    begin, end = (limits[:, given] for limits in np.hsplit(not_none(grid.drive).limits(t, first), 2))
     h = np.array([grid.step(k) for k in range(first, last)])
     size = np.abs([begin, end]).max(axis=(0, 1), initial=0.0)
     slope = (end - begin) / h[:, None]
-    bends = np.abs(np.diff(slope, axis=0)) * h[1:, None] > STRAIGHT * size
+    bends = np.abs(np.diff(slope, axis=0)) * h[1:, None] > BEND_TOLERANCE * size
     goes_on = (h[1:] == h[:-1]) & (begin[1:] == end[:-1]).all(axis=1) & ~bends.any(axis=1)
     firsts = np.flatnonzero(np.append(True, ~goes_on))
     lasts = np.append(firsts[1:], last - first)
     return [
-        _Stretch(t[a].item(), t[b].item(), int(b - a), h[a].item(), begin[a].tolist(), end[b - 1].tolist())
-        for a, b in zip(firsts[:STRETCHES], lasts[:STRETCHES], strict=True)
+        _InputSegment(t[a].item(), t[b].item(), int(b - a), h[a].item(), begin[a].tolist(), end[b - 1].tolist())
+        for a, b in zip(firsts[:MAX_SEGMENTS], lasts[:MAX_SEGMENTS], strict=True)
     ]
 
 
-def _lines(columns: list[str]) -> list[str]:
+def _header_chunks(columns: list[str]) -> list[str]:
     """The header of the table in pieces that a C string may hold, names with CSV quotes where they need them."""
     pieces = [""]
     for column in columns:
         name = '"' + column.replace('"', '""') + '"' if set(column) & set(',"\r\n') else column
-        for part in _cut(name + ",", LONGEST_STRING):
-            if len(pieces[-1]) + len(part) > WIDTH:
+        for part in _text_chunks(name + ",", MAX_STRING_LENGTH):
+            if len(pieces[-1]) + len(part) > HEADER_WIDTH:
                 pieces.append("")
             pieces[-1] += part
     return [piece for piece in [*pieces[:-1], pieces[-1][:-1] + "\n"] if piece]
 
 
-def _cut(text: str, size: int) -> list[str]:
+def _text_chunks(text: str, size: int) -> list[str]:
     return [text[i : i + size] for i in range(0, len(text), size)]
 
 
 def _c_string(text: str) -> str:
     """Text between the quotes of a C string; no two ? beside each other, which may begin a trigraph."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("??", "?\\?").replace("??", "?\\?")
-    return UNSEEN.sub(lambda match: "".join(f"\\{byte:03o}" for byte in match[0].encode()), escaped)
+    return INVISIBLE_CHARACTERS.sub(lambda match: "".join(f"\\{byte:03o}" for byte in match[0].encode()), escaped)
 
 
-def _readme(scene: Scene, source: Source) -> str:
-    flags = source.flags | ({"LEFT_OUT"} if left_out(source.flags) else set())
-    return fragment("README.md", flags, readme_words(scene, source))
+def _readme(spec: StepSpec, source: LibrarySource) -> str:
+    flags = source.flags | ({"LEFT_OUT"} if describe_left_out(source.flags) else set())
+    return read_fragment("README.md", flags, readme_replacements(spec, source))
 
 
-def readme_words(scene: Scene, source: Source) -> dict[str, str]:
+def readme_replacements(spec: StepSpec, source: LibrarySource) -> dict[str, str]:
     """The words of the README."""
-    listed = names(scene)
+    listed = array_names(spec)
     return {
         "NAME": source.name,
         "UPPER": source.name.upper(),
-        "TITLE": " ".join(scene.model.title.split()) or source.name,
-        "SCHEME": scene.problem.scheme,
+        "TITLE": " ".join(spec.model.title.split()) or source.name,
+        "SCHEME": spec.problem.scheme,
         "STATES": listed["x"],
         "PARAMETERS": listed["p"],
         "INPUTS": listed["u"],
         "MEMORY": listed["z"] or "none",
         "HELD": listed["w"] or "none",
-        "KNOWN": ", ".join(f"{h:g}" for h in scene.known_lengths if h),
+        "KNOWN": ", ".join(f"{h:g}" for h in spec.known_lengths if h),
         "LENGTHS": str(source.sizes["LENGTHS"]),
         "MULTIPLIERS": listed["multipliers"],
-        "STEP": f"{scene.h:g}",
-        "TOLERANCE": f"{scene.tolerance:g}",
+        "STEP": f"{spec.h:g}",
+        "TOLERANCE": f"{spec.tolerance:g}",
         "BOUND": str(source.bound),
-        "USED": "\n".join(f"- {line[0].upper()}{line[1:]}." for line in used(source.flags, source.sizes)),
-        "LEFT_OUT": "\n".join(f"- {line[0].upper()}{line[1:]}." for line in left_out(source.flags)),
+        "USED": "\n".join(f"- {line[0].upper()}{line[1:]}." for line in describe_used(source.flags, source.sizes)),
+        "LEFT_OUT": "\n".join(f"- {line[0].upper()}{line[1:]}." for line in describe_left_out(source.flags)),
     }

@@ -18,17 +18,27 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-from nsmodel.cache_folder import SUFFIX
+from nsmodel.cache_folder import LIBRARY_SUFFIX
 from nsmodel.codegen.solver import Solver
 from nsmodel.errors import CodegenError
 
-SHARED = ("-shared", "-static-libgcc") if SUFFIX == ".dll" else ("-fPIC", "-shared")  # MinGW's code can lie anywhere.
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", *SHARED)
+SHARED_FLAGS = (
+    ("-shared", "-static-libgcc") if LIBRARY_SUFFIX == ".dll" else ("-fPIC", "-shared")
+)  # MinGW's code can lie anywhere.
+COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", *SHARED_FLAGS)
 # For this processor alone; not on Windows, where gcc does not align the stack for its longest vectors.
-NATIVE = () if SUFFIX == ".dll" else ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",)
-MATHS = () if SUFFIX == ".dll" else ("-lm",)  # Where functions like exp are.
-QUICKLY = ("-fno-gcse", "-fno-inline-functions", "-fno-partial-inlining", "-fno-schedule-insns2")  # Slow to build.
-IN_LANES = (*FLAGS, "-ftree-vectorize", "-fopenmp-simd", "-fno-trapping-math", *QUICKLY)  # None of these changes a bit.
+NATIVE_FLAGS = (
+    () if LIBRARY_SUFFIX == ".dll" else ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",)
+)
+MATH_LIBRARIES = () if LIBRARY_SUFFIX == ".dll" else ("-lm",)  # Where functions like exp are.
+FAST_BUILD_FLAGS = ("-fno-gcse", "-fno-inline-functions", "-fno-partial-inlining", "-fno-schedule-insns2")  # Slow to build.
+LANES_FLAGS = (
+    *COMPILER_FLAGS,
+    "-ftree-vectorize",
+    "-fopenmp-simd",
+    "-fno-trapping-math",
+    *FAST_BUILD_FLAGS,
+)  # None of these changes a bit.
 COMPILERS = ("cc", "gcc", "clang")
 TIMEOUT = 600.0  # Seconds that a compiler may take.
 
@@ -42,7 +52,7 @@ def compiler() -> str | None:
     return None
 
 
-def no_compiler() -> CodegenError:
+def no_compiler_error() -> CodegenError:
     """The error where ``compiler`` gives None."""
     named = os.environ.get("CC", "").strip()
     missing = f"CC names {named}, which is not there" if named else f"none of {', '.join(COMPILERS)}"
@@ -51,7 +61,7 @@ def no_compiler() -> CodegenError:
     )
 
 
-def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) -> None:
+def compile_library(source: Path, target: Path, flags: tuple[str, ...] = COMPILER_FLAGS) -> None:
     """Compile one C file into a shared library; ``target`` appears whole or not at all.
 
     Raises:
@@ -59,12 +69,12 @@ def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) 
     """
     name = compiler()
     if name is None:
-        raise no_compiler()
+        raise no_compiler_error()
     try:
         with tempfile.TemporaryDirectory(dir=target.parent) as folder:
             built = Path(folder) / target.name
-            command = [*name.split(), *flags, "-o", str(built), str(source), *MATHS]
-            status, errors = _called(command)
+            command = [*name.split(), *flags, "-o", str(built), str(source), *MATH_LIBRARIES]
+            status, errors = _run_compiler(command)
             if status:
                 raise CodegenError(f"{name} could not compile {source.name}: {_first_error(status, errors)}")
             built.replace(target)
@@ -72,15 +82,15 @@ def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) 
         raise CodegenError(f"{target} could not be built with {name} ({error}); its folder must be writable") from error
 
 
-def _called(command: list[str]) -> tuple[int, str]:
+def _run_compiler(command: list[str]) -> tuple[int, str]:
     """Exit status and errors of a compiler; it and all that it has started end with this call.
 
     Raises:
         CodegenError: it takes longer than TIMEOUT.
     """
-    quiet = subprocess.DEVNULL
+    silenced = subprocess.DEVNULL
     with subprocess.Popen(
-        command, text=True, errors="replace", start_new_session=True, stdin=quiet, stdout=quiet, stderr=subprocess.PIPE
+        command, text=True, errors="replace", start_new_session=True, stdin=silenced, stdout=silenced, stderr=subprocess.PIPE
     ) as process:
         try:
             errors = process.communicate(timeout=TIMEOUT)[1]
@@ -102,7 +112,7 @@ def _first_error(status: int, errors: str) -> str:
     return next((line for line in lines if "error" in line), lines[0] if lines else f"exit status {status}")
 
 
-class Mapped(ctypes.CDLL):
+class MappedLibrary(ctypes.CDLL):
     """A library in memory, which goes when nothing refers to it; each of its functions, asked for by ``[name]``, does.
 
     Systems know libraries by their paths, and some let no file be changed that is loaded: the path must name the content.
@@ -113,7 +123,7 @@ class Mapped(ctypes.CDLL):
         self.path, self.closed = path, True
         super().__init__(str(path.resolve()))
         self.closed = False
-        _MAPPED.add(self)
+        _LOADED_LIBRARIES.add(self)
 
     def __del__(self) -> None:
         """Unload it, but not while Python ends and others may still call it."""
@@ -123,12 +133,12 @@ class Mapped(ctypes.CDLL):
             close(self._handle)
 
 
-_MAPPED: weakref.WeakSet[Mapped] = weakref.WeakSet()
+_LOADED_LIBRARIES: weakref.WeakSet[MappedLibrary] = weakref.WeakSet()
 
 
-def in_use() -> set[Path]:
+def loaded_library_paths() -> set[Path]:
     """The files of the libraries that are loaded."""
-    return {library.path for library in _MAPPED}
+    return {library.path for library in _LOADED_LIBRARIES}
 
 
 def load(folder: str | Path) -> Library:
@@ -148,10 +158,10 @@ def load(folder: str | Path) -> Library:
     about = json.loads(found[0].read_bytes())
     name, source = about["name"], found[0].with_suffix(".c")
     code = b"\0".join(path.read_bytes() for path in sorted(folder.glob(f"{name}.[ch]")))
-    built = folder / f"lib{name}-{hashlib.sha256(code).hexdigest()[:24]}{SUFFIX}"
+    built = folder / f"lib{name}-{hashlib.sha256(code).hexdigest()[:24]}{LIBRARY_SUFFIX}"
     if not built.exists():
         compile_library(source, built)
-        for old in set(folder.glob(f"lib{name}-*{SUFFIX}")) - {built} - in_use():
+        for old in set(folder.glob(f"lib{name}-*{LIBRARY_SUFFIX}")) - {built} - loaded_library_paths():
             with contextlib.suppress(OSError):
                 old.unlink()
     return Library(built, about)
@@ -173,7 +183,7 @@ class Library:
         """Load the library at ``path``; ``about`` is its NAME.json."""
         self.path, self.about = path, about
         try:
-            self.mapped = Mapped(path)
+            self.mapped = MappedLibrary(path)
         except OSError as error:
             raise CodegenError(f"{path} could not be loaded ({error}); remove it, and it is built again") from error
 

@@ -8,32 +8,42 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.codegen import expression
-from nsmodel.codegen.expression import LONGEST, READ, SCALARS, Piece, apply, assigned, graph, number, written
-from nsmodel.codegen.tables import table
+from nsmodel.codegen.expression import (
+    MAX_OPERATIONS,
+    SCALAR_NAMES,
+    SOLVER_PREFIXES,
+    CExpression,
+    apply_operation,
+    assign_if_shared,
+    c_function_text,
+    c_number,
+    expression_graph,
+)
+from nsmodel.codegen.tables import c_table
 
-FEWEST = 8  # Rows to a form, on average, from which on loops are written.
+MIN_ROWS_PER_FORM = 8  # Rows to a form, on average, from which on loops are written.
 
 
-def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX], comment: str = "") -> str:
+def looped_c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX], comment: str = "") -> str:
     """As `expression.c_function`; where the function is long and its rows have few forms, each form is a loop."""
     column = ca.densify(ca.vertcat(ca.SX(0, 1), *(ca.vec(e.T) for e in outputs.values())))
     whole = ca.Function("f", list(inputs.values()), [column])
-    if whole.n_instructions() <= LONGEST:
+    if whole.n_instructions() <= MAX_OPERATIONS:
         return expression.c_function(name, inputs, outputs, comment)
-    found = forms(graph(whole), [(key, i) for key, e in outputs.items() for i in range(e.numel())])
-    if len(found) * FEWEST > column.numel():
+    found = loop_forms(expression_graph(whole), [(key, i) for key, e in outputs.items() for i in range(e.numel())])
+    if len(found) * MIN_ROWS_PER_FORM > column.numel():
         return expression.c_function(name, inputs, outputs, comment)
-    tables, body = Tables(name), []
+    tables, body = LoopTables(name), []
     for form in found:
-        body += _loop(form, list(inputs), tables)
-    given = ["s", *(key for key in inputs if not key.startswith(READ))]
+        body += _form_loop(form, list(inputs), tables)
+    given = ["s", *(key for key in inputs if not key.startswith(SOLVER_PREFIXES))]
     arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
     arguments += [f"double *restrict {key}" for key in outputs]
     head = f"/* {comment} */\n" if comment else ""
-    return tables.text() + head + written(name, arguments, [*given, *outputs], body)
+    return tables.text() + head + c_function_text(name, arguments, [*given, *outputs], body)
 
 
-def _loop(form: LoopForm, inputs: list[str], tables: Tables) -> list[str]:
+def _form_loop(form: LoopForm, inputs: list[str], tables: LoopTables) -> list[str]:
     """The loop of a form; the statement alone where it has one row."""
     leaves, pieces, lines = list(zip(*form.leaves, strict=True)), [], []
     uses = [0] * len(form.nodes)
@@ -44,13 +54,13 @@ def _loop(form: LoopForm, inputs: list[str], tables: Tables) -> list[str]:
     for k, (op, *args) in enumerate(form.nodes):
         if op == ca.OP_CONST:
             values = next(leaf)
-            own = number(values[0])
-            piece = own if all(value == values[0] for value in values) else Piece(tables.entry(values, "is"))
+            own = c_number(values[0])
+            piece = own if all(value == values[0] for value in values) else CExpression(tables.entry(values, "is"))
         elif op == ca.OP_INPUT:
             key, entries = inputs[args[0]], next(leaf)
-            piece = Piece(key if key in SCALARS else f"{key}[{tables.index(entries)}]")
+            piece = CExpression(key if key in SCALAR_NAMES else f"{key}[{tables.index(entries)}]")
         else:
-            piece, line = assigned(apply(op, [pieces[j] for j in args]), uses[k], f"a{len(lines) + 1}")
+            piece, line = assign_if_shared(apply_operation(op, [pieces[j] for j in args]), uses[k], f"a{len(lines) + 1}")
             lines += line
         pieces.append(piece)
     lines.append(f"{form.output}[{tables.index(form.places)}] = {pieces[-1].text};")
@@ -71,13 +81,13 @@ class LoopForm(NamedTuple):
     leaves: list[list]
 
 
-def forms(whole: tuple, targets: Sequence[tuple[str, int]]) -> list[LoopForm]:
+def loop_forms(whole: tuple, targets: Sequence[tuple[str, int]]) -> list[LoopForm]:
     """The rows of a graph (see `expression.graph`) by their form; ``targets``: output and place of each."""
     nodes, stores, _ = whole
     found: dict[tuple, LoopForm] = {}
     for (_, entry), root in stores:
         output, place = targets[entry]
-        own, leaves = _row(nodes, root)
+        own, leaves = _row_form(nodes, root)
         key = (output, own)
         if key not in found:
             found[key] = LoopForm(output, own, [], [])
@@ -86,7 +96,7 @@ def forms(whole: tuple, targets: Sequence[tuple[str, int]]) -> list[LoopForm]:
     return list(found.values())
 
 
-def _row(nodes: list[tuple], root: int) -> tuple[tuple[tuple, ...], list]:
+def _row_form(nodes: list[tuple], root: int) -> tuple[tuple[tuple, ...], list]:
     """The nodes below ``root`` in their own numbers, leaves without what they hold, and what these hold."""
     own: list[tuple] = []
     leaves: list = []
@@ -119,7 +129,7 @@ def _row(nodes: list[tuple], root: int) -> tuple[tuple[tuple, ...], list]:
     return tuple(own), leaves
 
 
-class Tables:
+class LoopTables:
     """Tables of numbers ("is") and indices ("at"), each written once; ``prefix`` begins their names."""
 
     def __init__(self, prefix: str) -> None:
@@ -141,4 +151,4 @@ class Tables:
     def text(self) -> str:
         """The C of the tables."""
         kinds = {"at": "int", "is": "double"}
-        return "".join(table(name, values, str(len(values)), kind=kinds[kind]) for (kind, values), name in self._names.items())
+        return "".join(c_table(name, values, str(len(values)), kind=kinds[kind]) for (kind, values), name in self._names.items())

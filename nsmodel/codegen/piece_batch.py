@@ -11,30 +11,36 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen.batch import TO_DO, Cells
-from nsmodel.codegen.piece_runs import Asked, Compiled, mark_of_all
-from nsmodel.codegen.piece_scene import free_problem
-from nsmodel.codegen.rollout import SECONDS
+from nsmodel.codegen.batch import TO_DO, BatchCells
+from nsmodel.codegen.piece_runs import PieceLibrary, RunRequest, symbolic_problem_hash
+from nsmodel.codegen.piece_scene import cached_symbolic_problem
+from nsmodel.codegen.rollout import CALL_SECONDS
 from nsmodel.codegen.statuses import BAD_PARAMETER, NO_MODE
-from nsmodel.codegen.structs import PIECE_CELLS
-from nsmodel.dense import UNKNOWN
+from nsmodel.codegen.structs import PIECE_BATCH_CELLS
+from nsmodel.dense import UNKNOWN_INDEX
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import check_times, driving
+from nsmodel.grid import check_times, input_schedule
 from nsmodel.hypotheses.quick import admitted
 from nsmodel.model.base import Model
-from nsmodel.pieces.asked import LARGE, operations, times, tolerances
-from nsmodel.pieces.known_of import known_of
-from nsmodel.quantities import Outputs
+from nsmodel.pieces.asked import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
+from nsmodel.pieces.known_of import switch_times_of
+from nsmodel.quantities import OutputColumns
 
-MOST = 1_000_000  # Pieces of a cell.
+MAX_PIECES = 1_000_000  # Pieces of a cell.
 
-_Cells = PIECE_CELLS.in_python()
-_AT_START = ("multipliers", "y", "residual", "error_estimate", "reactions")  # NaN there: of the step that ends at a row.
+_PieceCellsStruct = PIECE_BATCH_CELLS.ctypes_structure()
+_UNDEFINED_AT_START = (
+    "multipliers",
+    "y",
+    "residual",
+    "error_estimate",
+    "reactions",
+)  # NaN there: of the step that ends at a row.
 
 
 @dataclass(frozen=True)
-class PieceCells(Cells):
-    """Event-driven runs at many values of the parameters, cell by cell; of `Cells` beside that:
+class PieceBatchCells(BatchCells):
+    """Event-driven runs at many values of the parameters, cell by cell; of `BatchCells` beside that:
 
     Attributes:
         arrays: rows at the times that were asked for.
@@ -71,30 +77,36 @@ class PieceBatch:
         check_times(t_end=t_end)
         self.names, self._model = tuple(model.parameters), model
         self._T = float(model.t_end if t_end is None else t_end)
-        self._times = np.array([*([0.0] if len(given) and given[0] == 0 else []), *times(given, self._T)])
-        self._p = problem = free_problem(model)
-        if operations(problem) > LARGE:
-            raise CodegenError(f"f, g and h have {operations(problem)} operations, and each event ends a piece of all of them")
-        rtol, atol = tolerances(problem, rtol, atol)
-        known = known_of(model, self._T)
+        self._times = np.array([*([0.0] if len(given) and given[0] == 0 else []), *checked_row_times(given, self._T)])
+        self._p = problem = cached_symbolic_problem(model)
+        if operation_count(problem) > MAX_EVENT_DRIVEN_OPERATIONS:
+            raise CodegenError(
+                f"f, g and h have {operation_count(problem)} operations, and each event ends a piece of all of them"
+            )
+        rtol, atol = checked_tolerances(problem, rtol, atol)
+        known = switch_times_of(model, self._T)
         fixed = () if problem.held else known.times
-        compiled = Compiled.of(problem, mark_of_all(problem), fixed)
+        compiled = PieceLibrary.of(problem, symbolic_problem_hash(problem), fixed)
         self.way = f"{compiled.way}, one library for all values"
-        self._asked = Asked.made(rtol, atol, known.table, residuals=False)
+        self._request = RunRequest.made(rtol, atol, known.table, residuals=False)
         library, pointer = compiled.library, ctypes.c_void_p
         self._size = library.function("size", ctypes.c_long)() // 8 + 1
         self._width = library.function("row_width", ctypes.c_long)()
-        self._run = library.function("run_cells", ctypes.c_int, pointer, pointer, ctypes.POINTER(_Cells), ctypes.c_double)
-        self._outputs = Outputs.of(model, self._rows)
+        self._run = library.function(
+            "run_cells", ctypes.c_int, pointer, pointer, ctypes.POINTER(_PieceCellsStruct), ctypes.c_double
+        )
+        self._outputs = OutputColumns.of(model, self._multiplier_names)
         self._admitted = ca.Function("admitted", [model.p], [admitted(model)])
-        self._mass = _mass(model)
-        self._of_outputs(_Work(0, len(self._times), self._width, problem.l.numel()), np.zeros((0, len(self.names))))
+        self._mass = _mass_function(model)
+        self._evaluate_outputs(
+            _PieceBatchArrays(0, len(self._times), self._width, problem.l.numel()), np.zeros((0, len(self.names)))
+        )
 
     @property
-    def _rows(self) -> tuple[str, ...]:
+    def _multiplier_names(self) -> tuple[str, ...]:
         return self._p.rows if self._p.multipliers is None else self._p.declared
 
-    def rows_kept(self) -> np.ndarray:
+    def kept_times(self) -> np.ndarray:
         """The times (R,) of the rows."""
         return self._times.copy()
 
@@ -102,7 +114,7 @@ class PieceBatch:
         """What can be kept, by the names that a Trajectory has, with the shape that one row has of it."""
         shapes = {name: () if isinstance(at, int) else (len(at),) for name, at in self._columns.items()}
         shapes |= {"index_set": (self._p.l.numel(),)}
-        shapes |= {name: rows.shape[1:] for name, rows in self._driven.items()}
+        shapes |= {name: rows.shape[1:] for name, rows in self._input_columns.items()}
         of_outputs = {name: () if own.size == 1 else (own.size,) for name, own in self._outputs.quantities.items()}
         return of_outputs | shapes
 
@@ -110,7 +122,7 @@ class PieceBatch:
     def _columns(self) -> dict[str, int | list[int]]:
         """Where each stands in a row of C."""
         p, model = self._p, self._model
-        n, m, own = p.x.numel(), p.l.numel(), len(self._rows)
+        n, m, own = p.x.numel(), p.l.numel(), len(self._multiplier_names)
         at, found = n + 2 * m, dict[str, Any](x=list(range(p.states)))
         for name, expression in p.columns.items():
             size = expression.numel()
@@ -127,10 +139,10 @@ class PieceBatch:
         found |= {"error_estimate": at, "residual": at + 1}
         of_states = {stem: list(places) if len(places) > 1 else places[0] for stem, places in model.stems.items()}
         of_states |= {name: i for i, name in enumerate(model.names)}
-        of_rows = dict(zip(self._rows, found["multipliers"], strict=True))
+        of_rows = dict(zip(self._multiplier_names, found["multipliers"], strict=True))
         return of_rows | of_states | found  # an array comes before what has its name, as in a Trajectory
 
-    def run(self, values: np.ndarray, keep: Sequence[str], stop: Callable[[], bool] = lambda: False) -> PieceCells:
+    def run(self, values: np.ndarray, keep: Sequence[str], stop: Callable[[], bool] = lambda: False) -> PieceBatchCells:
         """Run all cells, each as if it were alone.
 
         Args:
@@ -147,26 +159,26 @@ class PieceBatch:
         unknown = [name for name in keep if name not in self.columns()]
         if unknown:
             raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
-        work = _Work(len(given), len(self._times), self._width, self._p.l.numel())
-        work.status[self._is_singular(given)] = NO_MODE
-        work.status[~self._is_right(given)] = BAD_PARAMETER
+        work = _PieceBatchArrays(len(given), len(self._times), self._width, self._p.l.numel())
+        work.status[self._has_singular_mass(given)] = NO_MODE
+        work.status[~self._are_admitted(given)] = BAD_PARAMETER
         plain = {"x", "error_estimate", *self._model.stems, *self._model.names}
         control = work.control(given, self._times, self._T, more=not set(keep) <= plain)
         memory = np.zeros(self._size)
-        while not self._run(memory.ctypes.data, ctypes.byref(self._asked.of), ctypes.byref(control), SECONDS):
+        while not self._run(memory.ctypes.data, ctypes.byref(self._request.of), ctypes.byref(control), CALL_SECONDS):
             if stop():
-                work.forget(control.cell)
+                work.discard_from(control.cell)
                 break
         at_start = self._times == 0
-        work.kept[:, at_start] = self._without_step(work.kept[:, at_start])
-        return work.cells({name: self._array(name, work, given) for name in keep})
+        work.kept[:, at_start] = self._blank_step_columns(work.kept[:, at_start])
+        return work.cells({name: self._kept_array(name, work, given) for name in keep})
 
-    def _is_right(self, given: np.ndarray) -> np.ndarray:
+    def _are_admitted(self, given: np.ndarray) -> np.ndarray:
         """Whether values are some that a run does not refuse; what the law says of them, C does."""
-        asked = np.array(self._admitted(given.T)).T.reshape(len(given), -1)
-        return np.logical_and(np.isfinite(np.column_stack([given, asked])).all(axis=1), (asked >= 0).all(axis=1))
+        conditions = np.array(self._admitted(given.T)).T.reshape(len(given), -1)
+        return np.logical_and(np.isfinite(np.column_stack([given, conditions])).all(axis=1), (conditions >= 0).all(axis=1))
 
-    def _is_singular(self, given: np.ndarray) -> np.ndarray:
+    def _has_singular_mass(self, given: np.ndarray) -> np.ndarray:
         """Whether M has no inverse, as a run has it."""
         if self._mass is None:
             return np.zeros(len(given), bool)
@@ -174,49 +186,49 @@ class PieceBatch:
         M = np.array(self._mass(given.T)).T.reshape(-1, n, n)
         return np.atleast_1d(np.linalg.matrix_rank(np.where(np.isfinite(M), M, 0)) < n)
 
-    def _without_step(self, rows: np.ndarray) -> np.ndarray:
+    def _blank_step_columns(self, rows: np.ndarray) -> np.ndarray:
         """Rows at t = 0, before which there is no step."""
-        for name in _AT_START:
+        for name in _UNDEFINED_AT_START:
             if name in self._columns:
                 rows[..., self._columns[name]] = np.nan
         return rows
 
-    def _array(self, name: str, work: _Work, given: np.ndarray) -> np.ndarray:
+    def _kept_array(self, name: str, work: _PieceBatchArrays, given: np.ndarray) -> np.ndarray:
         if name == "index_set":
             return work.index
-        if name in self._driven:
-            return np.repeat(self._driven[name][None], len(given), axis=0)
+        if name in self._input_columns:
+            return np.repeat(self._input_columns[name][None], len(given), axis=0)
         if name in self._outputs.quantities and name not in self._columns:
-            found = self._of_outputs(work, given)[name]
+            found = self._evaluate_outputs(work, given)[name]
             return found.reshape(len(given), len(self._times), *found.shape[1:])
         at = self._columns[name]
         return work.kept[:, :, at].copy() if isinstance(at, int) else work.kept[:, :, at]
 
     @cached_property
-    def _driven(self) -> dict[str, np.ndarray]:
+    def _input_columns(self) -> dict[str, np.ndarray]:
         """Columns of the inputs, which are those of all cells."""
         if not self._model.inputs:
             return {}
         t = self._times
-        rows = driving(self._model, self._T).rows(t, np.concatenate([[0.0], t[:-1]]))
+        rows = input_schedule(self._model, self._T).rows(t, np.concatenate([[0.0], t[:-1]]))
         return {name: rows["inputs"][:, i] for i, name in enumerate(self._model.input_names)} | rows
 
-    def _of_outputs(self, work: _Work, given: np.ndarray) -> dict[str, np.ndarray]:
+    def _evaluate_outputs(self, work: _PieceBatchArrays, given: np.ndarray) -> dict[str, np.ndarray]:
         """The model's own outputs, all cells one after the other."""
         count = len(given) * len(self._times)
         flat = {name: work.kept[:, :, at].reshape(count, *np.shape(at)) for name, at in self._columns.items()}
-        flat |= {name: np.tile(rows, (len(given), *[1] * (rows.ndim - 1))) for name, rows in self._driven.items()}
+        flat |= {name: np.tile(rows, (len(given), *[1] * (rows.ndim - 1))) for name, rows in self._input_columns.items()}
         flat |= {"t": np.tile(self._times, len(given)), "index_set": work.index.reshape(count, work.index.shape[2])}
         flat["step"] = np.tile(np.diff(self._times, prepend=np.nan if 0 in self._times else 0.0), len(given))
         parameters: Any = dict(zip(self.names, np.repeat(given, len(self._times), axis=0).T, strict=True))
-        return Outputs(self._outputs.names._replace(parameters=parameters), self._outputs.quantities)(flat)
+        return OutputColumns(self._outputs.names._replace(parameters=parameters), self._outputs.quantities)(flat)
 
 
-class _Work:
+class _PieceBatchArrays:
     """What the cells of one call write."""
 
     def __init__(self, cells: int, rows: int, width: int, m: int) -> None:
-        self.kept, self.index = np.full((cells, rows, width), np.nan), np.full((cells, rows, m), UNKNOWN, np.int8)
+        self.kept, self.index = np.full((cells, rows, width), np.nan), np.full((cells, rows, m), UNKNOWN_INDEX, np.int8)
         self.status = np.full(cells, TO_DO, np.int8)
         self.taken, self.pieces, self.events, self.estimate, self.worst = (np.zeros(cells) for _ in range(5))
         self.failed_at, self._m = np.full(cells, np.nan), m
@@ -228,28 +240,28 @@ class _Work:
             "pieces": self.pieces, "events": self.events, "estimate": self.estimate, "worst": self.worst,
             "failed_at": self.failed_at, "until": np.zeros(self._m), "told": np.zeros(self._m),
         }  # fmt: skip
-        control = _Cells(
-            cells=len(given), rows=len(times), more=more, most=MOST, t_end=t_end,
+        control = _PieceCellsStruct(
+            cells=len(given), rows=len(times), more=more, most=MAX_PIECES, t_end=t_end,
             **{name: array.ctypes.data for name, array in arrays.items()},
         )  # fmt: skip
         control.held = arrays
         return control
 
-    def forget(self, cell: int) -> None:
+    def discard_from(self, cell: int) -> None:
         """Forget the rows of a cell that was left in the middle."""
-        self.kept[cell:], self.index[cell:] = np.nan, UNKNOWN
+        self.kept[cell:], self.index[cell:] = np.nan, UNKNOWN_INDEX
         for total in (self.taken, self.pieces, self.events, self.estimate, self.worst):
             total[cell:] = 0
 
-    def cells(self, arrays: Mapping[str, np.ndarray]) -> PieceCells:
+    def cells(self, arrays: Mapping[str, np.ndarray]) -> PieceBatchCells:
         """What they found."""
         steps, pieces, events = (part.astype(int) for part in (self.taken, self.pieces, self.events))
-        return PieceCells(
+        return PieceBatchCells(
             arrays, self.status, steps, self.worst, events, np.zeros(len(steps), int), self.failed_at, pieces, self.estimate
         )
 
 
-def _mass(model: Model) -> ca.Function | None:
+def _mass_function(model: Model) -> ca.Function | None:
     """M, row by row, where it depends on the parameters."""
     M = getattr(model, "M", None)
     if not isinstance(M, ca.SX) or not ca.depends_on(M, model.p):

@@ -9,20 +9,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
-from nsmodel.codegen.expression import number
-from nsmodel.codegen.jets import C
-from nsmodel.pieces.jets import Jets, Line
-from nsmodel.pieces.printed import first_value, summed
+from nsmodel.codegen.expression import c_number
+from nsmodel.codegen.jets import C_DIALECT
+from nsmodel.pieces.jets import Recurrence, TaylorRecurrences
+from nsmodel.pieces.printed import order_0_text, sum_text
 
-LINEAR = frozenset("sum difference minus scaled over shifted".split())
-CHOSEN = frozenset("guarded chosen equal".split())
-FIXED = frozenset("both either not positive whole".split())  # At order 0 alone.
-CURVED = 99  # The degree in t of what has terms of all orders.
-ZERO = "0.0"
+LINEAR_KINDS = frozenset("sum difference minus scaled over shifted".split())
+CHOSEN_KINDS = frozenset("guarded chosen equal".split())
+ORDER_0_KINDS = frozenset("both either not positive whole".split())  # At order 0 alone.
+ANY_DEGREE = 99  # The degree in t of what has terms of all orders.
+ZERO_TEXT = "0.0"
 
 
 @dataclass
-class Columns:
+class SeriesColumns:
     """Where rows are stored: ``inputs`` by (which input, its entry), what is added behind them, numbers among it.
 
     ``standing``: the columns of the rows of h that hold no l, by what they are; g reads them.
@@ -33,8 +33,8 @@ class Columns:
     numbers: dict[int, float] = field(default_factory=dict)
     choices: int = 0
     branches: list[tuple[str, int, str]] = field(default_factory=list)  # (part, column watched, kind) of each.
-    standing: dict[int, int] = field(default_factory=dict)
-    alike: dict[tuple, int] = field(default_factory=dict)  # {what a row is made of: its number}, of all parts.
+    l_free: dict[int, int] = field(default_factory=dict)
+    row_numbers: dict[tuple, int] = field(default_factory=dict)  # {what a row is made of: its number}, of all parts.
 
     def new(self) -> int:
         """A further column."""
@@ -42,27 +42,27 @@ class Columns:
         return self.count - 1
 
 
-class Printer:
+class RecurrencePrinter:
     """One part, f, g or h, as two functions of C: its order 0, and its order k > 0; of g once more for another l."""
 
-    def __init__(self, jets: Jets, part: str, columns: Columns, degrees: Mapping[int, int]) -> None:
-        """``degrees``: in t, of the inputs by which they are; see `_degrees`."""
+    def __init__(self, jets: TaylorRecurrences, part: str, columns: SeriesColumns, degrees: Mapping[int, int]) -> None:
+        """``degrees``: in t, of the inputs by which they are; see `_time_degrees`."""
         self.jets, self.part, self.columns = jets, part, columns
-        self.degree = _degrees(jets, degrees)
+        self.degree = _time_degrees(jets, degrees)
         self.offset = columns.choices
         columns.choices += len(jets.branches)
         self.column = {row: columns.inputs[place] for place, row in jets.inputs.items()}
-        self.free = _without_l(jets, columns.alike)
-        self.standing: set[int] = set()  # Rows that h has computed.
-        for row in sorted(_read(jets, self.degree) - set(self.column)):
+        self.free = _rows_without_l(jets, columns.row_numbers)
+        self.computed_by_h: set[int] = set()  # Rows that h has computed.
+        for row in sorted(_stored_rows(jets, self.degree) - set(self.column)):
             of = self.free.get(row, -1)
-            if part == "g" and of in columns.standing:
-                self.column[row] = columns.standing[of]
-                self.standing.add(row)
+            if part == "g" and of in columns.l_free:
+                self.column[row] = columns.l_free[of]
+                self.computed_by_h.add(row)
                 continue
             self.column[row] = columns.new()
             if part == "h" and row in self.free:
-                columns.standing[of] = self.column[row]
+                columns.l_free[of] = self.column[row]
             if row in jets.numbers:
                 columns.numbers[self.column[row]] = jets.numbers[row]
         columns.branches += [(part, self.column[branch.row], branch.kind) for branch in jets.branches]
@@ -72,10 +72,10 @@ class Printer:
 
         ``given``: further arguments of both.
         """
-        made = [("", self.standing), *([("again_", self.standing | self.free.keys())] if self.part == "g" else [])]
+        made = [("", self.computed_by_h), *([("again_", self.computed_by_h | self.free.keys())] if self.part == "g" else [])]
         return "".join(
-            self._function(f"{again}first", given, self._first(known), targets)
-            + self._function(f"{again}later", f", int k{given}", self._later(known), targets)
+            self._function_text(f"{again}first", given, self._order_0_lines(known), targets)
+            + self._function_text(f"{again}later", f", int k{given}", self._order_k_lines(known), targets)
             for again, known in made
         )
 
@@ -83,33 +83,33 @@ class Printer:
         """``part_sizes(s)``: what the arguments of switches are the sums of, as in `pieces.expansion`; "" without switches."""
         if not self.jets.branches:
             return ""
-        of = {0: ZERO, 1: "s->at.size_x[{i}] + RESTS*s->pushed[{i}]", 2: "s->at.size_l[{i}]", 3: ZERO}
-        lines, value = self._first(self.standing)
+        of = {0: ZERO_TEXT, 1: "s->at.size_x[{i}] + RESTS*s->pushed[{i}]", 2: "s->at.size_l[{i}]", 3: ZERO_TEXT}
+        lines, value = self._order_0_lines(self.computed_by_h)
         lines = [line for line in lines if line.startswith("const double ")]
         made = {row: of[which].format(i=i) for (which, i), row in self.jets.inputs.items()} | dict.fromkeys(
             self.jets.numbers, "0.0"
         )
-        made |= {line.y: summed(line, "b{}".format, C) or ZERO for line in self.jets.lines}
+        made |= {line.y: sum_text(line, "b{}".format, C_DIALECT) or ZERO_TEXT for line in self.jets.lines}
         lines += [f"const double b{row} = max_of(fabs({value[row]}), {text});" for row, text in made.items() if row in value]
         for i, branch in enumerate(self.jets.branches, self.offset):
             lines.append(f"s->at.size_switches[{i}] = max_of(s->at.size_switches[{i}], b{branch.row});")
-        body = "".join(f"    {line}\n" for line in _used(["double *const c = s->c[0];", *lines]))
+        body = "".join(f"    {line}\n" for line in _prune_unused_names(["double *const c = s->c[0];", *lines]))
         return f"static void {self.part}_sizes(model_pieces *s)\n{{\n{body}    (void)c;\n}}\n\n"
 
-    def _function(self, name: str, more: str, made: tuple[list[str], dict[int, str]], targets: list[str]) -> str:
+    def _function_text(self, name: str, more: str, made: tuple[list[str], dict[int, str]], targets: list[str]) -> str:
         lines, value = made
         lines = lines + [target.format(value[row]) for target, row in zip(targets, self.jets.outputs, strict=True)]
         order = "k" if name.endswith("later") else "0"
-        text = "".join(f"    {line}\n" for line in [f"double *const c = s->c[{order}];", *_used(lines)])
+        text = "".join(f"    {line}\n" for line in [f"double *const c = s->c[{order}];", *_prune_unused_names(lines)])
         body = text.split("\n", 1)[1]
         unused = "" if "c[" in body else "    (void)c;\n"
         unused += "".join(f"    (void){word};\n" for word in ("factor", "next") if word in more and word not in body)
         return f"static void {self.part}_{name}(model_pieces *s{more})\n{{\n{text}{unused}}}\n\n"
 
-    def _start(self) -> dict[int, str]:
+    def _stored_values(self) -> dict[int, str]:
         return {row: f"c[{column}]" for row, column in self.column.items()}
 
-    def _keep(self, line: Line, text: str, value: dict[int, str], lines: list[str], known: Set[int]) -> None:
+    def _store_line(self, line: Recurrence, text: str, value: dict[int, str], lines: list[str], known: Set[int]) -> None:
         if line.y in self.column and line.y in known:
             return
         if line.y in self.column:
@@ -119,67 +119,69 @@ class Printer:
             lines.append(f"const double {name} = {text};")
             value[line.y] = name
 
-    def _first(self, known: Set[int]) -> tuple[list[str], dict[int, str]]:
-        value, lines = self._start(), []
-        value |= {row: number(v).within(0) for row, v in self.jets.numbers.items() if row not in self.column}
+    def _order_0_lines(self, known: Set[int]) -> tuple[list[str], dict[int, str]]:
+        value, lines = self._stored_values(), []
+        value |= {row: c_number(v).within(0) for row, v in self.jets.numbers.items() if row not in self.column}
         for line in self.jets.lines:
             choice = f"s->at.choice[{self.offset + line.branch}]"
             if line.branch >= 0:
                 branch = self.jets.branches[line.branch]
-                made = C.choices[branch.kind].format(value[branch.row])
+                made = C_DIALECT.choices[branch.kind].format(value[branch.row])
                 lines.append(f"if ({choice} != {choice}) {choice} = {made};")
-            self._keep(line, first_value(line, value.__getitem__, choice, C), value, lines, known)
+            self._store_line(line, order_0_text(line, value.__getitem__, choice, C_DIALECT), value, lines, known)
         return lines, value
 
-    def _later(self, known: Set[int]) -> tuple[list[str], dict[int, str]]:
-        value, lines = self._start(), []
-        value |= dict.fromkeys(self.jets.numbers, ZERO)
+    def _order_k_lines(self, known: Set[int]) -> tuple[list[str], dict[int, str]]:
+        value, lines = self._stored_values(), []
+        value |= dict.fromkeys(self.jets.numbers, ZERO_TEXT)
         for line in self.jets.lines:
             if self.degree[line.y] == 0:
-                value[line.y] = ZERO  # What is stored is 0 from order 1 on for good.
+                value[line.y] = ZERO_TEXT  # What is stored is 0 from order 1 on for good.
                 continue
-            by = scaled_by(line, self.degree)
+            by = constant_factor_index(line, self.degree)
             if by is not None:
-                text = self._scaled(line, by, value)
+                text = self._scaled_text(line, by, value)
             else:
-                text = self._linear(line, value) if line.kind in LINEAR | CHOSEN else self._convolved(line)
-            if text == ZERO or (line.y not in self.column and text.isidentifier()):
+                text = (
+                    self._linear_text(line, value) if line.kind in LINEAR_KINDS | CHOSEN_KINDS else self._convolution_text(line)
+                )
+            if text == ZERO_TEXT or (line.y not in self.column and text.isidentifier()):
                 value[line.y] = text
             else:
-                self._keep(line, text, value, lines, known)
+                self._store_line(line, text, value, lines, known)
         return lines, value
 
-    def _linear(self, line: Line, value: Mapping[int, str]) -> str:
+    def _linear_text(self, line: Recurrence, value: Mapping[int, str]) -> str:
         at = [value[row] for row in line.args]
-        factor = number(line.number).within(1)
+        factor = c_number(line.number).within(1)
         match line.kind:
             case "shifted":
                 return at[0]
             case "sum":
-                return " + ".join(a for a in at if a != ZERO) or ZERO
+                return " + ".join(a for a in at if a != ZERO_TEXT) or ZERO_TEXT
             case "difference":
-                return at[0] if at[1] == ZERO else f"-{at[1]}" if at[0] == ZERO else f"{at[0]} - {at[1]}"
+                return at[0] if at[1] == ZERO_TEXT else f"-{at[1]}" if at[0] == ZERO_TEXT else f"{at[0]} - {at[1]}"
             case "minus":
-                return ZERO if at[0] == ZERO else f"-{at[0]}"
+                return ZERO_TEXT if at[0] == ZERO_TEXT else f"-{at[0]}"
             case "scaled" | "over":
                 sign = "*" if line.kind == "scaled" else "/"
-                return ZERO if at[0] == ZERO else f"{factor}{sign}{at[0]}" if sign == "*" else f"{at[0]}/{factor}"
+                return ZERO_TEXT if at[0] == ZERO_TEXT else f"{factor}{sign}{at[0]}" if sign == "*" else f"{at[0]}/{factor}"
             case "guarded":
-                return ZERO if at[1] == ZERO else f"s->c[0][{self.column[line.args[0]]}] != 0 ? {at[1]} : 0.0"
+                return ZERO_TEXT if at[1] == ZERO_TEXT else f"s->c[0][{self.column[line.args[0]]}] != 0 ? {at[1]} : 0.0"
         if at[0] == at[1]:
             return at[0]
         side = f"s->at.choice[{self.offset + line.branch}]"
         return f"{side} {'== 0' if line.kind == 'equal' else '> 0'} ? {at[0]} : {at[1]}"
 
-    def _scaled(self, line: Line, by: int, value: Mapping[int, str]) -> str:
+    def _scaled_text(self, line: Recurrence, by: int, value: Mapping[int, str]) -> str:
         of, factor = value[line.args[1 - by]], f"s->c[0][{self.column[line.args[by]]}]"
-        if of == ZERO:
-            return ZERO
-        return f"{factor}*{_within(of)}" if line.kind == "product" else f"{_within(of)}/{factor}"
+        if of == ZERO_TEXT:
+            return ZERO_TEXT
+        return f"{factor}*{_as_factor(of)}" if line.kind == "product" else f"{_as_factor(of)}/{factor}"
 
-    def _convolved(self, line: Line) -> str:
-        rows, degree = [self._row(row) for row in line.args], [self.degree[row] for row in line.args]
-        own, factor = self._row(line.y), number(line.number).text
+    def _convolution_text(self, line: Recurrence) -> str:
+        rows, degree = [self._row_pointer(row) for row in line.args], [self.degree[row] for row in line.args]
+        own, factor = self._row_pointer(line.y), c_number(line.number).text
         if line.kind == "product" and min(degree) <= 1:
             low, other = (0, 1) if degree[0] <= degree[1] else (1, 0)
             return f"product_{'line' if degree[low] else 'point'}({rows[low]}, {rows[other]}, k)"
@@ -193,33 +195,33 @@ class Printer:
         value = f"{line.kind}({', '.join(given)}, k)"
         return f"-{value}" if line.kind == "along" and line.number < 0 else value
 
-    def _row(self, row: int) -> str:
+    def _row_pointer(self, row: int) -> str:
         return f"s->c[0] + {self.column[row]}"
 
 
-def sizes_of_switches(printers: Mapping[str, Printer]) -> str:
+def switch_scales_code(printers: Mapping[str, RecurrencePrinter]) -> str:
     """``sizes_of_switches(s)``, which calls those of the parts; "" without switches."""
     texts = {name: text for name, printer in printers.items() if (text := printer.sizes())}
     calls = "".join(f"    {name}_sizes(s);\n" for name in texts)
     return "".join(texts.values()) + (f"static void sizes_of_switches(model_pieces *s)\n{{\n{calls}}}\n" if texts else "")
 
 
-def _degrees(jets: Jets, given: Mapping[int, int]) -> dict[int, int]:
+def _time_degrees(jets: TaylorRecurrences, given: Mapping[int, int]) -> dict[int, int]:
     """The degree in t of each row: 0 for numbers, 1 for t; CURVED where it may be any."""
-    degree = dict.fromkeys(range(jets.count), CURVED)
+    degree = dict.fromkeys(range(jets.count), ANY_DEGREE)
     degree |= {row: given[which] for (which, _), row in jets.inputs.items()} | dict.fromkeys(jets.numbers, 0)
     for line in jets.lines:
         of = [degree[row] for row in line.args if row != line.y]
-        if line.kind in LINEAR | CHOSEN or not any(of):
+        if line.kind in LINEAR_KINDS | CHOSEN_KINDS or not any(of):
             degree[line.y] = max(of, default=0)
-        elif line.kind in FIXED:
+        elif line.kind in ORDER_0_KINDS:
             degree[line.y] = 0
         elif line.kind in ("product", "square") and sum(of * (3 - len(of))) <= 1:
             degree[line.y] = sum(of)
     return degree
 
 
-def scaled_by(line: Line, degree: Mapping[int, int]) -> int | None:
+def constant_factor_index(line: Recurrence, degree: Mapping[int, int]) -> int | None:
     """Which argument of a product is a number of all orders, or of a quotient below; None where there is none, or both are."""
     if line.kind not in ("product", "quotient"):
         return None
@@ -227,26 +229,26 @@ def scaled_by(line: Line, degree: Mapping[int, int]) -> int | None:
     return places[0] if places and degree[line.args[1 - places[0]]] > 0 else None
 
 
-def _within(text: str) -> str:
+def _as_factor(text: str) -> str:
     """As a factor."""
     return text if text.replace("_", "").replace("[", "").replace("]", "").isalnum() else f"({text})"
 
 
-def _read(jets: Jets, degree: Mapping[int, int]) -> set[int]:
+def _stored_rows(jets: TaylorRecurrences, degree: Mapping[int, int]) -> set[int]:
     """The rows of which a recurrence, a condition or a later order reads other orders than its own."""
     read = {branch.row for branch in jets.branches}
     for line in jets.lines:
-        by = scaled_by(line, degree)
+        by = constant_factor_index(line, degree)
         if by is not None:
             read.add(line.args[by])
         elif line.kind == "guarded":
             read.add(line.args[0])
-        elif line.kind not in LINEAR | CHOSEN | FIXED:
+        elif line.kind not in LINEAR_KINDS | CHOSEN_KINDS | ORDER_0_KINDS:
             read |= {line.y, *line.args}
     return read
 
 
-def _without_l(jets: Jets, alike: dict[tuple, int]) -> dict[int, int]:
+def _rows_without_l(jets: TaylorRecurrences, alike: dict[tuple, int]) -> dict[int, int]:
     """The rows that no l, no switch and no row behind them enter, each with a number that says what it is."""
     found = {row: alike.setdefault(place, len(alike)) for place, row in jets.inputs.items() if place[0] != 2}
     found |= {row: alike.setdefault(("number", value), len(alike)) for row, value in jets.numbers.items()}
@@ -258,13 +260,13 @@ def _without_l(jets: Jets, alike: dict[tuple, int]) -> dict[int, int]:
     return found
 
 
-def _used(lines: list[str]) -> list[str]:
+def _prune_unused_names(lines: list[str]) -> list[str]:
     """The lines without the names that nothing reads."""
     kept: list[str] = []
-    words: set[str] = set()
+    tokens: set[str] = set()
     for line in reversed(lines):
         name = line.split()[2] if line.startswith("const double ") else None
-        if name is None or name in words:
+        if name is None or name in tokens:
             kept.append(line)
-            words |= set("".join(ch if ch.isalnum() or ch == "_" else " " for ch in line).split())
+            tokens |= set("".join(ch if ch.isalnum() or ch == "_" else " " for ch in line).split())
     return kept[::-1]

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from nsmodel.proof.graph import applied, fold, keys, operations
+from nsmodel.proof.graph import apply_operation, fold_graph, operation_codes, symbol_hashes
 
 
-class Derived(NamedTuple):
+class ParameterSubstitution(NamedTuple):
     """Expressions with symbols in place of their parts that follow from parameters alone; the symbols, and these parts."""
 
     expressions: Mapping[str, ca.SX]
@@ -24,7 +24,7 @@ class Derived(NamedTuple):
 
 
 @dataclass(eq=False)
-class _Node:
+class _ParameterNode:
     """``kind``: a number, a parameter, an operation on these alone, or anything else."""
 
     new: ca.SX
@@ -32,17 +32,17 @@ class _Node:
     symbol: ca.SX | None = None
 
 
-NUMBER, PARAMETER, ALONE, MIXED = "number", "parameter", "alone", "mixed"
+NUMBER, PARAMETER, OF_PARAMETERS, MIXED = "number", "parameter", "alone", "mixed"
 
 
-def derived(expressions: Mapping[str, ca.SX], p: ca.SX) -> Derived:
+def extract_parameter_parts(expressions: Mapping[str, ca.SX], p: ca.SX) -> ParameterSubstitution:
     """Look for the largest such parts."""
-    whole, own, parts, symbols = ca.cse(ca.veccat(*expressions.values())), keys(p), [], []
-    if not (own & keys(whole)) or ca.OP_CALL in operations(whole):
-        return Derived(expressions, ca.SX(0, 1), ca.SX(0, 1))
+    whole, own, parts, symbols = ca.cse(ca.veccat(*expressions.values())), symbol_hashes(p), [], []
+    if not (own & symbol_hashes(whole)) or ca.OP_CALL in operation_codes(whole):
+        return ParameterSubstitution(expressions, ca.SX(0, 1), ca.SX(0, 1))
 
-    def put(node: _Node) -> ca.SX:
-        if node.kind != ALONE:
+    def replace_by_symbol(node: _ParameterNode) -> ca.SX:
+        if node.kind != OF_PARAMETERS:
             return node.new
         if node.symbol is None:
             node.symbol = ca.SX.sym(f"of_parameters_{len(symbols)}")
@@ -50,19 +50,21 @@ def derived(expressions: Mapping[str, ca.SX], p: ca.SX) -> Derived:
             parts.append(node.new)
         return node.symbol
 
-    def symbol(given: ca.SX) -> _Node:
-        return _Node(given, PARAMETER if given.element_hash() in own else MIXED)
+    def symbol(given: ca.SX) -> _ParameterNode:
+        return _ParameterNode(given, PARAMETER if given.element_hash() in own else MIXED)
 
-    def number(value: float) -> _Node:
-        return _Node(ca.SX(value), NUMBER)
+    def number(value: float) -> _ParameterNode:
+        return _ParameterNode(ca.SX(value), NUMBER)
 
-    def apply(op: int, args: list[_Node]) -> _Node:
+    def apply(op: int, args: list[_ParameterNode]) -> _ParameterNode:
         alone = all(arg.kind != MIXED for arg in args)
-        return _Node(applied(op, [arg.new if alone else put(arg) for arg in args]), ALONE if alone else MIXED)
+        return _ParameterNode(
+            apply_operation(op, [arg.new if alone else replace_by_symbol(arg) for arg in args]), OF_PARAMETERS if alone else MIXED
+        )
 
-    found = [put(node) for node in fold(whole, symbol, number, apply)]
+    found = [replace_by_symbol(node) for node in fold_graph(whole, symbol, number, apply)]
     made, at = {}, 0
     for name, expression in expressions.items():
         made[name] = ca.reshape(ca.vertcat(ca.SX(0, 1), *found[at : at + expression.numel()]), expression.shape)
         at += expression.numel()
-    return Derived(made, ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts))
+    return ParameterSubstitution(made, ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from nsmodel.signals.kept import Kept
+from nsmodel.signals.kept import HeldSignal
 from nsmodel.signals.pwm import Pwm
 
 
@@ -18,7 +18,7 @@ class Pulse(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Places:
+class InputRoles:
     """Entries of the inputs.
 
     Attributes:
@@ -38,7 +38,7 @@ class Places:
         return {name: [model.input_names[i] for i in at] for name, at in arrays.items()}
 
 
-def places_of(model: Any) -> Places:
+def input_roles_of(model: Any) -> InputRoles:
     """Those of a model with blocks."""
     first, at = 0, dict[str, int]()
     for name, names in model.input_groups.items():
@@ -46,13 +46,13 @@ def places_of(model: Any) -> Places:
     pulses = tuple(
         Pulse(at[name], at[signal.duty.name], signal)
         for name, signal in model.inputs.items()
-        if isinstance(signal, Pwm) and isinstance(signal.duty, Kept)
+        if isinstance(signal, Pwm) and isinstance(signal.duty, HeldSignal)
     )
-    memory = _flat(block.at[: block.memory] for block in model.blocks)
-    held = _flat(block.at[block.memory :] for block in model.blocks)
+    memory = _concatenate(block.at[: block.memory] for block in model.blocks)
+    held = _concatenate(block.at[block.memory :] for block in model.blocks)
     others = {*memory, *held, *(pulse.at for pulse in pulses)}
-    return Places(tuple(i for i in range(first) if i not in others), memory, held, pulses)
+    return InputRoles(tuple(i for i in range(first) if i not in others), memory, held, pulses)
 
 
-def _flat(parts: Any) -> tuple[int, ...]:
+def _concatenate(parts: Any) -> tuple[int, ...]:
     return tuple(i for part in parts for i in part)

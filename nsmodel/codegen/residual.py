@@ -5,61 +5,61 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from nsmodel.solve.certificate import Ops, box_residual
+from nsmodel.solve.certificate import ResidualOperations, box_residual
 
 
 @dataclass(frozen=True)
-class Text:
+class CText:
     """An expression of C, with the operators that the formula has."""
 
     text: str
 
-    def __sub__(self, other: Text) -> Text:
+    def __sub__(self, other: CText) -> CText:
         """Of two names."""
-        return Text(f"{self.text} - {other.text}")
+        return CText(f"{self.text} - {other.text}")
 
-    def __lt__(self, other: float) -> Text:
+    def __lt__(self, other: float) -> CText:
         """A comparison of a name with a number."""
-        return Text(f"{self.text} < {other:g}")
+        return CText(f"{self.text} < {other:g}")
 
-    def __gt__(self, other: float) -> Text:
+    def __gt__(self, other: float) -> CText:
         """A comparison of a name with a number."""
-        return Text(f"{self.text} > {other:g}")
+        return CText(f"{self.text} > {other:g}")
 
     def __str__(self) -> str:
         """The C itself."""
         return self.text
 
 
-class _Row(NamedTuple):
+class _BoundNames(NamedTuple):
     """The ends of a row by their names in C."""
 
-    lower: Text
-    upper: Text
+    lower: CText
+    upper: CText
 
 
-def _called(name: str) -> Any:
-    return lambda *given: Text(f"{name}({', '.join(map(str, given))})")
+def _c_call(name: str) -> Any:
+    return lambda *given: CText(f"{name}({', '.join(map(str, given))})")
 
 
-def _unused(*given: Any) -> Text:
+def _unsupported_operation(*given: Any) -> CText:
     raise NotImplementedError("the residual of a row needs no masks")
 
 
-C = Ops(
-    abs=_called("fabs"),
-    max=_called("max_of"),
-    min=_called("min_of"),
-    where=lambda condition, a, b: Text(f"{condition} ? {a} : {b}"),
-    choose=_unused,
-    largest=_unused,
-    lesser=lambda a, b, end: Text(f"min_of({a},\n                  is_finite({end}) ? {b} : INFINITY)"),
-    ratio=_called("ratio"),
+C_OPERATIONS = ResidualOperations(
+    abs=_c_call("fabs"),
+    max=_c_call("max_of"),
+    min=_c_call("min_of"),
+    where=lambda condition, a, b: CText(f"{condition} ? {a} : {b}"),
+    choose=_unsupported_operation,
+    largest=_unsupported_operation,
+    lesser=lambda a, b, end: CText(f"min_of({a},\n                  is_finite({end}) ? {b} : INFINITY)"),
+    ratio=_c_call("ratio"),
 )
 
 
-def of_row() -> str:
+def row_residual_code() -> str:
     """The value of ``row_residual`` in `affine.c`."""
-    lo, up, l, y, s_y, s_l = map(Text, ("lo", "up", "l", "y", "s_y", "s_l"))
-    law: Any = _Row(lo, up)
-    return str(box_residual(law, l, y, s_y, s_l, C))
+    lo, up, l, y, s_y, s_l = map(CText, ("lo", "up", "l", "y", "s_y", "s_l"))
+    law: Any = _BoundNames(lo, up)
+    return str(box_residual(law, l, y, s_y, s_l, C_OPERATIONS))

@@ -14,24 +14,24 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import structs
-from nsmodel.codegen.cache import NAME, cached, cached_for_all, cached_in_lanes
-from nsmodel.codegen.library import Library, compiler, no_compiler
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, NOT_SOLVED, SOLVERS, STATUSES
+from nsmodel.codegen.cache import STEP_NAME, cached_steps, cached_steps_for_all, cached_steps_in_lanes
+from nsmodel.codegen.library import Library, compiler, no_compiler_error
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, NOT_SOLVED, SOLVER_NAMES, STATUSES
 from nsmodel.errors import CodegenError
-from nsmodel.grid import Grid
-from nsmodel.identity import FOR_ALL
+from nsmodel.grid import TimeGrid
+from nsmodel.identity import ALL_VALUES_SUFFIX
 from nsmodel.model.base import Model
-from nsmodel.once import once
+from nsmodel.once import cached_per_object
 from nsmodel.scheme import one_step_problem
-from nsmodel.solve.layout import Layout
-from nsmodel.solve.stepper import StepResult, Warm
+from nsmodel.solve.layout import RowLayout
+from nsmodel.solve.stepper import StepResult, WarmStart
 
-NOWHERE = slice(0, 0)
-MOST_LOADED = 32  # Libraries that are kept loaded while no run has them.
-SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
+NO_ENTRIES = slice(0, 0)
+MAX_LOADED = 32  # Libraries that are kept loaded while no run has them.
+CALL_SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 
-_Totals = structs.TOTALS.in_python()
-Start = Callable[[float, float, np.ndarray], np.ndarray]
+_TotalsStruct = structs.STEP_TOTALS.ctypes_structure()
+RestartFunction = Callable[[float, float, np.ndarray], np.ndarray]
 
 
 class StepBlock(NamedTuple):
@@ -50,7 +50,7 @@ class StepBlock(NamedTuple):
     steps: int
     stuck: bool
     state: np.ndarray
-    warm: Warm
+    warm: WarmStart
     worst: float
     worst_step: int
     newton: float
@@ -69,36 +69,40 @@ class Rollout:
         CodegenError: the model has no C counterpart, or none for all values, or there is no compiler, or it fails.
     """
 
-    def __init__(self, model: Model, grid: Grid, tolerance: float, whole: Model | None = None) -> None:
+    def __init__(self, model: Model, grid: TimeGrid, tolerance: float, symbolic_model: Model | None = None) -> None:
         self.grid = grid
-        library, self.way = _library(model, grid, tolerance, cached) if whole is None else library_for_all(whole, grid, tolerance)
+        library, self.way = (
+            _load_step_library(model, grid, tolerance, cached_steps)
+            if symbolic_model is None
+            else library_for_all(symbolic_model, grid, tolerance)
+        )
         pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
-        self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
+        self._set_state = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
         self._rollout = library.function(
             "rollout", count, pointer, number, count, number, count, number, pointer, pointer, pointer, pointer, pointer,
-            ctypes.POINTER(_Totals),
+            ctypes.POINTER(_TotalsStruct),
         )  # fmt: skip
         self._single = library.function("single", ctypes.c_int, pointer, number, number, pointer, pointer)
-        self._restart = _optional(library, "restart", ctypes.c_int, pointer, number, pointer)
+        self._restart = _optional_function(library, "restart", ctypes.c_int, pointer, number, pointer)
         self._steps = np.zeros(2)
-        self._one: Alone | None = None
-        self._adapt = _optional(
+        self._single_stepper: SingleStepper | None = None
+        self._adapt = _optional_function(
             library, "adapt", count, pointer, pointer, count, number, number, pointer, pointer, pointer, pointer, pointer,
-            ctypes.POINTER(_Totals),
+            ctypes.POINTER(_TotalsStruct),
         )  # fmt: skip
         self._memory = np.zeros(library.function("size", count)() // 8 + 1)
         self._solver = self._memory.ctypes.data
         status = library.function("init", ctypes.c_int, pointer)(self._solver)
         if status == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[status].text}")
-        if whole is not None:
-            self._set(whole, model, library)
+        if symbolic_model is not None:
+            self._set_parameters(symbolic_model, model, library)
 
-    def _set(self, whole: Model, model: Model, library: Library) -> None:
+    def _set_parameters(self, symbolic_model: Model, model: Model, library: Library) -> None:
         """Set the parameters to the numbers that the bound model has."""
-        values = np.array([model.bound_parameters[name] for name in whole.parameters], float)
-        assumed = np.array(ca.Function("assumed", [whole.p], [one_step_problem(whole).assumed])(values))
+        values = np.array([model.bound_parameters[name] for name in symbolic_model.parameters], float)
+        assumed = np.array(ca.Function("assumed", [symbolic_model.p], [one_step_problem(symbolic_model).assumed])(values))
         status = library.function("set_parameters", ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(
             self._solver, values.ctypes.data
         )
@@ -106,36 +110,36 @@ class Rollout:
             raise CodegenError(f"the library for all values does not take these: {STATUSES[status or NOT_SOLVED].text}")
 
     def advance(
-        self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray,
-        inputs: np.ndarray | None = None,
+        self, k: int, steps: int, state: np.ndarray, warm: WarmStart, least: float, every: int, rows: np.ndarray,
+        index: np.ndarray, inputs: np.ndarray | None = None,
     ) -> StepBlock:  # fmt: skip
         """Take up to ``steps`` steps from number k, for about SECONDS, until one is not certified.
 
         ``rows`` and ``index`` are filled with every ``every``-th row and the grid's last; ``least`` is the least eigenvalue
         known of W + W', -inf where none is looked for; ``inputs``: u at both ends of each step (steps, 2 nu).
         """
-        grid, totals = self.grid, _Totals(least=least)
+        grid, totals = self.grid, _TotalsStruct(least=least)
         x, l, codes = np.array(state, float), np.array(warm.l, float), np.array(warm.index, np.int8)
         times = lengths = None
         if grid.steps is not None and grid.times is not None:
             times, lengths = grid.times[k : k + steps].ctypes.data, grid.steps[k : k + steps].ctypes.data
         at = x.ctypes.data, l.ctypes.data, codes.ctypes.data
-        self._place(self._solver, k, grid.h, *at)
+        self._set_state(self._solver, k, grid.h, *at)
         done = self._rollout(
-            self._solver, k, steps, grid.N, every, SECONDS, times, lengths,
+            self._solver, k, steps, grid.N, every, CALL_SECONDS, times, lengths,
             None if inputs is None else inputs.ctypes.data, rows.ctypes.data, index.ctypes.data, ctypes.byref(totals),
         )  # fmt: skip
         self._fetch(self._solver, *at)
-        return _block(done, totals, x, Warm(l, codes))
+        return _make_step_block(done, totals, x, WarmStart(l, codes))
 
-    def starter(self, otherwise: Start) -> Start:
+    def starter(self, otherwise: RestartFunction) -> RestartFunction:
         """What finds the reaction that a state carries anew, for (t, h, state): in C, where that certifies it."""
 
-        def start(t: float, h: float, state: np.ndarray) -> np.ndarray:
+        def restart(t: float, h: float, state: np.ndarray) -> np.ndarray:
             x = np.array(state, float)
             return x if self._restart(self._solver, t, x.ctypes.data) == 0 else otherwise(t, h, state)
 
-        return start
+        return restart
 
     @property
     def adaptive(self) -> bool:
@@ -145,9 +149,9 @@ class Rollout:
     @staticmethod
     def control(state: int, m: int, watched: int) -> np.ndarray:
         """``model_control`` in C, by name: numbers, then the state, the multipliers and what is watched of the state."""
-        return np.zeros((), structs.CONTROL.in_python(STATES=state, ROWS=max(m, 1), WATCHED=watched))
+        return np.zeros((), structs.ADAPTIVE_CONTROL.ctypes_structure(STATES=state, ROWS=max(m, 1), WATCHED=watched))
 
-    def adapt(
+    def advance_adaptively(
         self, control: np.ndarray, number: int, least: float, rows: np.ndarray, index: np.ndarray, columns: np.ndarray
     ) -> StepBlock:
         """Take steps under error control for about SECONDS, until there is no more room or one is not certified.
@@ -158,46 +162,50 @@ class Rollout:
             rows, index: filled with two rows a step; columns (3, rows): with the times, the lengths of their half steps, and how
                 far extrapolation has moved their states.
         """
-        totals = _Totals(least=least)
+        totals = _TotalsStruct(least=least)
         at = (part.ctypes.data for part in (rows, index, *columns))
-        done = self._adapt(self._solver, control.ctypes.data, len(rows), number, SECONDS, *at, ctypes.byref(totals))
-        return _block(done, totals, control["x"].copy(), Warm(control["l"].copy(), control["index"].astype(np.int8)))
+        done = self._adapt(self._solver, control.ctypes.data, len(rows), number, CALL_SECONDS, *at, ctypes.byref(totals))
+        return _make_step_block(
+            done, totals, control["x"].copy(), WarmStart(control["l"].copy(), control["index"].astype(np.int8))
+        )
 
-    def one(self, k: int, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
+    def one(self, k: int, state: np.ndarray, warm: WarmStart, layout: RowLayout) -> StepResult | None:
         """Step number k alone; None where it is not certified."""
         found = self.alone(layout, warm.index.size)(k, state, warm.l, warm.index)
         if found is None:
             return None
         row, index, solver = found
-        return StepResult(row, Warm(row[layout.l], index), SOLVERS[solver])
+        return StepResult(row, WarmStart(row[layout.l], index), SOLVER_NAMES[solver])
 
-    def alone(self, layout: Layout, m: int) -> Alone:
+    def alone(self, layout: RowLayout, m: int) -> SingleStepper:
         """What takes single steps of the grid's length."""
-        if self._one is None:
-            self._one = Alone(self._single, self._solver, self.grid.h, layout, m)
-        return self._one
+        if self._single_stepper is None:
+            self._single_stepper = SingleStepper(self._single, self._solver, self.grid.h, layout, m)
+        return self._single_stepper
 
-    def step(self, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
+    def step(self, t: float, h: float, state: np.ndarray, warm: WarmStart, layout: RowLayout) -> StepResult | None:
         """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
-        totals, row, codes = _Totals(least=-np.inf), np.empty(layout.width), np.empty(warm.index.size, np.int8)
+        totals, row, codes = _TotalsStruct(least=-np.inf), np.empty(layout.width), np.empty(warm.index.size, np.int8)
         x, l, index = (np.ascontiguousarray(part) for part in (state, warm.l, warm.index))
         inputs = x[layout.inputs]
         self._steps[:] = t, h
         at = self._steps.ctypes.data
-        self._place(self._solver, 0, h, x.ctypes.data, l.ctypes.data, index.ctypes.data)
+        self._set_state(self._solver, 0, h, x.ctypes.data, l.ctypes.data, index.ctypes.data)
         done = self._rollout(
-            self._solver, 0, 1, 1, 1, SECONDS, at, at + self._steps.itemsize, inputs.ctypes.data,
+            self._solver, 0, 1, 1, 1, CALL_SECONDS, at, at + self._steps.itemsize, inputs.ctypes.data,
             row.ctypes.data, codes.ctypes.data, ctypes.byref(totals),
         )  # fmt: skip
         if not done:
             return None
-        return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
+        return StepResult(
+            row, WarmStart(row[layout.l], codes), SOLVER_NAMES[next(i for i, count in enumerate(totals.counts) if count)]
+        )
 
 
-class Alone:
+class SingleStepper:
     """One step a call, with memory that is kept from call to call."""
 
-    def __init__(self, single: Any, solver: int, h: float, layout: Layout, m: int) -> None:
+    def __init__(self, single: Any, solver: int, h: float, layout: RowLayout, m: int) -> None:
         self._single, self._solver, self._h, self._m = single, solver, h, m
         n = layout.state.stop
         values, self._index = np.empty(n + m + layout.width), np.empty(2 * m, np.int8)
@@ -206,7 +214,7 @@ class Alone:
         self._at = values.ctypes.data, self._index.ctypes.data
 
     def __call__(
-        self, k: int, state: np.ndarray, l: np.ndarray, index: np.ndarray, at: slice = NOWHERE, u: float = 0.0
+        self, k: int, state: np.ndarray, l: np.ndarray, index: np.ndarray, at: slice = NO_ENTRIES, u: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray, int] | None:
         """The packed row, the index set, the same object as long as it holds, and the solver; None where it is not certified.
 
@@ -220,7 +228,7 @@ class Alone:
         return self._row.copy(), index if done & 1 == 0 else self._index[self._m :].copy(), (done - 1) >> 1
 
 
-def _optional(library: Library, name: str, *kinds: Any) -> Any:
+def _optional_function(library: Library, name: str, *kinds: Any) -> Any:
     """A function of a library, or None where its model has no use for it."""
     try:
         return library.function(name, *kinds)
@@ -228,7 +236,7 @@ def _optional(library: Library, name: str, *kinds: Any) -> Any:
         return None
 
 
-def library_for_all(model: Model, grid: Grid, tolerance: float, *, in_lanes: bool = False) -> tuple[Library, str]:
+def library_for_all(model: Model, grid: TimeGrid, tolerance: float, *, in_lanes: bool = False) -> tuple[Library, str]:
     """The steps of a model on a grid for all values of its parameters, and by what they are compiled.
 
     ``in_lanes``: with many runs in step.
@@ -236,45 +244,47 @@ def library_for_all(model: Model, grid: Grid, tolerance: float, *, in_lanes: boo
     Raises:
         CodegenError: see `all_values`; there is no compiler, or it fails.
     """
-    library, way = _library(model, grid, tolerance, cached_in_lanes if in_lanes else cached_for_all)
-    return library, f"{way}, {FOR_ALL}"
+    library, backend = _load_step_library(model, grid, tolerance, cached_steps_in_lanes if in_lanes else cached_steps_for_all)
+    return library, f"{backend}, {ALL_VALUES_SUFFIX}"
 
 
-def _library(model: Model, grid: Grid, tolerance: float, of: Callable[[Model, Grid, float, str], Path]) -> tuple[Library, str]:
+def _load_step_library(
+    model: Model, grid: TimeGrid, tolerance: float, of: Callable[[Model, TimeGrid, float, str], Path]
+) -> tuple[Library, str]:
     name = compiler()
     if name is None:
-        raise no_compiler()
+        raise no_compiler_error()
     path = of(model, grid, tolerance, name)
-    return _loaded(model).library(path), f"compiled by {name}"
+    return _loaded_step_libraries(model).library(path), f"compiled by {name}"
 
 
-class _Libraries(dict[Path, Library]):
+class _LibraryPool(dict[Path, Library]):
     """Libraries by their paths, which name their content; the MOST_LOADED used last, of all models, are held on to."""
 
-    recent: ClassVar[OrderedDict[tuple[int, Path], weakref.ref[_Libraries]]] = OrderedDict()
+    recent: ClassVar[OrderedDict[tuple[int, Path], weakref.ref[_LibraryPool]]] = OrderedDict()
     lock: ClassVar[threading.RLock] = threading.RLock()
 
     def library(self, path: Path) -> Library:
         """The library of a path; what has not been used for long is unloaded, once no run has it."""
         with self.lock:
-            found = self[path] = self.get(path) or Library(path, {"name": NAME})
+            found = self[path] = self.get(path) or Library(path, {"name": STEP_NAME})
             self.recent.pop((id(self), path), None)
             self.recent[id(self), path] = weakref.ref(self)
-            while len(self.recent) > MOST_LOADED:
+            while len(self.recent) > MAX_LOADED:
                 (_, old), owner = self.recent.popitem(last=False)
                 if (libraries := owner()) is not None:
                     libraries.pop(old, None)
         return found
 
 
-@once
-def _loaded(model: Model) -> _Libraries:
+@cached_per_object
+def _loaded_step_libraries(model: Model) -> _LibraryPool:
     """The libraries that runs of the model have loaded: they go with the model."""
-    return _Libraries()
+    return _LibraryPool()
 
 
-def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> StepBlock:
+def _make_step_block(done: int, totals: Any, state: np.ndarray, warm: WarmStart) -> StepBlock:
     return StepBlock(
         done, totals.status != 0, state, warm, totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
-        int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},
+        int(totals.changes), totals.least, {SOLVER_NAMES[i]: int(count) for i, count in enumerate(totals.counts) if count},
     )  # fmt: skip

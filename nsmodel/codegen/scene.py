@@ -10,25 +10,25 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import banded, fixed
-from nsmodel.codegen.places import Places, places_of
+from nsmodel.codegen.places import InputRoles, input_roles_of
 from nsmodel.errors import CodegenError
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
 from nsmodel.scheme import one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.band import BAND
+from nsmodel.solve.band import MAX_BANDWIDTH
 from nsmodel.solve.certificate import NumericLaw, numeric_law
-from nsmodel.solve.choose import pays
-from nsmodel.solve.newton import works_on_rows
+from nsmodel.solve.choose import is_sparse_step_faster
+from nsmodel.solve.newton import uses_working_set
 from nsmodel.solve.projection import tolerance_function
-from nsmodel.solve.structure import DENSE, Structure, read
+from nsmodel.solve.structure import MAX_DENSE_UNKNOWNS, StepStructure, read_step_structure
 
 FIXED, BANDED, NEWTON, INCLUSION = "FIXED", "BANDED", "NEWTON", "INCLUSION"
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class StepSpec:
     """A model of which code is written.
 
     Attributes:
@@ -51,7 +51,7 @@ class Scene:
     allowed: tuple[float, ...] = ()
     worst_case: bool = False
     ticking: bool = False
-    of_all: bool = False
+    for_all_values: bool = False
 
     @cached_property
     def problem(self) -> OneStepProblem:
@@ -59,9 +59,9 @@ class Scene:
         return one_step_problem(self.model)
 
     @cached_property
-    def structure(self) -> Structure:
+    def structure(self) -> StepStructure:
         """What the expressions say, whatever the parameters."""
-        return read(self.problem)
+        return read_step_structure(self.problem)
 
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ...]:
@@ -71,17 +71,17 @@ class Scene:
     @cached_property
     def law(self) -> NumericLaw:
         """The law at the default parameters."""
-        return numeric_law(self.problem_of_numbers.law)
+        return numeric_law(self.numeric_problem.law)
 
     @cached_property
-    def problem_of_numbers(self) -> OneStepProblem:
+    def numeric_problem(self) -> OneStepProblem:
         """The one-step problem at the default parameters."""
         return self.problem if self.model is self.numbers else one_step_problem(self.numbers)
 
     @cached_property
-    def places(self) -> Places:
+    def places(self) -> InputRoles:
         """Who sets which inputs."""
-        return places_of(self.model) if self.ticking else Places(tuple(range(self.problem.inputs)))
+        return input_roles_of(self.model) if self.ticking else InputRoles(tuple(range(self.problem.inputs)))
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -89,57 +89,57 @@ class Scene:
         return {name: self.numbers.bound_parameters[name] for name in self.model.parameters} if self.model.p.numel() else {}
 
     @cached_property
-    def matrices(self) -> fixed.Matrices | None:
+    def matrices(self) -> fixed.StepMatrices | None:
         """The matrices at h where they depend on the step alone, and are few enough to be written down or kept."""
-        if not self._of_numbers or pays(self.structure, self.law):
+        if not self._is_numeric or is_sparse_step_faster(self.structure, self.law):
             return None
-        found = [self._regular(h) for h in (self.h, *self.lengths)]
+        found = [self._regular_matrices(h) for h in (self.h, *self.lengths)]
         M = found[0]
-        few = M.kept <= fixed.MOST_KEPT if self.several else M.numbers <= fixed.MOST_NUMBERS
+        few = M.kept <= fixed.MAX_STORED_NUMBERS if self.has_several_lengths else M.numbers <= fixed.MAX_WRITTEN_NUMBERS
         return M if few else None
 
-    def _regular(self, h: float) -> fixed.Matrices:
-        found = fixed.matrices(self.problem, h)
+    def _regular_matrices(self, h: float) -> fixed.StepMatrices:
+        found = fixed.step_matrices(self.problem, h)
         if found is None:
-            raise _singular(h)
+            raise _singular_error(h)
         return found
 
     @property
     def known_lengths(self) -> tuple[float, ...]:
         """The lengths of steps that are known beforehand, h first."""
-        return (self.h, *self.lengths, *([0.0] if self.restarted else []))
+        return (self.h, *self.lengths, *([0.0] if self.finds_restart_reaction else []))
 
     @property
-    def several(self) -> bool:
+    def has_several_lengths(self) -> bool:
         """Whether steps have several lengths: any, or 0, by which the reaction after a jump of an input is found."""
-        return self.any_step or self.restarted
+        return self.any_step or self.finds_restart_reaction
 
     @property
-    def restarted(self) -> bool:
+    def finds_restart_reaction(self) -> bool:
         """Whether the reaction that a step starts from is found anew after a jump of an input."""
         return self.problem.inputs > 0 and self.problem.start is not None
 
     @property
-    def begun(self) -> bool:
+    def finds_start_reaction(self) -> bool:
         """Whether the code finds the reaction that a run starts from."""
-        return self.of_all and self.problem.start is not None
+        return self.for_all_values and self.problem.start is not None
 
     @cached_property
-    def band(self) -> banded.Matrices | None:
+    def band(self) -> banded.BandedMatrices | None:
         """The matrices of a large, sparse step where they are numbers."""
-        if self.several or not self._of_numbers or not pays(self.structure, self.law):
+        if self.has_several_lengths or not self._is_numeric or not is_sparse_step_faster(self.structure, self.law):
             return None
-        found = banded.matrices(self.problem, self.h, self.structure.n)
+        found = banded.banded_matrices(self.problem, self.h, self.structure.n)
         if found is None:
-            raise _singular(self.h)
+            raise _singular_error(self.h)
         order = found.at.order
         if not order.is_band:
             width = max(order.below, order.above)
-            raise CodegenError(f"sparse LU has no counterpart in C: the step's band is {width} wide, more than {BAND}")
+            raise CodegenError(f"sparse LU has no counterpart in C: the step's band is {width} wide, more than {MAX_BANDWIDTH}")
         return found
 
     @property
-    def _of_numbers(self) -> bool:
+    def _is_numeric(self) -> bool:
         return self.structure.constant and not self.model.p.numel()
 
     @cached_property
@@ -156,10 +156,10 @@ class Scene:
         if self.band is not None:
             return BANDED
         size = self.structure.n + self.structure.m
-        if size > DENSE:
+        if size > MAX_DENSE_UNKNOWNS:
             raise CodegenError(
-                f"{size} unknowns and multipliers are more than {DENSE}: C keeps them sparse only with constant matrices, one "
-                "time step and no parameters left to set"
+                f"{size} unknowns and multipliers are more than {MAX_DENSE_UNKNOWNS}: C keeps them sparse only with constant "
+                "matrices, one time step and no parameters left to set"
             )
         return NEWTON if self.matrices is None else FIXED
 
@@ -170,15 +170,15 @@ class Scene:
         return bool(numbers.numel() and self.model.p.numel() and ca.depends_on(numbers, self.model.p))
 
     @cached_property
-    def by_rows(self) -> bool:
+    def uses_working_set(self) -> bool:
         """Whether only the rows that act enter a step's affine problem."""
-        return self.path == NEWTON and works_on_rows(self.structure, self.law) and not self.law_of_parameters
+        return self.path == NEWTON and uses_working_set(self.structure, self.law) and not self.law_of_parameters
 
 
-def make_scene(
-    model: Model, parameters: Values | None, grid: Grid, tolerance: float, lengths: Collection[float] = (),
+def make_step_spec(
+    model: Model, parameters: Values | None, grid: TimeGrid, tolerance: float, lengths: Collection[float] = (),
     numbers: Model | None = None,
-) -> Scene:  # fmt: skip
+) -> StepSpec:  # fmt: skip
     """Return the scene of a model; ``parameters`` become numbers, the others stay parameters of the code.
 
     ``lengths``: of steps that are known beforehand; left out: those of the grid, where they are few. ``numbers``: the model at
@@ -188,17 +188,19 @@ def make_scene(
     numbers = model.bind(given) if numbers is None else numbers
     left = dict.fromkeys(name for name in model.parameters if name not in given)
     kept = model.bind({**given, **left}, partly=True) if left else numbers
-    own = grid.lengths.tolist() if grid.lengths.size <= fixed.MOST_LENGTHS else ()
+    own = grid.lengths.tolist() if grid.lengths.size <= fixed.MAX_LENGTHS else ()
     h = next(iter(lengths), 0.0) if len(lengths) > 1 else grid.step(0)
     known = tuple(length for length in lengths or own if length != h)
-    return Scene(kept, numbers, h, grid.varies, tolerance, known, allowed_tolerances(numbers, grid), of_all=of_all)
+    return StepSpec(
+        kept, numbers, h, grid.has_varying_steps, tolerance, known, projection_tolerances(numbers, grid), for_all_values=of_all
+    )
 
 
-def _singular(h: float) -> CodegenError:
+def _singular_error(h: float) -> CodegenError:
     return CodegenError(f"the step's matrix is singular at h = {h:g}: change the step, or check M, A and K")
 
 
-def allowed_tolerances(model: Model, grid: Grid) -> tuple[float, ...]:
+def projection_tolerances(model: Model, grid: TimeGrid) -> tuple[float, ...]:
     """eps_k of each step, or one for all; nothing where projections are exact."""
     prediction = one_step_problem(model).prediction
     if prediction is None or prediction.tolerances is None:

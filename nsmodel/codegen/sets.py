@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen.tables import table
+from nsmodel.codegen.tables import c_table
 from nsmodel.errors import CodegenError
-from nsmodel.laws import C, Law
-from nsmodel.laws.block import Block
+from nsmodel.laws import LAW_C_FOLDER, Law
+from nsmodel.laws.block import LawFactor
 
 # What laws/NAME.c answers: NAME_question(m, numbers, ...).
-QUESTIONS = {
+SET_OPERATIONS = {
     "project": ("void", "double *u", "u = P_K(u)"),
     "jacobian": ("void", "const double *u, double *J", "J (m, m): an element of the generalised Jacobian of P_K at u"),
     "code": (
@@ -28,19 +28,19 @@ QUESTIONS = {
 }
 
 
-def curved(law: Law) -> list[tuple[slice, Block]]:
+def curved_blocks(law: Law) -> list[tuple[slice, LawFactor]]:
     """The rows of the blocks that are no boxes."""
     return [(rows, block) for rows, block in law.parts() if not block.separable]
 
 
-def numbers(law: Law) -> ca.SX:
+def curved_block_numbers(law: Law) -> ca.SX:
     """What the blocks' files read, one block after the other."""
-    return ca.vertcat(ca.SX(0, 1), *(block.c_numbers() for _, block in curved(law)))
+    return ca.vertcat(ca.SX(0, 1), *(block.c_numbers() for _, block in curved_blocks(law)))
 
 
-def text(law: Law, of_parameters: bool) -> str:
+def curved_sets_code(law: Law, of_parameters: bool) -> str:
     """The blocks, their numbers where no parameters give them, and the questions."""
-    blocks, kinds = curved(law), sorted({block.kind for _, block in curved(law)})
+    blocks, kinds = curved_blocks(law), sorted({block.kind for _, block in curved_blocks(law)})
     sizes = [block.c_numbers().numel() for _, block in blocks]
     rows = [
         f"{{{kinds.index(block.kind)}, {rows.start}, {block.size}, {at}}}"
@@ -54,23 +54,23 @@ def text(law: Law, of_parameters: bool) -> str:
     if of_parameters:
         lines.append("#define NUMBERS(k) (s->curved_numbers + curved[k].numbers)\n")
     else:
-        values = np.array(ca.DM(numbers(law))).ravel().tolist()
-        lines.append(table("curved_numbers", values or [0.0], "MODEL_NUMBERS"))
+        values = np.array(ca.DM(curved_block_numbers(law))).ravel().tolist()
+        lines.append(c_table("curved_numbers", values or [0.0], "MODEL_NUMBERS"))
         lines.append("#define NUMBERS(k) (curved_numbers + curved[k].numbers)\n")
-    lines += [_file(kind) for kind in ("norm", *kinds)]
-    return "".join(lines) + "".join(_question(kinds, name) for name in QUESTIONS)
+    lines += [_set_source(kind) for kind in ("norm", *kinds)]
+    return "".join(lines) + "".join(_set_function(kinds, name) for name in SET_OPERATIONS)
 
 
-def _file(kind: str) -> str:
-    path = C / f"{kind}.c"
+def _set_source(kind: str) -> str:
+    path = LAW_C_FOLDER / f"{kind}.c"
     if not path.exists():
         raise CodegenError(f"law: a set of kind '{kind}' has no C ({path.name} beside {kind}.py); run it interpreted")
     return path.read_text(encoding="utf-8")
 
 
-def _question(kinds: Sequence[str], name: str) -> str:
+def _set_function(kinds: Sequence[str], name: str) -> str:
     """A function that asks the kind of a block."""
-    returns, arguments, what = QUESTIONS[name]
+    returns, arguments, what = SET_OPERATIONS[name]
     given = "".join(", " + part.split()[-1].lstrip("*") for part in arguments.split(",") if part)
     calls = [f"{kind}_{name}(k->size, numbers{given})" for kind in kinds]
     word = "" if returns == "void" else "return "

@@ -10,23 +10,33 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import banded, blocks, constants, fixed, inclusion, lanes, newton, residual, sets, statuses, structs
-from nsmodel.codegen.bounds import MOST_WORK, work_bound
-from nsmodel.codegen.expression import number
-from nsmodel.codegen.fragments import CONSTANT, FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
-from nsmodel.codegen.loops import c_function
+from nsmodel.codegen.bounds import MAX_WORK, work_bound
+from nsmodel.codegen.expression import c_number
+from nsmodel.codegen.fragments import (
+    C_FOLDER,
+    DEFINE_PATTERN,
+    FUNCTION_PATTERN,
+    comment_text,
+    compiler_guard,
+    prefix_names,
+    prune_unused,
+    read_fragment,
+    resolve_conditions,
+)
+from nsmodel.codegen.loops import looped_c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
-from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
-from nsmodel.codegen.tables import table
-from nsmodel.model.driven import inputs_at_start
-from nsmodel.proof.sure import sure
-from nsmodel.scheme import constraints, initial_rows, start_of
-from nsmodel.solve.build import start_state
-from nsmodel.solve.layout import Layout
+from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, StepSpec
+from nsmodel.codegen.tables import c_table
+from nsmodel.model.driven import initial_inputs
+from nsmodel.proof.sure import not_none
+from nsmodel.scheme import initial_rows, state_constraints, symbolic_start_state
+from nsmodel.solve.build import completed_start_state
+from nsmodel.solve.layout import RowLayout
 from nsmodel.solve.newton import WORKING_SET_ABOVE
 
 
 @dataclass(frozen=True)
-class Source:
+class LibrarySource:
     """The C of one scene: ``files`` by name; ``flags``: what the code has; ``sizes``: the constants of the header."""
 
     name: str
@@ -38,64 +48,66 @@ class Source:
     bound: int
 
 
-def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WORK, *, in_lanes: bool = False) -> Source:
+def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_WORK, *, in_lanes: bool = False) -> LibrarySource:
     """Return the C library of a scene under the prefix ``name``; no step does more work than ``most``.
 
     ``in_lanes``: whether its batches have many runs in step (see `lanes`).
     """
-    flags = flags_of(scene)
-    sizes = sizes_of(scene, flags)
-    bound = min(work_bound(scene.law, flags, sizes), most)
-    words = _words(name, scene, flags, sizes, bound, fingerprint)
+    flags = flags_of(spec)
+    sizes = sizes_of(spec, flags)
+    bound = min(work_bound(spec.law, flags, sizes), most)
+    replacements = _step_replacements(name, spec, flags, sizes, bound, fingerprint)
 
     def part(file: str) -> str:
-        return fragment(file, flags, words)
+        return read_fragment(file, flags, replacements)
 
     groups = ("fixed", "banded", "newton", "affine", "inclusion")
-    struct = [f"members_{group}.h" for group in groups if _has_memory(group, flags, sizes)]
-    words["MEMBERS"] = "".join(map(part, struct))
-    own = prefixed(_tables(scene, flags) + "\n" + _functions(scene, flags), name)
+    struct = [f"members_{group}.h" for group in groups if _has_work_arrays(group, flags, sizes)]
+    replacements["MEMBERS"] = "".join(map(part, struct))
+    own = prefix_names(_step_tables(spec, flags) + "\n" + _step_functions(spec, flags), name)
     parts = [
         part("prelude.c"),
         part("common.c"),
         *([part("times.c")] if "BLOCKS" in flags else []),
         own,
-        *(part(file) for file in _FRAGMENTS if _has(file.removesuffix(".c"), flags)),
+        *(part(file) for file in _STEP_FRAGMENTS if _includes_fragment(file.removesuffix(".c"), flags)),
     ]
-    code = pruned("\n".join(parts))
-    run_flags = flags | _run_flags(scene, flags)
-    functions = _records(scene)
-    has = {"batch": scene.of_all, "lanes": in_lanes, "adaptive": "ADAPTIVE" in run_flags and not in_lanes}
+    code = prune_unused("\n".join(parts))
+    run_flags = flags | _run_flags(spec, flags)
+    functions = _record_function(spec)
+    has = {"batch": spec.for_all_values, "lanes": in_lanes, "adaptive": "ADAPTIVE" in run_flags and not in_lanes}
     loops = ["rollout.c", *(f"{name}.c" for name in ("adaptive", "batch", "lanes") if has[name])]
     if in_lanes:
-        own, more = lanes.text(scene)
-        functions, words = f"{functions}\n{own}", words | more
-    rollout = prefixed(functions, name) + "\n" + "".join(fragment(file, run_flags, words) for file in loops)
-    rollout = f'#include "{name}.c"\n\n{_missing(rollout, code)}{rollout}'
-    words["SIZES"] = _inner_sizes(name, sizes, part("header.h") + code + rollout)
-    return Source(name, part("header.h"), code, rollout, flags, sizes, bound)
+        own, more = lanes.lanes_code(spec)
+        functions, replacements = f"{functions}\n{own}", replacements | more
+    rollout = prefix_names(functions, name) + "\n" + "".join(read_fragment(file, run_flags, replacements) for file in loops)
+    rollout = f'#include "{name}.c"\n\n{_missing_definitions(rollout, code)}{rollout}'
+    replacements["SIZES"] = _inner_sizes(name, sizes, part("header.h") + code + rollout)
+    return LibrarySource(name, part("header.h"), code, rollout, flags, sizes, bound)
 
 
-def _has_memory(group: str, flags: frozenset[str], sizes: dict[str, int]) -> bool:
+def _has_work_arrays(group: str, flags: frozenset[str], sizes: dict[str, int]) -> bool:
     """Whether the work arrays of a group of fragments are needed."""
-    return sizes["LINEAR"] > 0 if group == "affine" else _has(group, flags)
+    return sizes["LINEAR"] > 0 if group == "affine" else _includes_fragment(group, flags)
 
 
-def _missing(text: str, code: str) -> str:
+def _missing_definitions(text: str, code: str) -> str:
     """The constants and the common functions that ``text`` uses and ``code`` does not have."""
-    common = resolved((FOLDER / "common.c").read_text(encoding="utf-8"), frozenset())
-    used = pruned(constants.of_steps() + common + "\n" + text)
-    wanted = [match[0] for pattern in (CONSTANT, FUNCTION) for match in pattern.finditer(used) if match[0] not in text]
+    common = resolve_conditions((C_FOLDER / "common.c").read_text(encoding="utf-8"), frozenset())
+    used = prune_unused(constants.step_defines() + common + "\n" + text)
+    wanted = [
+        match[0] for pattern in (DEFINE_PATTERN, FUNCTION_PATTERN) for match in pattern.finditer(used) if match[0] not in text
+    ]
     return "".join(piece for piece in wanted if piece not in code)
 
 
-_FRAGMENTS = [
+_STEP_FRAGMENTS = [
     f"{name}.c"
     for name in "solvers rounding linear affine curved lemke fixed banded newton rows inclusion state blocks api".split()
 ]
 
 
-def _has(part: str, flags: frozenset[str]) -> bool:
+def _includes_fragment(part: str, flags: frozenset[str]) -> bool:
     """Whether a fragment belongs into the code."""
     return {
         "fixed": "FIXED" in flags,
@@ -110,121 +122,131 @@ def _has(part: str, flags: frozenset[str]) -> bool:
     }.get(part, True)
 
 
-def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
-    model, problem = scene.model, scene.problem
-    one = "MODEL_STEP to 1e-12: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
-    known = " or ".join(number(h).text for h in scene.known_lengths if h)
+def _step_replacements(
+    name: str, spec: StepSpec, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str
+) -> dict[str, str]:
+    model, problem = spec.model, spec.problem
+    one = "MODEL_STEP to 1e-12: the matrices in the code belong to it" if spec.path in (FIXED, BANDED) else "MODEL_STEP"
+    known = " or ".join(c_number(h).text for h in spec.known_lengths if h)
     moved = "last difference of positions" if problem.difference else "velocity"
     last = moved if problem.velocity else "reaction of the last step"
-    layout = inclusion.layout(scene)
+    layout = inclusion.packed_layout(spec)
     behind = [f"the {last}"] if {"VELOCITY", "FORCE"} & flags else []
     behind += ["the inputs at the begin and at the end of a step"] if problem.inputs else []
     carried = "".join(f", then {what}" for what in behind)
     return {
         "NAME": name,
-        "GUARD": guard(),
-        "CONSTANTS": constants.of_steps(),
-        "SOLVERS": statuses.solvers(),
-        "STATUSES": prefixed(statuses.enumeration(), name),
-        "STATUS_CASES": prefixed(statuses.cases(), name),
-        "TITLE": comment(model.title) or type(model).__name__,
+        "GUARD": compiler_guard(),
+        "CONSTANTS": constants.step_defines(),
+        "SOLVERS": statuses.solver_enum(),
+        "STATUSES": prefix_names(statuses.status_enum(), name),
+        "STATUS_CASES": prefix_names(statuses.status_cases(), name),
+        "TITLE": comment_text(model.title) or type(model).__name__,
         "SCHEME": problem.scheme,
-        "NAMES": "\n".join([" *", *(f" *   {head:12} {text}" for head, text in names(scene).items() if text)]),
+        "NAMES": "\n".join([" *", *(f" *   {head:12} {text}" for head, text in array_names(spec).items() if text)]),
         "CARRIED": carried,
-        "STEP": number(scene.h).text,
-        "TOLERANCE": number(scene.tolerance).text,
+        "STEP": c_number(spec.h).text,
+        "TOLERANCE": c_number(spec.tolerance).text,
         "BOUND": str(bound),
         "HASH": fingerprint,
-        "STEP_RULE": prefixed(one, name) if "ONE_STEP" in flags else known if "KNOWN_LENGTHS" in flags else "a finite number > 0",
-        "UNIT_T": f", {comment(model.units['t'])}" if "t" in model.units else "",
+        "STEP_RULE": prefix_names(one, name)
+        if "ONE_STEP" in flags
+        else known
+        if "KNOWN_LENGTHS" in flags
+        else "a finite number > 0",
+        "UNIT_T": f", {comment_text(model.units['t'])}" if "t" in model.units else "",
         "SIZES": "",
-        "MATRICES": "".join(f", s->newton.{key}" for key in newton.outputs(scene)),
-        "COLUMNS": _columns(layout, problem.records),
+        "MATRICES": "".join(f", s->newton.{key}" for key in newton.evaluated_outputs(spec)),
+        "COLUMNS": _column_enum(layout, problem.records),
         "WIDTH": str(layout.width),
-        "ROW_RESIDUAL": residual.of_row(),
-        "TOTALS": prefixed(structs.TOTALS.c(), name),
-        "CONTROL": prefixed(structs.CONTROL.c(), name),
-        "CELLS": prefixed(structs.CELLS.c(), name),
+        "ROW_RESIDUAL": residual.row_residual_code(),
+        "TOTALS": prefix_names(structs.STEP_TOTALS.c(), name),
+        "CONTROL": prefix_names(structs.ADAPTIVE_CONTROL.c(), name),
+        "CELLS": prefix_names(structs.BATCH_CELLS.c(), name),
     } | {key: str(value) for key, value in sizes.items()}
 
 
-_PUBLIC = {"NX", "NSTATE", "NP", "NU", "NZ", "NW", "NL", "N", "M"}
+_PUBLIC_SIZES = {"NX", "NSTATE", "NP", "NU", "NZ", "NW", "NL", "N", "M"}
 
 
 def _inner_sizes(name: str, sizes: dict[str, int], text: str) -> str:
     """The sizes of the work arrays that ``text`` has."""
     seen = set(re.findall(r"\w+", text))
-    inner = {key: value for key, value in sizes.items() if key not in _PUBLIC and f"{name.upper()}_{key}" in seen}
+    inner = {key: value for key, value in sizes.items() if key not in _PUBLIC_SIZES and f"{name.upper()}_{key}" in seen}
     lines = "".join(f"#define MODEL_{key} {value}\n" for key, value in inner.items())
-    return prefixed(f"\n/* Sizes of what a step works in. */\n{lines}", name) if lines else ""
+    return prefix_names(f"\n/* Sizes of what a step works in. */\n{lines}", name) if lines else ""
 
 
-def _columns(layout: Layout, records: Iterable[str]) -> str:
+def _column_enum(layout: RowLayout, records: Iterable[str]) -> str:
     """Where each quantity of a packed row begins, and where what the scheme records does, as an enum of C."""
     starts = {name: part.start for name, part in layout.slices.items()}
     starts["records"] = min((starts[name] for name in records), default=layout.width)
     return f"enum {{ {', '.join(f'AT_{name.upper()} = {start}' for name, start in starts.items())} }};"
 
 
-def names(scene: Scene) -> dict[str, str]:
+def array_names(spec: StepSpec) -> dict[str, str]:
     """What stands where in the arrays, with units."""
-    units = scene.model.units
+    units = spec.model.units
 
     def listed(names: Iterable[str]) -> str:
-        each = [comment(f"{name} [{units[name]}]" if name in units else name) for name in names]
+        each = [comment_text(f"{name} [{units[name]}]" if name in units else name) for name in names]
         return ", ".join(each if len(each) <= 40 else [*each[:39], f"... ({len(each)} in all)"])
 
-    multipliers = scene.problem.multiplier_names
-    own = {"x": scene.model.names, "p": scene.parameters, **scene.places.names(scene.model), "multipliers": multipliers}
+    multipliers = spec.problem.multiplier_names
+    own = {"x": spec.model.names, "p": spec.parameters, **spec.places.names(spec.model), "multipliers": multipliers}
     return {head: listed(names) for head, names in own.items()}
 
 
-def _tables(scene: Scene, flags: frozenset[str]) -> str:
+def _step_tables(spec: StepSpec, flags: frozenset[str]) -> str:
     """The law, the start, the default parameters."""
-    law, lines = scene.law, []
+    law, lines = spec.law, []
     if "LAW" in flags:
         if "LAW_OF_PARAMETERS" in flags:
             lines.append("#define LOWER s->lower\n#define UPPER s->upper\n")
-            lines += [table("bounded_below", np.isfinite(law.lower), "MODEL_M", "sides that the law bounds", "int"),
-                      table("bounded_above", np.isfinite(law.upper), "MODEL_M", kind="int")]  # fmt: skip
+            lines += [c_table("bounded_below", np.isfinite(law.lower), "MODEL_M", "sides that the law bounds", "int"),
+                      c_table("bounded_above", np.isfinite(law.upper), "MODEL_M", kind="int")]  # fmt: skip
         else:
-            lines += [table("lower", law.lower, "MODEL_M", "ends of the law"), table("upper", law.upper, "MODEL_M")]
+            lines += [c_table("lower", law.lower, "MODEL_M", "ends of the law"), c_table("upper", law.upper, "MODEL_M")]
             lines.append("#define LOWER lower\n#define UPPER upper\n")
     if "CURVED" in flags:
-        lines.append(sets.text(inclusion.law_of_sets(scene), "CURVED_OF_PARAMETERS" in flags))
-    if scene.parameters:
-        lines.append(table("default_p", list(scene.parameters.values()), "MODEL_NP"))
-    lines.append(f"#define START_STEPS {1 if scene.model.tied_to_step else 0}\n")
+        lines.append(sets.curved_sets_code(inclusion.curved_set_law(spec), "CURVED_OF_PARAMETERS" in flags))
+    if spec.parameters:
+        lines.append(c_table("default_p", list(spec.parameters.values()), "MODEL_NP"))
+    lines.append(f"#define START_STEPS {1 if spec.model.tied_to_step else 0}\n")
     return "".join(lines)
 
 
-def _functions(scene: Scene, flags: frozenset[str]) -> str:
+def _step_functions(spec: StepSpec, flags: frozenset[str]) -> str:
     """The model's own functions."""
-    problem, h = scene.problem, scene.h
-    known = _known(scene)
+    problem, h = spec.problem, spec.h
+    known = _known_symbols(spec)
     given = {"s->h": problem.h} | ({"s->p": problem.p} if problem.p.numel() else {})
-    parts = [c_function("start", given, {"x": _start(scene)}, "the start")]
+    parts = [looped_c_function("start", given, {"x": _start_expression(spec)}, "the start")]
     if "LAW_OF_PARAMETERS" in flags:
-        parts.append(c_function("law_of_parameters", {"s->p": problem.p}, _bounds(scene), "the ends of the law"))
+        parts.append(looped_c_function("law_of_parameters", {"s->p": problem.p}, _law_bounds(spec), "the ends of the law"))
     if "FIXED" in flags:
-        parts.append(fixed.text(problem, scene.structure, scene.law, sure(scene.matrices), scene.known_lengths, scene.several))
+        parts.append(
+            fixed.fixed_code(
+                problem, spec.structure, spec.law, not_none(spec.matrices), spec.known_lengths, spec.has_several_lengths
+            )
+        )
     if "BANDED" in flags:
-        parts.append(banded.text(problem, scene.structure, h, sure(scene.band)))
+        parts.append(banded.banded_code(problem, spec.structure, h, not_none(spec.band)))
     if "NEWTON" in flags:
-        parts.append(newton.text(scene, known))
+        parts.append(newton.newton_code(spec, known))
     if "INCLUSION" in flags:
-        parts.append(inclusion.text(scene))
+        parts.append(inclusion.inclusion_code(spec))
     if "BLOCKS" in flags:
-        parts.append(blocks.text(scene.model, scene.places))
+        parts.append(blocks.blocks_code(spec.model, spec.places))
     out = {"x_next": problem.next_state}
     if "REWRITTEN" in flags:
-        out |= {"multipliers": sure(problem.multipliers), "outputs": sure(problem.outputs)}
+        out |= {"multipliers": not_none(problem.multipliers), "outputs": not_none(problem.outputs)}
     one = {"FIXED", "BANDED"} & flags and "LENGTHS" not in flags
     values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if one else out
     parts.append(
-        c_function(
+        looped_c_function(
             "advance",
-            _solved(scene),
+            _solution_symbols(spec),
             values,
             "the next state" + (", the multipliers as declared" if "REWRITTEN" in flags else ""),
         )
@@ -232,56 +254,58 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
     return "\n".join(parts)
 
 
-def _known(scene: Scene) -> dict[str, ca.SX]:
+def _known_symbols(spec: StepSpec) -> dict[str, ca.SX]:
     """What a step knows when it begins, by the C names; the problem of an inclusion begins at the predictor."""
-    problem, state = scene.problem, "s->work.predictor" if scene.path == INCLUSION else "s->x"
-    h = "AT.h" if scene.path == FIXED and scene.several else "s->h"
+    problem, state = spec.problem, "s->work.predictor" if spec.path == INCLUSION else "s->x"
+    h = "AT.h" if spec.path == FIXED and spec.has_several_lengths else "s->h"
     known = {"s->t": problem.t, h: problem.h, state: problem.state, "s->p": problem.p}
     return {key: value for key, value in known.items() if value.numel()}
 
 
-def _solved(scene: Scene) -> dict[str, ca.SX]:
+def _solution_symbols(spec: StepSpec) -> dict[str, ca.SX]:
     """What it knows when it is solved."""
-    problem = scene.problem
-    return _known(scene) | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
+    problem = spec.problem
+    return _known_symbols(spec) | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
 
 
-def _bounds(scene: Scene) -> dict[str, ca.SX]:
+def _law_bounds(spec: StepSpec) -> dict[str, ca.SX]:
     """The ends of the law as expressions of the parameters; the numbers of curved blocks."""
-    law = scene.problem.law
-    given = sets.numbers(law)
+    law = spec.problem.law
+    given = sets.curved_block_numbers(law)
     return {"lower": ca.densify(law.lower), "upper": ca.densify(law.upper)} | ({"numbers": given} if given.numel() else {})
 
 
-def _start(scene: Scene) -> ca.SX:
+def _start_expression(spec: StepSpec) -> ca.SX:
     """The state that a run starts from, as an expression of h and the parameters."""
-    own = start_of(scene.model, scene.problem.h)
+    own = symbolic_start_state(spec.model, spec.problem.h)
     if own is not None:
         return own
-    x0 = scene.model.start
-    if scene.of_all:  # room for what is carried, which the code finds
-        inputs = np.tile(inputs_at_start(scene.model), 2)
-        return ca.vertcat(x0, ca.SX.zeros(scene.problem.state.numel() - x0.numel() - inputs.size), inputs)
-    numbers = initial_rows(scene.numbers, scene.h)[-1][0]
-    carried = start_state(scene.problem_of_numbers, numbers, scene.h, scene.tolerance)
+    x0 = spec.model.start
+    if spec.for_all_values:  # room for what is carried, which the code finds
+        inputs = np.tile(initial_inputs(spec.model), 2)
+        return ca.vertcat(x0, ca.SX.zeros(spec.problem.state.numel() - x0.numel() - inputs.size), inputs)
+    numbers = initial_rows(spec.numbers, spec.h)[-1][0]
+    carried = completed_start_state(spec.numeric_problem, numbers, spec.h, spec.tolerance)
     return ca.vertcat(x0, ca.DM(carried[x0.numel() :]))
 
 
-def _records(scene: Scene) -> str:
+def _record_function(spec: StepSpec) -> str:
     """Further columns of a run, computed while the old state is still there."""
-    problem = scene.problem
+    problem = spec.problem
     if not problem.records:
         return ""
-    return c_function("records", _solved(scene), {"columns": ca.vertcat(*(ca.vec(e) for e in problem.records.values()))})
+    return looped_c_function(
+        "records", _solution_symbols(spec), {"columns": ca.vertcat(*(ca.vec(e) for e in problem.records.values()))}
+    )
 
 
-def _run_flags(scene: Scene, flags: frozenset[str]) -> frozenset[str]:
+def _run_flags(spec: StepSpec, flags: frozenset[str]) -> frozenset[str]:
     """What only whole runs have: further columns; a look at W where it may cease to be monotone; error control."""
-    structure = scene.structure
-    watched = {"NEWTON", "LAW"} <= flags and structure.m <= WORKING_SET_ABOVE and not (scene.by_rows or structure.gram)
-    projected, kept = bool(scene.problem.gap), bool(constraints(scene.model).numel())
+    structure = spec.structure
+    watched = {"NEWTON", "LAW"} <= flags and structure.m <= WORKING_SET_ABOVE and not (spec.uses_working_set or structure.gram)
+    projected, kept = bool(spec.problem.gap), bool(state_constraints(spec.model).numel())
     has = {
-        "RECORDS": bool(scene.problem.records),
+        "RECORDS": bool(spec.problem.records),
         "MONOTONE": watched,
         "ADAPTIVE": not {"ONE_STEP", "INCLUSION"} & flags and (projected or not kept),
         "CLOSING": projected,

@@ -47,18 +47,18 @@ NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, NO_MODE = (
 )
 
 READY = 0x6E736D64  # What marks a solver that was initialised.
-SOLVERS = (
+SOLVER_NAMES = (
     "none", "last index set", "index set", "lemke", "enumeration", "semismooth", "newton on the index set", "clip",
     "outer approximation", "none needed",
 )  # fmt: skip
 
 
-def solvers() -> str:
+def solver_enum() -> str:
     """Whose answer a step is, as an enum of C."""
-    return f"enum {{ {', '.join(name.upper().replace(' ', '_') for name in SOLVERS)} }};"
+    return f"enum {{ {', '.join(name.upper().replace(' ', '_') for name in SOLVER_NAMES)} }};"
 
 
-def enumeration() -> str:
+def status_enum() -> str:
     """The statuses as an enum of C, for a model called "model"."""
     lines = [
         f"    MODEL_{status.name} = {i}{',' if i + 1 < len(STATUSES) else ''} /* {status.meaning} */"
@@ -67,6 +67,6 @@ def enumeration() -> str:
     return "\n".join(["enum {", *lines, "};"])
 
 
-def cases() -> str:
+def status_cases() -> str:
     """The cases of a switch that returns the text of a status."""
     return "\n".join(f'    case MODEL_{status.name}:\n        return "{status.text}";' for status in STATUSES)

@@ -7,61 +7,61 @@ from itertools import accumulate
 
 import numpy as np
 
-from nsmodel.codegen.expression import number
-from nsmodel.solve.structure import Structure
+from nsmodel.codegen.expression import c_number
+from nsmodel.solve.structure import StepStructure
 
-WIDTH = 120  # Characters of a line.
+TABLE_WIDTH = 120  # Characters of a line.
 
 
-def table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:
+def c_table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:
     """Return ``static const kind name[size] = {...};``."""
-    numbers = [number(float(v)).text if kind == "double" else str(int(v)) for v in values]
+    numbers = [c_number(float(v)).text if kind == "double" else str(int(v)) for v in values]
     about = f" /* {comment} */" if comment else ""
-    listed = "\n".join(_lines(numbers))
+    listed = "\n".join(_wrapped_lines(numbers))
     line = f"static const {kind} {name}[{size}] = {{{listed.strip()}}};{about}\n"
     return line if len(line) <= 130 else f"static const {kind} {name}[{size}] = {{{about}\n{listed}\n}};\n"
 
 
-def _lines(numbers: Sequence[str]) -> Iterator[str]:
+def _wrapped_lines(numbers: Sequence[str]) -> Iterator[str]:
     """The numbers in lines that are indented and up to WIDTH long."""
     line = "   "
     for i, text in enumerate(numbers):
         item = f" {text}," if i + 1 < len(numbers) else f" {text}"
-        if len(line) + len(item) > WIDTH and len(line) > 3:
+        if len(line) + len(item) > TABLE_WIDTH and len(line) > 3:
             yield line
             line = "   "
         line += item
     yield line
 
 
-def exact_tables(structure: Structure, *, by_rows: bool = False) -> str:
+def exact_tables(structure: StepStructure, *, by_rows: bool = False) -> str:
     """Rows where unknowns are known exactly: y_i = factor z_j + offset, those that follow, and those that rest together.
 
     ``by_rows``: the code has the rows of E, and finds the columns of those that follow there.
     """
-    rest = table("rest_row", structure.rest_rows, "MODEL_REST", "z = 0 where all are coded 0", "int")
+    rest = c_table("rest_row", structure.rest_rows, "MODEL_REST", "z = 0 where all are coded 0", "int")
     if not structure.unit_rows:
         return rest if structure.rest_rows else ""
     i, j, factors = zip(*structure.unit_rows, strict=True)
     return (
-        table("unit_row", i, "MODEL_UNIT", "y_i = factor z_j + offset", "int")
-        + table("unit_column", j, "MODEL_UNIT", kind="int")
-        + table("unit_factor", factors, "MODEL_UNIT")
-        + _follow(structure, by_rows)
+        c_table("unit_row", i, "MODEL_UNIT", "y_i = factor z_j + offset", "int")
+        + c_table("unit_column", j, "MODEL_UNIT", kind="int")
+        + c_table("unit_factor", factors, "MODEL_UNIT")
+        + _following_row_tables(structure, by_rows)
         + (rest if structure.rest_rows else "")
     )
 
 
-def _follow(structure: Structure, by_rows: bool) -> str:
+def _following_row_tables(structure: StepStructure, by_rows: bool) -> str:
     rows = structure.follow_rows
     if not rows:
         return ""
-    own = table("follow_row", [i for i, _ in rows], "MODEL_FOLLOW", "z_i is exact where all others of row i of E are", "int")
+    own = c_table("follow_row", [i for i, _ in rows], "MODEL_FOLLOW", "z_i is exact where all others of row i of E are", "int")
     if by_rows:
         return own
     starts = [0, *accumulate(len(needed) for _, needed in rows)]
     return (
         own
-        + table("follow_start", starts, "MODEL_FOLLOW + 1", kind="int")
-        + table("follow_column", [j for _, needed in rows for j, _ in needed], "", kind="int")
+        + c_table("follow_start", starts, "MODEL_FOLLOW + 1", kind="int")
+        + c_table("follow_column", [j for _, needed in rows for j, _ in needed], "", kind="int")
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-CHUNK = 2_000_000  # Numbers in the largest array of intermediate results.
-LEAF = 16  # Places in a leaf of a k-d tree, on which the order of its pairs depends, and which of two equally near it names.
+MAX_CHUNK_NUMBERS = 2_000_000  # Numbers in the largest array of intermediate results.
+LEAF_SIZE = 16  # Places in a leaf of a k-d tree, on which the order of its pairs depends, and which of two equally near it names.
 
 
 def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -25,11 +25,11 @@ def distances(q: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """The distance of each q (N, 2) from the nearest of the segments (W, 2, 2); inf where there is none."""
     if not len(segments):
         return np.full(len(q), np.inf)
-    parts = np.array_split(q, 1 + 4 * len(q) * len(segments) // CHUNK)
+    parts = np.array_split(q, 1 + 4 * len(q) * len(segments) // MAX_CHUNK_NUMBERS)
     return np.concatenate([np.linalg.norm(p[:, None] - nearest_points(p, segments), axis=2).min(axis=1) for p in parts])
 
 
-def crossed(p: np.ndarray, q: np.ndarray, segments: np.ndarray) -> np.ndarray:
+def crossed_segments(p: np.ndarray, q: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """Whether the way from p to q (N, 2) crosses each segment (N, W), and p is not on it.
 
     A point on the line of a segment counts as on its right, so that each passage counts once.
@@ -42,30 +42,30 @@ def crossed(p: np.ndarray, q: np.ndarray, segments: np.ndarray) -> np.ndarray:
 
 def crosses_any(p: np.ndarray, q: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """Whether the way from p to q (N, 2) crosses any of the segments."""
-    parts = 1 + 4 * len(p) * len(segments) // CHUNK
+    parts = 1 + 4 * len(p) * len(segments) // MAX_CHUNK_NUMBERS
     pairs = zip(np.array_split(p, parts), np.array_split(q, parts), strict=True)
-    return np.concatenate([crossed(*pair, segments).any(axis=1) for pair in pairs])
+    return np.concatenate([crossed_segments(*pair, segments).any(axis=1) for pair in pairs])
 
 
-def sight(p: np.ndarray, q: np.ndarray, segments: np.ndarray, clearance: float) -> np.ndarray:
+def has_free_path(p: np.ndarray, q: np.ndarray, segments: np.ndarray, clearance: float) -> np.ndarray:
     """Whether a disc can go straight from p to q (N, 2), both at least ``clearance`` away from all segments."""
     ends, which = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
     first, last = which.reshape(-1, 2).T
     a, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     offset = cross(along, a)
     free = np.empty(len(p), bool)
-    for rows in np.array_split(np.arange(len(p)), 1 + len(p) * (len(ends) + len(segments)) // CHUNK):
+    for rows in np.array_split(np.arange(len(p)), 1 + len(p) * (len(ends) + len(segments)) // MAX_CHUNK_NUMBERS):
         start, way = p[rows], q[rows] - p[rows]
         length = np.linalg.norm(way, axis=1)
         way = way / np.where(length > 0, length, 1)[:, None]
         # Of the four distances between the ends of two segments and the other segment, two are known to be large enough.
         ahead = way @ ends.T - (way * start).sum(axis=1)[:, None]
-        beside = np.column_stack([-way[:, 1], way[:, 0]]) @ ends.T - cross(way, start)[:, None]
+        sideways = np.column_stack([-way[:, 1], way[:, 0]]) @ ends.T - cross(way, start)[:, None]
         past = ahead - np.clip(ahead, 0, length[:, None])
-        near = (beside**2 + past**2 < clearance**2 * (1 - 1e-9)).any(axis=1)
-        turned = np.column_stack([-along[:, 1], along[:, 0]]).T
-        sides = (start @ turned > offset) != (q[rows] @ turned > offset)
-        free[rows] = ~near & ~(sides & ((beside[:, first] > 0) != (beside[:, last] > 0))).any(axis=1)
+        near = (sideways**2 + past**2 < clearance**2 * (1 - 1e-9)).any(axis=1)
+        normals = np.column_stack([-along[:, 1], along[:, 0]]).T
+        sides = (start @ normals > offset) != (q[rows] @ normals > offset)
+        free[rows] = ~near & ~(sides & ((sideways[:, first] > 0) != (sideways[:, last] > 0))).any(axis=1)
     return free
 
 
@@ -78,6 +78,6 @@ def contains(polygon: np.ndarray, q: np.ndarray) -> np.ndarray:
     return (spans & (x < a[:, 0] + (y - a[:, 1]) * slope)).sum(axis=1) % 2 == 1
 
 
-def closed(corners: np.ndarray) -> np.ndarray:
+def polygon_sides(corners: np.ndarray) -> np.ndarray:
     """The sides (P, 2, 2) of a polygon (P, 2)."""
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)

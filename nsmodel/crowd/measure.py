@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.brief import brief
-from nsmodel.crowd.geometry import LEAF, cross, crossed
-from nsmodel.crowd.given import number, numbers
+from nsmodel.brief import short_repr
+from nsmodel.crowd.geometry import LEAF_SIZE, cross, crossed_segments
+from nsmodel.crowd.given import checked_array, checked_number
 from nsmodel.crowd.room import Room
 from nsmodel.errors import ModelError, UsageError
 
@@ -60,7 +60,7 @@ class Flow:
     person: np.ndarray
     forward: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def width(self) -> float:
@@ -104,11 +104,11 @@ def flow(run: Trajectory, segments: Any) -> Flow:
         UsageError: another shape, end points that are equal; people who were last seen in the room left between two rows.
     """
     expected = "(2, 2) or (E, 2, 2), two different end points each"
-    parts = numbers(segments, "segments", expected, UsageError)
+    parts = checked_array(segments, "segments", expected, UsageError)
     parts = parts[None] if parts.shape == (2, 2) else parts
     if parts.ndim != 3 or parts.shape[1:] != (2, 2) or (parts[:, 0] == parts[:, 1]).all(axis=1).any():
         raise UsageError(f"segments: shape {parts.shape}; expected {expected}")
-    unseen = _left_unseen(run)
+    unseen = _count_unseen_departures(run)
     if unseen:
         raise UsageError(
             f"{unseen} people left between two rows, and nobody saw by which way: run again and keep more rows (save_every)"
@@ -119,7 +119,7 @@ def flow(run: Trajectory, segments: Any) -> Flow:
     return Flow(parts, time[order], person[order], forward[order])
 
 
-def _left_unseen(run: Trajectory) -> int:
+def _count_unseen_departures(run: Trajectory) -> int:
     """How many people left whose last place is in the room: none where all steps are kept."""
     if run.metadata.get("save_every", 1) == 1:
         return 0
@@ -140,7 +140,7 @@ def _crossings(t: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray) -> tu
         side = cross(b - a, q - a)
         step = (side[:-1] > 0) != (side[1:] > 0)
     row, person = np.nonzero(step & np.isfinite(side[:-1]) & np.isfinite(side[1:]))
-    hit = crossed(q[row, person], q[row + 1, person], np.stack([a, b])[None])[:, 0]
+    hit = crossed_segments(q[row, person], q[row + 1, person], np.stack([a, b])[None])[:, 0]
     row, person = row[hit], person[hit]
     before, after = side[row, person], side[row + 1, person]
     return t[row] + before / (before - after) * (t[row + 1] - t[row]), person, before > 0
@@ -166,7 +166,7 @@ class Maps:
     pressure: np.ndarray | None
     rows: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 def maps(
@@ -194,7 +194,9 @@ def maps(
     """
     from scipy.spatial import KDTree
 
-    spacing, cut_off = (number(value, name, kind=UsageError) for name, value in (("spacing", spacing), ("cut_off", cut_off)))
+    spacing, cut_off = (
+        checked_number(value, name, kind=UsageError) for name, value in (("spacing", spacing), ("cut_off", cut_off))
+    )
     if not isinstance(most_rows, int) or most_rows < 1:
         raise UsageError(f"most_rows: {most_rows!r}; expected a whole number >= 1")
     room = room or room_of(run)
@@ -204,14 +206,14 @@ def maps(
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most_rows)).round().astype(int))]
     x, y, inside = cells(room, spacing)
     everywhere = np.stack(np.meshgrid((x[:-1] + x[1:]) / 2, (y[:-1] + y[1:]) / 2), axis=2)
-    counted = inside | _just_outside(room, everywhere, cut_off)  # Who stands in a door takes up room on both of its sides.
+    counted = inside | _behind_doors(room, everywhere, cut_off)  # Who stands in a door takes up room on both of its sides.
     centres = everywhere[counted]
     pressure = run.arrays.get("pressure")
     total, visits, pushed = np.zeros((len(centres), 4)), np.zeros(len(centres)), np.zeros(len(centres))
-    for q, velocity, push in _frames(run, rows, pressure):
+    for q, velocity, push in _row_snapshots(run, rows, pressure):
         if not len(q):
             continue
-        away, owner = map(np.asarray, KDTree(q, LEAF).query(centres, distance_upper_bound=cut_off))
+        away, owner = map(np.asarray, KDTree(q, LEAF_SIZE).query(centres, distance_upper_bound=cut_off))
         near = np.isfinite(away)
         owner = owner[near]
         area = np.bincount(owner, minlength=len(q)) * spacing**2
@@ -226,21 +228,21 @@ def maps(
     return Maps(x, y, field[..., 0], field[..., 1:3], None if pressure is None else field[..., 3], rows)
 
 
-def _frames(
+def _row_snapshots(
     run: Trajectory, rows: np.ndarray, pressure: np.ndarray | None
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Places, velocities (of the step to the row; of the next one at the start) and pressures of who is there, at each row."""
     q = positions(run)
     for row in rows:
         here = np.isfinite(q[row, :, 0])
-        velocity = _velocity(run.t, q, max(row, 1))
+        velocity = _step_velocities(run.t, q, max(row, 1))
         if row + 1 < len(q):  # Who just came in has no step behind.
-            velocity = np.where(np.isfinite(velocity), velocity, _velocity(run.t, q, row + 1))
+            velocity = np.where(np.isfinite(velocity), velocity, _step_velocities(run.t, q, row + 1))
         push = np.zeros(q.shape[1]) if pressure is None else pressure[row]
         yield q[row, here], np.nan_to_num(velocity[here]), push[here]
 
 
-def _velocity(t: np.ndarray, q: np.ndarray, row: int) -> np.ndarray:
+def _step_velocities(t: np.ndarray, q: np.ndarray, row: int) -> np.ndarray:
     """The velocities (n, 2) of the step that ended at a row."""
     return (q[row] - q[row - 1]) / (t[row] - t[row - 1]) if 0 < row < len(q) else np.zeros_like(q[0])
 
@@ -253,7 +255,7 @@ def cells(room: Room, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return x, y, room.inside(grid)
 
 
-def _just_outside(room: Room, places: np.ndarray, depth: float) -> np.ndarray:
+def _behind_doors(room: Room, places: np.ndarray, depth: float) -> np.ndarray:
     """Which places (ny, nx, 2) are behind a door, as wide as it and so deep."""
     found = np.zeros(places.shape[:2], bool)
     for (a, b), normal in zip(room.doors, room.outward, strict=True):

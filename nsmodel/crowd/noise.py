@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsmodel.brief import brief
-from nsmodel.crowd.given import number
+from nsmodel.brief import short_repr
+from nsmodel.crowd.given import checked_number
 from nsmodel.crowd.paths import DesiredVelocity
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import shown
+from nsmodel.later import former_names
+from nsmodel.model.arguments import describe_argument
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,12 @@ class Noise:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        angle = number(self.angle, "noise: angle", "an angle > 0 and at most pi, in radians")
+        angle = checked_number(self.angle, "noise: angle", "an angle > 0 and at most pi, in radians")
         if angle > np.pi:
             raise ModelError(f"noise: angle: {angle:g}; expected an angle > 0 and at most pi, in radians")
-        number(self.every, "noise: every", "a number > 0, in s")
+        checked_number(self.every, "noise: every", "a number > 0, in s")
         if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or not 0 <= self.seed < 2**128:
-            raise ModelError(f"noise: seed: {shown(self.seed)}; expected a whole number >= 0")
+            raise ModelError(f"noise: seed: {describe_argument(self.seed)}; expected a whole number >= 0")
 
     def angles(self, t: float, count: int) -> np.ndarray:
         """The angles (count,) at time t."""
@@ -52,13 +53,13 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Wavering:
+class NoisyVelocity:
     """The velocity wanted, turned by noise inside the room: ``(t, q (N, 2)) -> (N, 2)``; who is past a door walks on."""
 
     desired: DesiredVelocity
     noise: Noise
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __call__(self, t: float, q: np.ndarray) -> np.ndarray:
         """The velocity (N, 2) of people at q (N, 2)."""
@@ -66,3 +67,6 @@ class Wavering:
         angle = np.where(self.desired.outside(q), 0.0, self.noise.angles(t, len(q)))
         c, s = np.cos(angle), np.sin(angle)
         return np.column_stack([c * wanted[:, 0] - s * wanted[:, 1], s * wanted[:, 0] + c * wanted[:, 1]])
+
+
+__getattr__ = former_names(__name__, Wavering="NoisyVelocity")

@@ -14,15 +14,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nsmodel.brief import brief
-from nsmodel.crowd.geometry import CHUNK, distances, nearest_points, sight
-from nsmodel.crowd.given import number, numbers, of_each
-from nsmodel.crowd.room import Grid, Room
+from nsmodel.brief import short_repr
+from nsmodel.crowd.geometry import MAX_CHUNK_NUMBERS, distances, has_free_path, nearest_points
+from nsmodel.crowd.given import checked_array, checked_number, per_person_values
+from nsmodel.crowd.room import Room, RoomGrid
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.model.arguments import shown
+from nsmodel.model.arguments import describe_argument
 
-PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
-KEEP = 1 / np.cos(PIECE / 2)  # Distance of the corners of the tangents, in clearances.
+MAX_ARC_PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
+CORNER_DISTANCE = 1 / np.cos(MAX_ARC_PIECE / 2)  # Distance of the corners of the tangents, in clearances.
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class DesiredVelocity:
 
     autonomous: ClassVar[bool] = True  # It does not depend on t.
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __call__(self, t: float, q: np.ndarray) -> np.ndarray:
         """The velocities (N, 2) of people at q (N, 2); rows of absent people are any finite numbers."""
@@ -63,7 +63,7 @@ class DesiredVelocity:
     def directions(self, q: np.ndarray, group: Any = 0) -> np.ndarray:
         """The unit vectors (N, 2) at places q (N, 2), for one group or one a place."""
         _, ny, nx, _ = self.values.shape
-        column, row, x, y = self._cell(q)
+        column, row, x, y = self._locate_cell(q)
         start = (group * ny + row) * nx + column
         table = self.values.reshape(-1, 2)
         x, y = x[:, None], y[:, None]
@@ -71,9 +71,9 @@ class DesiredVelocity:
         high = table[start + nx] * (1 - x) + table[start + nx + 1] * x
         found = low * (1 - y) + high * y
         length = np.sqrt(found[:, 0] * found[:, 0] + found[:, 1] * found[:, 1])
-        torn = np.flatnonzero(length < 1e-3)  # Halfway between two ways: take one of them.
-        if torn.size:
-            found[torn], length[torn] = table[start[torn]], 1.0
+        undefined = np.flatnonzero(length < 1e-3)  # Halfway between two ways: take one of them.
+        if undefined.size:
+            found[undefined], length[undefined] = table[start[undefined]], 1.0
         return found / length[:, None]
 
     def distance(self, q: Any, group: Any = 0) -> np.ndarray:
@@ -83,12 +83,12 @@ class DesiredVelocity:
             UsageError: another shape, a group that there is not.
         """
         groups, ny, nx, _ = self.values.shape
-        places = np.atleast_2d(numbers(q, "q", "(N, 2), in metres", UsageError))
+        places = np.atleast_2d(checked_array(q, "q", "(N, 2), in metres", UsageError))
         if places.ndim != 2 or places.shape[1] != 2:
             raise UsageError(f"q: shape {places.shape}; expected (N, 2)")
         if np.shape(group) not in ((), (len(places),)) or not np.isin(group, np.arange(groups)).all():
-            raise UsageError(f"group: {shown(group)}; expected a number from 0 to {groups - 1}, or ({len(places)},)")
-        column, row, x, y = self._cell(places)
+            raise UsageError(f"group: {describe_argument(group)}; expected a number from 0 to {groups - 1}, or ({len(places)},)")
+        column, row, x, y = self._locate_cell(places)
         start = (group * ny + row) * nx + column
         table = self.distances.ravel()
         low = table[start] * (1 - x) + table[start + 1] * x
@@ -97,11 +97,11 @@ class DesiredVelocity:
     def outside(self, q: np.ndarray) -> np.ndarray:
         """Whether no corner of the table's cell has a way to an exit (N,), for each person at q (N, 2): past a door."""
         _, ny, nx, _ = self.values.shape
-        column, row, _, _ = self._cell(q)
+        column, row, _, _ = self._locate_cell(q)
         start = (self.group * ny + row) * nx + column
         return np.all(np.isnan(self.distances.ravel()[start[:, None] + [0, 1, nx, nx + 1]]), axis=1)
 
-    def _cell(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _locate_cell(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Column and row of the cell of each place, and where in the cell it is (0 to 1); nan is anywhere."""
         _, ny, nx, _ = self.values.shape
         place = np.nan_to_num((q - self.origin) / self.spacing)
@@ -128,16 +128,16 @@ def desired_velocity(
         ModelError: an exit that the room does not have, or too narrow for the clearance; a wrong wish, speed, clearance or
             spacing.
     """
-    clearance, spacing = number(clearance, "clearance"), number(spacing, "spacing")
-    speeds = of_each(speed, "speed", count, "m/s", zero=True)
+    clearance, spacing = checked_number(clearance, "clearance"), checked_number(spacing, "spacing")
+    speeds = per_person_values(speed, "speed", count, "m/s", zero=True)
     wishes = list(to) if isinstance(to, list | np.ndarray) else [to] * count
     if len(wishes) != count:
         raise ModelError(f"to: {len(wishes)} exits; expected one for each of {count} people")
-    wanted = [_named(room, wish) for wish in wishes]
+    wanted = [_exit_names(room, wish) for wish in wishes]
     exits = tuple(dict.fromkeys(wanted)) or (tuple(room.exits),)
     table = {names: k for k, names in enumerate(exits)}
     grid = room.grid(spacing)
-    tables = [_table(room, grid, names, clearance) for names in exits]
+    tables = [_direction_table(room, grid, names, clearance) for names in exits]
     return DesiredVelocity(
         origin=grid.origin,
         spacing=grid.spacing,
@@ -150,9 +150,11 @@ def desired_velocity(
     )
 
 
-def _named(room: Room, to: Any) -> tuple[str, ...]:
+def _exit_names(room: Room, to: Any) -> tuple[str, ...]:
     if not (to is None or isinstance(to, str) or (isinstance(to, tuple) and to)):
-        raise ModelError(f"to: {shown(to)}; expected the name of an exit, a tuple of names, or None for the nearest exit")
+        raise ModelError(
+            f"to: {describe_argument(to)}; expected the name of an exit, a tuple of names, or None for the nearest exit"
+        )
     names = tuple(room.exits) if to is None else (to,) if isinstance(to, str) else to
     for name in names:
         if name not in room.exits:
@@ -160,13 +162,13 @@ def _named(room: Room, to: Any) -> tuple[str, ...]:
     return tuple(name for name in room.exits if name in names)
 
 
-def _table(room: Room, grid: Grid, names: Sequence[str], clearance: float) -> tuple[np.ndarray, np.ndarray]:
+def _direction_table(room: Room, grid: RoomGrid, names: Sequence[str], clearance: float) -> tuple[np.ndarray, np.ndarray]:
     """Directions (ny, nx, 2) and lengths (ny, nx) of the shortest ways to these exits."""
     taken = np.isin(room.door_names, names)
     doors, outward = room.doors[taken], room.outward[taken]
     walls = np.concatenate([room.segments, room.doors[~taken]])
     width = np.linalg.norm(doors[:, 1] - doors[:, 0], axis=1)
-    keep = KEEP * clearance
+    keep = CORNER_DISTANCE * clearance
     narrow = np.flatnonzero(width < 2 * keep)
     if narrow.size:
         name = room.door_names[taken][narrow[0]]
@@ -177,35 +179,35 @@ def _table(room: Room, grid: Grid, names: Sequence[str], clearance: float) -> tu
     shrink = (keep / width)[:, None] * (doors[:, 1] - doors[:, 0])
     goals = np.stack([doors[:, 0] + shrink, doors[:, 1] - shrink], axis=1)
     nodes, outside = grid.nodes.reshape(-1, 2), grid.outside.ravel()
-    via, length, onward = _graph(walls, goals, clearance)
+    via, length, onward = _shortest_path_graph(walls, goals, clearance)
     directions, lengths = np.full((len(nodes), 2), np.nan), np.full(len(nodes), np.nan)
     free = np.flatnonzero(room.inside(grid))
     free = free[distances(nodes[free], walls) >= keep]
-    for rows in np.array_split(free, 1 + len(free) * (len(via) + len(goals)) // CHUNK):
-        directions[rows], lengths[rows] = _first(nodes[rows], walls, goals, outward, clearance, via, length, onward)
+    for rows in np.array_split(free, 1 + len(free) * (len(via) + len(goals)) // MAX_CHUNK_NUMBERS):
+        directions[rows], lengths[rows] = _first_directions(nodes[rows], walls, goals, outward, clearance, via, length, onward)
     shape = grid.label.shape
     directions, lengths = directions.reshape(*shape, 2), lengths.reshape(shape)
     nearest = np.linalg.norm(nearest_points(nodes[outside], room.doors) - nodes[outside][:, None], axis=2).argmin(axis=1)
     directions[grid.outside] = room.outward[nearest]
-    _spread(directions, lengths, grid, reach=int(2 * keep / grid.spacing) + 2)
+    _extend_to_walls(directions, lengths, grid, reach=int(2 * keep / grid.spacing) + 2)
     return directions, lengths
 
 
-def _graph(walls: np.ndarray, goals: np.ndarray, clearance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shortest_path_graph(walls: np.ndarray, goals: np.ndarray, clearance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Corners of shortest ways (V, 2), the length from each to the nearest goal (V,) and its direction there (V, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
-    via = _turns(walls, clearance)
+    via = _corner_points(walls, clearance)
     via = via[distances(via, walls) >= clearance * (1 - 1e-9)]
     count = len(via)
     i, j = np.triu_indices(count, 1)
-    seen = sight(via[i], via[j], walls, clearance)
+    seen = has_free_path(via[i], via[j], walls, clearance)
     i, j = i[seen], j[seen]
     ends = nearest_points(via, goals)
     straight = np.linalg.norm(ends - via[:, None], axis=2)
     k, _ = np.indices(straight.shape)
-    straight[~sight(via[k.ravel()], ends.reshape(-1, 2), walls, clearance).reshape(straight.shape)] = np.inf
+    straight[~has_free_path(via[k.ravel()], ends.reshape(-1, 2), walls, clearance).reshape(straight.shape)] = np.inf
     last, goal = np.flatnonzero(straight.min(axis=1) < np.inf), straight.argmin(axis=1)
     first, second = np.concatenate([i, last]), np.concatenate([j, np.full(len(last), count)])
     edges = np.concatenate([np.linalg.norm(via[j] - via[i], axis=1), straight[last, goal[last]]])
@@ -219,7 +221,7 @@ def _graph(walls: np.ndarray, goals: np.ndarray, clearance: float) -> tuple[np.n
     return via[known], length[known], way / np.where(size > 0, size, 1)
 
 
-def _turns(walls: np.ndarray, clearance: float) -> np.ndarray:
+def _corner_points(walls: np.ndarray, clearance: float) -> np.ndarray:
     """The places (V, 2) where a way that keeps its clearance can turn: around ends of walls and corners that stand out.
 
     Between the walls that meet in a point, seen from there, a gap of more than 180 degrees is a corner that stands out; the
@@ -237,13 +239,13 @@ def _turns(walls: np.ndarray, clearance: float) -> np.ndarray:
         widest = int(gaps.argmax())
         arc = gaps[widest] - np.pi
         if arc > 1e-6:
-            pieces = int(np.ceil(arc / PIECE - 1e-9))
+            pieces = int(np.ceil(arc / MAX_ARC_PIECE - 1e-9))
             middle = angles[widest] + np.pi / 2 + arc * (np.arange(pieces) + 0.5) / pieces
             places.append(point + clearance / np.cos(arc / pieces / 2) * np.column_stack([np.cos(middle), np.sin(middle)]))
     return np.concatenate(places) if places else np.zeros((0, 2))
 
 
-def _first(
+def _first_directions(
     nodes: np.ndarray, walls: np.ndarray, goals: np.ndarray, outward: np.ndarray, clearance: float,
     via: np.ndarray, length: np.ndarray, onward: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
@@ -261,13 +263,13 @@ def _first(
         door = best >= len(via)
         end = np.where(door[:, None], doors[left, np.maximum(best - len(via), 0)], 0.0)
         end[~door] = via[best[~door]]
-        seen = sight(nodes[left], end, walls, clearance)
-        there, choice, end = left[seen], best[seen], end[seen]
-        way = end - nodes[there]
+        seen = has_free_path(nodes[left], end, walls, clearance)
+        reached, choice, end = left[seen], best[seen], end[seen]
+        way = end - nodes[reached]
         size = np.linalg.norm(way, axis=1)
         arrived = np.concatenate([onward, outward])[choice]
-        direction[there] = np.where(size[:, None] > 1e-9, way / np.maximum(size, 1e-300)[:, None], arrived)
-        total[there] = cost[there, choice]
+        direction[reached] = np.where(size[:, None] > 1e-9, way / np.maximum(size, 1e-300)[:, None], arrived)
+        total[reached] = cost[reached, choice]
         cost[left, best] = np.inf
         left = left[~seen]
         if not left.size:
@@ -275,7 +277,7 @@ def _first(
     return direction, total
 
 
-def _spread(directions: np.ndarray, lengths: np.ndarray, grid: Grid, reach: int) -> None:
+def _extend_to_walls(directions: np.ndarray, lengths: np.ndarray, grid: RoomGrid, reach: int) -> None:
     """Hand values on to nodes nearer to a wall than the clearance, in ``reach`` rounds and never through a wall; then directions
     to all that is left, which nobody sees who can reach an exit.
     """
@@ -290,10 +292,10 @@ def _spread(directions: np.ndarray, lengths: np.ndarray, grid: Grid, reach: int)
             (0, grid.right, np.s_[:, :-1], np.s_[:, 1:]),
             (1, grid.up, np.s_[:-1], np.s_[1:]),
         ):
-            for source, target, there in ((low, high, -1), (high, low, 1)):
+            for source, target, sign in ((low, high, -1), (high, low, 1)):
                 use = joined & known[source]
                 given = values[source].copy()
-                given[..., 2] += there * grid.spacing * given[..., axis]  # The length falls along the direction, by 1 a metre.
+                given[..., 2] += sign * grid.spacing * given[..., axis]  # The length falls along the direction, by 1 a metre.
                 total[target] += np.where(use[..., None], given, 0)
                 count[target] += use
                 one[target][use] = given[use]

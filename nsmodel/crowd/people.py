@@ -9,22 +9,22 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.classes.bodies.groups import Bodies, Family, Items
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.crowd.geometry import LEAF, closed, contains, crosses_any, nearest_points
-from nsmodel.crowd.given import generator, number, numbers, of_each, radii_between
-from nsmodel.crowd.noise import Noise, Wavering
-from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
-from nsmodel.crowd.room import Room, polygon
+from nsmodel.crowd.geometry import LEAF_SIZE, contains, crosses_any, nearest_points, polygon_sides
+from nsmodel.crowd.given import checked_array, checked_number, per_person_values, radius_range, random_generator
+from nsmodel.crowd.noise import Noise, NoisyVelocity
+from nsmodel.crowd.paths import CORNER_DISTANCE, DesiredVelocity, desired_velocity
+from nsmodel.crowd.room import Room, checked_polygon
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import shown
-from nsmodel.proof.sure import sure
+from nsmodel.model.arguments import describe_argument
+from nsmodel.proof.sure import not_none
 
-ROUNDS = 4000  # Of pushing apart, before `place` gives up.
-WEDGED = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.
-APART = 1e-3  # What `place` leaves between people, m.
-BEYOND = 1.0  # How deep the place behind a door is in which people are taken away, m.
+MAX_PUSH_ROUNDS = 4000  # Of pushing apart, before `place` gives up.
+WEDGED_ROUNDS = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.
+MIN_SEPARATION = 1e-3  # What `place` leaves between people, m.
+EXIT_ZONE_DEPTH = 1.0  # How deep the place behind a door is in which people are taken away, m.
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +37,15 @@ class People:
     speed: Any = 1.0
     enter: Any = 0.0
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        places = numbers(self.places, "places", "(N, 2), in metres")
+        places = checked_array(self.places, "places", "(N, 2), in metres")
         if places.ndim != 2 or places.shape[1] != 2 or not len(places):
             raise ModelError(f"places: shape {places.shape}; expected (N, 2)")
         count = len(places)
         for name, unit, zero in (("radii", "m", False), ("speed", "m/s", True), ("enter", "s", True)):
-            object.__setattr__(self, name, of_each(getattr(self, name), name, count, unit, zero=zero))
+            object.__setattr__(self, name, per_person_values(getattr(self, name), name, count, unit, zero=zero))
         object.__setattr__(self, "places", places)
         if isinstance(self.to, list | np.ndarray):
             if len(self.to) != count:
@@ -82,13 +82,13 @@ def place(
     from scipy.spatial import KDTree
 
     if not isinstance(count, int | np.integer) or count < 1:
-        raise ModelError(f"place: {shown(count)} people; expected a whole number >= 1")
+        raise ModelError(f"place: {describe_argument(count)} people; expected a whole number >= 1")
     if not isinstance(beside, list | tuple) or not all(isinstance(group, People) for group in beside):
-        raise ModelError(f"beside: {shown(beside)}; expected a list of groups of people")
-    low, high = radii_between(radii)
-    rng = generator(seed)
+        raise ModelError(f"beside: {describe_argument(beside)}; expected a list of groups of people")
+    low, high = radius_range(radii)
+    rng = random_generator(seed)
     sizes = rng.uniform(low, high, count)
-    corners = None if inside is None else polygon(inside, "inside")
+    corners = None if inside is None else checked_polygon(inside, "inside")
     grid = room.grid(min(0.1, low / 2))
     allowed = room.inside(grid)
     if corners is not None:
@@ -99,7 +99,7 @@ def place(
     fixed = np.concatenate([np.zeros((0, 2)), *(people.places for people in beside)])
     taken = np.concatenate([np.zeros(0), *(people.radii for people in beside)])
     if len(fixed):
-        away, who = KDTree(fixed, LEAF).query(nodes)
+        away, who = KDTree(fixed, LEAF_SIZE).query(nodes)
         nodes = nodes[away > taken[who] + low]
     area, covered = len(nodes) * grid.spacing**2, np.pi * (sizes**2).sum()
     sizes = np.concatenate([sizes, taken])
@@ -108,7 +108,7 @@ def place(
         start = nodes[rng.integers(len(nodes), size=count)]
         moved = start + grid.spacing * rng.uniform(-0.5, 0.5, (count, 2))
         start = np.where(crosses_any(start, moved, walls)[:, None], start, moved)
-        q = _pushed_apart(np.concatenate([start, fixed]), sizes, count, walls, corners, nodes, rng)
+        q = _separate_discs(np.concatenate([start, fixed]), sizes, count, walls, corners, nodes, rng)
     if q is None:
         raise ModelError(
             f"place: {count} people do not fit: they would cover {covered:.3g} m2 of {area:.3g} m2 "
@@ -140,9 +140,9 @@ def arrivals(
     others = tuple(name for name in room.exits if name != door)
     if to is None and not others:
         raise ModelError(f"arrivals: '{door}' is the only exit, and nobody who comes in by it has where to go; name it in to=")
-    rate, until = number(rate, "rate", "a number > 0, in 1/s"), number(until, "until", "a number > 0, in s")
-    low, high = radii_between(radii)
-    rng = generator(seed)
+    rate, until = checked_number(rate, "rate", "a number > 0, in 1/s"), checked_number(until, "until", "a number > 0, in s")
+    low, high = radius_range(radii)
+    rng = random_generator(seed)
     times = np.cumsum(rng.exponential(1 / rate, int(rate * until + 10 * np.sqrt(rate * until) + 20)))
     times = times[times <= until]
     if not times.size:
@@ -186,25 +186,25 @@ def crowd(
             to take people away in.
     """
     if not isinstance(room, Room):
-        raise ModelError(f"crowd: {shown(room)}; expected a Room")
+        raise ModelError(f"crowd: {describe_argument(room)}; expected a Room")
     if noise is not None and not isinstance(noise, Noise):
-        raise ModelError(f"noise: {shown(noise)}; expected Noise(angle), or None")
+        raise ModelError(f"noise: {describe_argument(noise)}; expected Noise(angle), or None")
     if not groups or not all(isinstance(group, People) for group in groups):
-        raise ModelError(f"crowd: {shown(groups)}; expected groups of people, from place(room, count)")
+        raise ModelError(f"crowd: {describe_argument(groups)}; expected groups of people, from place(room, count)")
     places, radii = (np.concatenate([getattr(group, key) for group in groups]) for key in ("places", "radii"))
     speed, enter = (np.concatenate([getattr(group, key) for group in groups]) for key in ("speed", "enter"))
     to = [wish for group in groups for wish in (group.to if isinstance(group.to, list) else [group.to] * len(group))]
     people, walls = Bodies(places, r=radii), room.segments
     i, j = people.member("i"), people.member("j")
     least = float(radii.min())
-    spacing = least / 2 if spacing is None else number(spacing, "spacing")
+    spacing = least / 2 if spacing is None else checked_number(spacing, "spacing")
     if spacing > 2 / 3 * least:
         raise ModelError(f"spacing: {spacing:g}; expected at most two thirds of the least radius, {2 / 3 * least:.3g} m")
-    beyond = number(beyond, "beyond", "a number >= 0, in metres", zero=True)
+    beyond = checked_number(beyond, "beyond", "a number >= 0, in metres", zero=True)
     clearance = float(radii.max()) if clearance is None else clearance
     desired = desired_velocity(room, len(places), to=to, speed=speed, clearance=clearance, spacing=spacing)
-    _all_get_out(room, places, desired)
-    leave = behind(room, i.q, beyond, float(speed.max()) * number(step, "step", "a number > 0, in s"))
+    _check_exits_reachable(room, places, desired)
+    leave = exit_zone_expression(room, i.q, beyond, float(speed.max()) * checked_number(step, "step", "a number > 0, in s"))
     families = {"pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)}
     if len(walls):
         w = Items(a=walls[:, 0], b=walls[:, 1]).member("w")
@@ -213,7 +213,7 @@ def crowd(
         families["wall"] = Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w)
     return ManyBodies(
         bodies=people,
-        f=desired if noise is None else Wavering(desired, noise),
+        f=desired if noise is None else NoisyVelocity(desired, noise),
         constraints=families,
         leave=leave,
         enter=enter,
@@ -225,7 +225,7 @@ def crowd(
     )
 
 
-def behind(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
+def exit_zone_expression(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
     """An expression > 0 where q is more than ``beyond`` behind an exit, in a place that holds nothing of the room.
 
     It is 1 m deep, or two strides, and ``beyond`` wider than the exit on each side, but ends where the room goes on.
@@ -234,7 +234,7 @@ def behind(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
         ModelError: the room goes on less than a stride behind that.
     """
     grid = room.grid(0.1)
-    nodes, depth = grid.nodes[room.inside(grid)], max(BEYOND, 2 * stride)
+    nodes, depth = grid.nodes[room.inside(grid)], max(EXIT_ZONE_DEPTH, 2 * stride)
     found = None
     for (a, b), normal, name in zip(room.doors, room.outward, room.door_names, strict=True):
         width = float(np.linalg.norm(b - a))
@@ -254,10 +254,10 @@ def behind(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
         x, y = ca.dot(ca.DM(normal), q - a), ca.dot(ca.DM(along), q - a)
         this = ca.fmin(ca.fmin(x - beyond, beyond + deep - x), ca.fmin(y + left, width + right - y))
         found = this if found is None else ca.fmax(found, this)
-    return sure(found)
+    return not_none(found)
 
 
-def _all_get_out(room: Room, places: np.ndarray, desired: DesiredVelocity) -> None:
+def _check_exits_reachable(room: Room, places: np.ndarray, desired: DesiredVelocity) -> None:
     """Refuse a start from which no way leads to an exit that the person may take; the message says why."""
     lost = np.flatnonzero(np.isnan(desired.distance(places, desired.group)))
     if not lost.size:
@@ -269,12 +269,12 @@ def _all_get_out(room: Room, places: np.ndarray, desired: DesiredVelocity) -> No
     if not room.inside(grid)[grid.nearest(at[None])][0]:
         raise ModelError(f"{who} is outside the room")
     raise ModelError(
-        f"{who} can reach no exit ({', '.join(names)}): no way there is {2 * KEEP * desired.clearance:.3g} m wide, as a "
-        f"clearance of {desired.clearance:.3g} m needs"
+        f"{who} can reach no exit ({', '.join(names)}): no way there is {2 * CORNER_DISTANCE * desired.clearance:.3g} m wide, as "
+        f"a clearance of {desired.clearance:.3g} m needs"
     )
 
 
-def _pushed_apart(
+def _separate_discs(
     q: np.ndarray, radii: np.ndarray, count: int, walls: np.ndarray, polygon: np.ndarray | None, nodes: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray | None:  # fmt: skip
@@ -285,9 +285,9 @@ def _pushed_apart(
     """
     from scipy.spatial import KDTree
 
-    radii, most = radii + APART, float(radii.min()) / 2
-    for k in range(1, ROUNDS + 1):
-        pairs = KDTree(q, LEAF).query_pairs(2 * radii.max() + APART, output_type="ndarray")
+    radii, most = radii + MIN_SEPARATION, float(radii.min()) / 2
+    for k in range(1, MAX_PUSH_ROUNDS + 1):
+        pairs = KDTree(q, LEAF_SIZE).query_pairs(2 * radii.max() + MIN_SEPARATION, output_type="ndarray")
         i, j = pairs.T
         gap = q[i] - q[j]
         size = np.linalg.norm(gap, axis=1)
@@ -298,7 +298,7 @@ def _pushed_apart(
         away = q[:count, None] - feet
         reach = np.linalg.norm(away, axis=2)
         into = np.maximum(radii[:count, None] - reach, 0)
-        if not (over > APART / 2).any() and not (into > APART / 2).any():
+        if not (over > MIN_SEPARATION / 2).any() and not (into > MIN_SEPARATION / 2).any():
             return q
         move = np.zeros_like(q)
         half = (0.55 * over[:, None]) * push
@@ -309,12 +309,12 @@ def _pushed_apart(
         goal = q[:count] + move[:count]
         if polygon is not None:
             out = np.flatnonzero(~contains(polygon, goal))
-            rim = nearest_points(goal[out], closed(polygon))
+            rim = nearest_points(goal[out], polygon_sides(polygon))
             best = np.linalg.norm(rim - goal[out][:, None], axis=2).argmin(axis=1)
             goal[out] = rim[np.arange(len(out)), best]
         stays = crosses_any(q[:count], goal, walls)
         q = np.concatenate([np.where(stays[:, None], q[:count], goal), q[count:]])
-        if k % WEDGED == 0:
+        if k % WEDGED_ROUNDS == 0:
             wedged = np.unique(i[j >= count])
             q[wedged] = nodes[rng.integers(len(nodes), size=len(wedged))]
     return None

@@ -8,37 +8,41 @@ from typing import Any, cast
 
 import numpy as np
 
-from nsmodel.crowd.geometry import closed, nearest_points
+from nsmodel.crowd.geometry import nearest_points, polygon_sides
 from nsmodel.errors import ModelError
 from nsmodel.grid import is_number
-from nsmodel.model.arguments import shown
+from nsmodel.model.arguments import describe_argument
 
-ALIKE = 60  # Colours are the same where no channel differs by more, of 255.
-BLURRED = 2  # So many pixels between a wall and a door may have a colour in between.
-STRAIGHT = 0.75  # An outline is a straight line where it is this near to one, in pixels.
+COLOUR_TOLERANCE = 60  # Colours are the same where no channel differs by more, of 255.
+MAX_BLUR_PIXELS = 2  # So many pixels between a wall and a door may have a colour in between.
+STRAIGHT_TOLERANCE = 0.75  # An outline is a straight line where it is this near to one, in pixels.
 
 
-def read(image: Any, pixel: float, walls: Any, exits: Mapping[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def read_floor_plan(image: Any, pixel: float, walls: Any, exits: Mapping[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Wall segments (W, 2, 2) and exits {name: (E, 2, 2)} of a picture, in metres; see `Room.from_picture`."""
     if not (is_number(pixel) and np.isfinite(pixel) and pixel > 0):
-        raise ModelError(f"pixel: {shown(pixel)}; expected the side of a pixel in metres, a number > 0")
+        raise ModelError(f"pixel: {describe_argument(pixel)}; expected the side of a pixel in metres, a number > 0")
     if not isinstance(exits, Mapping) or not exits:
-        raise ModelError(f"exits: {shown(exits)}; expected a dictionary {{name: colour}}")
-    colours = {"walls": _colour(walls, "walls")} | {name: _colour(value, f"exit '{name}'") for name, value in exits.items()}
+        raise ModelError(f"exits: {describe_argument(exits)}; expected a dictionary {{name: colour}}")
+    colours = {"walls": _parse_colour(walls, "walls")} | {
+        name: _parse_colour(value, f"exit '{name}'") for name, value in exits.items()
+    }
     names, table = list(colours), np.array(list(colours.values()))
     for i, j in zip(*np.triu_indices(len(names), 1), strict=True):
-        if np.abs(table[i] - table[j]).max() <= 2 * ALIKE:
-            raise ModelError(f"the colours of {names[i]} and {names[j]}, {_rgb(table[i])} and {_rgb(table[j])}, are too alike")
-    array = _pixels(image)
-    masks = {name: np.all(np.abs(array - colour) <= ALIKE, axis=2)[::-1] for name, colour in colours.items()}
+        if np.abs(table[i] - table[j]).max() <= 2 * COLOUR_TOLERANCE:
+            raise ModelError(
+                f"the colours of {names[i]} and {names[j]}, {_format_rgb(table[i])} and {_format_rgb(table[j])}, are too alike"
+            )
+    array = _rgb_pixels(image)
+    masks = {name: np.all(np.abs(array - colour) <= COLOUR_TOLERANCE, axis=2)[::-1] for name, colour in colours.items()}
     for name, mask in masks.items():
         if not mask.any():
-            size, colour = "{1} x {0}".format(*array.shape), _rgb(colours[name])
+            size, colour = "{1} x {0}".format(*array.shape), _format_rgb(colours[name])
             raise ModelError(f"no pixel of the picture ({size}) has the colour {colour} of {name}")
-    loops = [straightened(loop) for loop in outlines(masks["walls"])]
-    found = [closed(loop)[: 1 if len(loop) == 2 else None] for loop in loops]  # A line one pixel thick is one wall.
+    loops = [simplify_outline(loop) for loop in outlines(masks["walls"])]
+    found = [polygon_sides(loop)[: 1 if len(loop) == 2 else None] for loop in loops]  # A line one pixel thick is one wall.
     walls_found = np.concatenate(found)
-    return pixel * walls_found, {name: pixel * _doors(masks[name], masks["walls"], walls_found) for name in exits}
+    return pixel * walls_found, {name: pixel * _door_segments(masks[name], masks["walls"], walls_found) for name in exits}
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:
@@ -72,7 +76,7 @@ def outlines(mask: np.ndarray) -> list[np.ndarray]:
     return loops
 
 
-def straightened(loop: np.ndarray, tolerance: float = STRAIGHT) -> np.ndarray:
+def simplify_outline(loop: np.ndarray, tolerance: float = STRAIGHT_TOLERANCE) -> np.ndarray:
     """An outline (P, 2) with few points: the middles of its sides one pixel long, which are the steps of a slanting line, and the
     corners between longer sides; of these as many as it takes to be within the tolerance (Ramer, Douglas and Peucker).
     """
@@ -101,15 +105,15 @@ def straightened(loop: np.ndarray, tolerance: float = STRAIGHT) -> np.ndarray:
     return loop[sorted(kept)]
 
 
-def _doors(mask: np.ndarray, wall: np.ndarray, walls: np.ndarray) -> np.ndarray:
+def _door_segments(mask: np.ndarray, wall: np.ndarray, walls: np.ndarray) -> np.ndarray:
     """A segment (E, 2, 2) along the middle of each patch of pixels, from the wall on one of its sides to that on the other."""
     from scipy.ndimage import binary_dilation, label
 
     patches, _ = cast("tuple[np.ndarray, int]", label(mask, np.ones((3, 3))))
-    beside = binary_dilation(wall, np.ones((3, 3)), iterations=BLURRED)
+    near_wall = binary_dilation(wall, np.ones((3, 3)), iterations=MAX_BLUR_PIXELS)
     found = []
     for k in range(1, int(patches.max()) + 1):
-        centres, touches = (np.argwhere(which)[:, ::-1] + 0.5 for which in (patches == k, (patches == k) & beside))
+        centres, touches = (np.argwhere(which)[:, ::-1] + 0.5 for which in (patches == k, (patches == k) & near_wall))
         middle = centres.mean(axis=0)
         _, axes = np.linalg.eigh(np.cov(centres.T, bias=True).reshape(2, 2))
         reach = np.abs((centres - middle) @ axes).max(axis=0)
@@ -121,11 +125,11 @@ def _doors(mask: np.ndarray, wall: np.ndarray, walls: np.ndarray) -> np.ndarray:
         near = nearest_points(ends, walls)
         away = np.linalg.norm(near - ends[:, None], axis=2)
         closest = near[np.arange(2), away.argmin(axis=1)]
-        found.append(np.where((away.min(axis=1) <= BLURRED + 0.5)[:, None], closest, ends))
+        found.append(np.where((away.min(axis=1) <= MAX_BLUR_PIXELS + 0.5)[:, None], closest, ends))
     return np.array(found)
 
 
-def _pixels(image: Any) -> np.ndarray:
+def _rgb_pixels(image: Any) -> np.ndarray:
     """The colours (H, W, 3) from 0 to 255, on white where the picture is transparent."""
     if isinstance(image, str | Path):
         from PIL import Image, UnidentifiedImageError
@@ -146,7 +150,7 @@ def _pixels(image: Any) -> np.ndarray:
     return array[..., :3] * opaque + 255 * (1 - opaque)
 
 
-def _colour(value: Any, label: str) -> np.ndarray:
+def _parse_colour(value: Any, label: str) -> np.ndarray:
     """Red, green and blue from 0 to 255."""
     from PIL import ImageColor
 
@@ -162,9 +166,11 @@ def _colour(value: Any, label: str) -> np.ndarray:
     except (TypeError, ValueError):
         array = np.zeros(0)
     if array.size != 3 or not ((array >= 0) & (array <= 255)).all():
-        raise ModelError(f"the colour of {label}: {shown(value)}; expected a name or (red, green, blue) from 0 to 255")
+        raise ModelError(
+            f"the colour of {label}: {describe_argument(value)}; expected a name or (red, green, blue) from 0 to 255"
+        )
     return array
 
 
-def _rgb(colour: np.ndarray) -> str:
+def _format_rgb(colour: np.ndarray) -> str:
     return "({:.0f}, {:.0f}, {:.0f})".format(*colour)

@@ -10,28 +10,33 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses import impacts
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.model.base import Model
 from nsmodel.solve.certificate import EPS
 from nsmodel.trajectory import Trajectory
 
-SLACK = 64 * EPS  # relative rounding of a sum of a few terms
+SUM_ROUNDING = 64 * EPS  # relative rounding of a sum of a few terms
 
-RESIDUAL = Hypothesis("run-residual", "every step solves its one-step problem: residual <= tolerance", "definition")
-FEASIBLE = Hypothesis("run-feasible", "every constraint is >= 0 at every row", "definition of Q(t), of C, of dom g")
-QUALIFIED = Hypothesis(
+RESIDUAL_HYPOTHESIS = Hypothesis("run-residual", "every step solves its one-step problem: residual <= tolerance", "definition")
+FEASIBILITY_HYPOTHESIS = Hypothesis("run-feasible", "every constraint is >= 0 at every row", "definition of Q(t), of C, of dom g")
+QUALIFICATION_HYPOTHESIS = Hypothesis(
     "run-mfcq", "the constraints that one step can close leave a common escape direction: gamma(rho) < inf at every row",
     "Bernicot and Venel 2010, (A5)",
 )  # fmt: skip
-CONTINUOUS = Hypothesis(
+CONTINUITY_HYPOTHESIS = Hypothesis(
     "run-continuous", "no state jumps: where a multiplier that enters neither y nor y' sets in, y' = 0",
     "definition of a solution: x is absolutely continuous",
 )  # fmt: skip
-HYPOTHESES = (RESIDUAL, FEASIBLE, QUALIFIED, CONTINUOUS)  # A class's own are in its module of this name.
+HYPOTHESES = (
+    RESIDUAL_HYPOTHESIS,
+    FEASIBILITY_HYPOTHESIS,
+    QUALIFICATION_HYPOTHESIS,
+    CONTINUITY_HYPOTHESIS,
+)  # A class's own are in its module of this name.
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverges is judged like any other
-def along(
+def findings_along_run(
     model: Model, run: Trajectory, findings: Sequence[Finding], twin: Trajectory | None = None, quick: bool = False
 ) -> list[Finding]:
     """Return one finding for each inequality that this class promises.
@@ -46,26 +51,32 @@ def along(
     part = class_of(model).optional("hypotheses.along")
     numbers = {finding.id: finding for finding in findings}
     own = [] if part is None else part.along(model, run, numbers, twin, quick)
-    return [_residual(run), *own, *_continuous(model, run)]
+    return [_residual_finding(run), *own, *_continuity_findings(model, run)]
 
 
-def _continuous(model: Model, run: Trajectory) -> list[Finding]:
+def _continuity_findings(model: Model, run: Trajectory) -> list[Finding]:
     """Impacts of the rows that may call for an impulse; nothing where there is no such row."""
-    watches = impacts.watched(model)
+    watches = impacts.impact_rows(model)
     if not watches:
         return []  # nearly always
-    known = impacts.met(watches, run.arrays, {})
-    words = impacts.told(watches, known, model)
+    known = impacts.update_impacts(watches, run.arrays, {})
+    lines = impacts.describe_impacts(watches, known, model)
     jumps = [(watch, known[watch.name]) for watch in watches if not watch.relay and known[watch.name]["count"]]
     value = {"jumps": sum(found["count"] for _, found in jumps)}
     if jumps:
         watch, worst = max(jumps, key=lambda jump: jump[1]["largest"])
         witness = {"multiplier": watch.name, "t": worst["t"], "y'": worst["rate"], "states": list(watch.moved)}
-        return [found(CONTINUOUS, VIOLATED, "; ".join(words), value | {"largest |y'|": worst["largest"]}, witness)]
-    if words:
-        return [found(CONTINUOUS, UNKNOWN, "; ".join(words), value)]
+        return [
+            make_finding(CONTINUITY_HYPOTHESIS, VIOLATED, "; ".join(lines), value | {"largest |y'|": worst["largest"]}, witness)
+        ]
+    if lines:
+        return [make_finding(CONTINUITY_HYPOTHESIS, UNKNOWN, "; ".join(lines), value)]
     names = ", ".join(watch.acts for watch in watches if not watch.relay)
-    return [] if not names else [found(CONTINUOUS, HOLDS, f"{names}: none set in with y' != 0 at {len(run.t)} rows", value)]
+    return (
+        []
+        if not names
+        else [make_finding(CONTINUITY_HYPOTHESIS, HOLDS, f"{names}: none set in with y' != 0 at {len(run.t)} rows", value)]
+    )
 
 
 def has_every_row(run: Trajectory) -> bool:
@@ -73,34 +84,38 @@ def has_every_row(run: Trajectory) -> bool:
     return run.metadata["save_every"] == 1 and len(run.t) > 1
 
 
-def rows_missing(*hypotheses: Hypothesis) -> list[Finding]:
+def missing_rows_findings(*hypotheses: Hypothesis) -> list[Finding]:
     """What is said of inequalities where it does not."""
-    return [found(hypothesis, UNKNOWN, "the run does not hold every row (save_every)") for hypothesis in hypotheses]
+    return [make_finding(hypothesis, UNKNOWN, "the run does not hold every row (save_every)") for hypothesis in hypotheses]
 
 
-def inputs_of(model: Model, run: Trajectory) -> np.ndarray:
+def inputs_at_rows(model: Model, run: Trajectory) -> np.ndarray:
     """u(t-) at each row of a run (N, nu)."""
     return run.arrays["inputs"] if model.u.numel() else np.zeros((len(run.t), 0))
 
 
-def _residual(run: Trajectory) -> Finding:
+def _residual_finding(run: Trajectory) -> Finding:
     totals = run.metadata["totals"]
     worst, tolerance = float(totals["worst_residual"]), float(run.metadata["tolerance"])
     verdict = HOLDS if worst <= tolerance else VIOLATED
     time = totals["worst_residual_t"]
     how = f"recomputed from the definition of the law at each of {totals['steps']} steps"
-    return found(
-        RESIDUAL, verdict, how, {"worst residual": worst, "tolerance": tolerance}, {"t": "no row" if time is None else time}
+    return make_finding(
+        RESIDUAL_HYPOTHESIS,
+        verdict,
+        how,
+        {"worst residual": worst, "tolerance": tolerance},
+        {"t": "no row" if time is None else time},
     )
 
 
-def feasible(model: Any, run: Trajectory, c: ca.SX, names: Sequence[str]) -> list[Finding]:
+def constraint_findings(model: Any, run: Trajectory, c: ca.SX, names: Sequence[str]) -> list[Finding]:
     """The least value of every constraint; what evaluating it in doubles cannot see is no violation."""
     if not c.numel():
         return []
     f = ca.Function("c", [model.t, model.state, model.u], [ca.densify(c), ca.densify(ca.jacobian(c, model.state))])
     k = len(run.t)
-    values, gradients = (np.array(v) for v in f.map(k)(run.t[None, :], run.x.T, inputs_of(model, run).T))
+    values, gradients = (np.array(v) for v in f.map(k)(run.t[None, :], run.x.T, inputs_at_rows(model, run).T))
     values = values.T
     size = np.linalg.norm(gradients.reshape(c.numel(), k, model.state.numel()), axis=2).T
     values = np.where(np.isfinite(values), values, -np.inf)
@@ -111,4 +126,6 @@ def feasible(model: Any, run: Trajectory, c: ca.SX, names: Sequence[str]) -> lis
         row, i = np.unravel_index(np.argmin(np.where(broken, values, np.inf)), values.shape)
     witness = {"constraint": names[int(i)], "t": run.t[int(row)], "state": run.x[int(row)]}
     how = f"evaluated at {k} rows; a deficit below 1e-10 of the state's size counts as rounding"
-    return [found(FEASIBLE, VIOLATED if broken.any() else HOLDS, how, {"least value": values[row, i]}, witness)]
+    return [
+        make_finding(FEASIBILITY_HYPOTHESIS, VIOLATED if broken.any() else HOLDS, how, {"least value": values[row, i]}, witness)
+    ]

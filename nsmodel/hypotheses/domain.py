@@ -5,11 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.convex_read import read
-from nsmodel.proof.graph import replay
+from nsmodel.model.convex_read import read_potential_parts
+from nsmodel.proof.graph import rewrite_nodes
 
 
-def without_domain(phi: ca.SX, x: ca.SX, label: str) -> ca.SX:
+def potential_without_domain(phi: ca.SX, x: ca.SX, label: str) -> ca.SX:
     """The potential without the conditions that make it +inf: a function that is finite where they fail, too."""
     finite = []
 
@@ -19,16 +19,16 @@ def without_domain(phi: ca.SX, x: ca.SX, label: str) -> ca.SX:
         finite.append(old)
         return None
 
-    direct = replay(phi, rule, (ca.OP_IF_ELSE_ZERO,), x, label)
+    direct = rewrite_nodes(phi, rule, (ca.OP_IF_ELSE_ZERO,), x, label)
     if not finite:
         return direct
-    parts = read(phi, x, label)
+    parts = read_potential_parts(phi, x, label)
     return ca.substitute(parts.value, parts.symbols, parts.meanings({})) if parts.nodes else parts.value
 
 
 def domain_rows(phi: ca.SX, x: ca.SX, label: str) -> tuple[list[ca.SX], list[ca.SX]]:
     """The domain of a potential as expressions that are >= 0, and those that are 0, in terms of x alone."""
-    parts = read(phi, x, label)
+    parts = read_potential_parts(phi, x, label)
     meanings = parts.meanings({})
     rows, equalities = [], []
     for bound in parts.bounds:

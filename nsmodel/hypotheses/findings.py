@@ -7,14 +7,16 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from nsmodel.brief import brief
-from nsmodel.hypotheses.scope import Scope, meet
-from nsmodel.pickled import Pickled
+from nsmodel.brief import short_repr
+from nsmodel.hypotheses.scope import Scope, intersect_scopes
+from nsmodel.pickled import Picklable
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
-STAYS = "as long as the solution and the scheme's iterates and predictors stay inside the box"
-NO_LIMIT = frozenset({"width", "margin", "interior margin", "c", "rho", "min g", "h*", "h* is at least", "condition", "cond P"})
-ALONG_A_RUN = "run-"  # Ids of findings about a run begin with it.
+INSIDE_BOX_CLAUSE = "as long as the solution and the scheme's iterates and predictors stay inside the box"
+UNLIMITED_NUMBERS = frozenset(
+    {"width", "margin", "interior margin", "c", "rho", "min g", "h*", "h* is at least", "condition", "cond P"}
+)
+RUN_FINDING_PREFIX = "run-"  # Ids of findings about a run begin with it.
 
 
 class Hypothesis(NamedTuple):
@@ -26,7 +28,7 @@ class Hypothesis(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Finding(Pickled):
+class Finding(Picklable):
     """What was found out about one hypothesis.
 
     Attributes:
@@ -53,10 +55,10 @@ class Finding(Pickled):
     scope: Scope | None = None
     outside: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
-def found(
+def make_finding(
     hypothesis: Hypothesis,
     verdict: str,
     how: str,
@@ -75,23 +77,23 @@ def found(
     if verdict not in VERDICTS:
         raise ValueError(f"{hypothesis.id}: verdict {verdict!r}; expected one of {', '.join(VERDICTS)}")
     given = {name: float(number) for name, number in (value or {}).items() if number == number}
-    value = {name: number for name, number in given.items() if not (name in NO_LIMIT and number == float("inf"))}
+    value = {name: number for name, number in given.items() if not (name in UNLIMITED_NUMBERS and number == float("inf"))}
     value = value if verdict == HOLDS else given
     if not how or (verdict != UNKNOWN and not given) or (verdict == VIOLATED and not witness):
         raise ValueError(f"{hypothesis.id}: '{verdict}' needs a reason, a number, and where violated a witness")
     if verdict == HOLDS and (infinite := [name for name, number in value.items() if abs(number) == float("inf")]):
         raise ValueError(f"{hypothesis.id}: '{HOLDS}' with {', '.join(infinite)} infinite; a proof has finite numbers")
     numbers = MappingProxyType(value)
-    return Finding(hypothesis.id, hypothesis.statement, verdict, numbers, plain(witness), hypothesis.source, how, scope)
+    return Finding(hypothesis.id, hypothesis.statement, verdict, numbers, plain_witness(witness), hypothesis.source, how, scope)
 
 
-def plain(witness: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def plain_witness(witness: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """A witness as numbers, text and nested lists of them."""
-    return MappingProxyType({name: _plain(item) for name, item in (witness or {}).items()})
+    return MappingProxyType({name: _plain_item(item) for name, item in (witness or {}).items()})
 
 
 @dataclass(frozen=True)
-class Consequence(Pickled):
+class Consequence(Picklable):
     """What follows from hypotheses.
 
     Attributes:
@@ -119,15 +121,15 @@ class Consequence(Pickled):
     clause: str = ""
     until: float | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
-def measured(name: str, statement: str, value: Mapping[str, float]) -> Consequence:
+def measured_consequence(name: str, statement: str, value: Mapping[str, float]) -> Consequence:
     """Return what runs show beside the theory."""
     return Consequence(name, statement, (), SAMPLED, {key: float(number) for key, number in value.items()}, "measured on runs")
 
 
-def follows(
+def make_consequence(
     name: str, statement: str, findings: Sequence[Finding], rests_on: Sequence[str], source: str,
     value: Mapping[str, float] | None = None, moving: bool = True,
 ) -> Consequence:  # fmt: skip
@@ -141,22 +143,22 @@ def follows(
     numbers = {key: float(number) for key, number in (value or {}).items()}
     if verdict == HOLDS:
         numbers = {key: number for key, number in numbers.items() if abs(number) < float("inf")}
-    scope = scope_of(findings, rests_on)
-    clause = STAYS if moving and scope is not None and scope.states else ""
+    scope = common_scope(findings, rests_on)
+    clause = INSIDE_BOX_CLAUSE if moving and scope is not None and scope.states else ""
     return Consequence(name, statement, tuple(rests_on), verdict, MappingProxyType(numbers), source, scope, clause)
 
 
-def scope_of(findings: Sequence[Finding], ids: Sequence[str]) -> Scope | None:
+def common_scope(findings: Sequence[Finding], ids: Sequence[str]) -> Scope | None:
     """The intersection of the scopes of some findings."""
-    return meet(*(finding.scope for finding in findings if finding.id in ids))
+    return intersect_scopes(*(finding.scope for finding in findings if finding.id in ids))
 
 
-def _plain(item: Any) -> Any:
+def _plain_item(item: Any) -> Any:
     """Numbers, text and nested lists of them, so that a witness can be written as JSON."""
     if hasattr(item, "tolist"):
         item = item.tolist()
     if isinstance(item, list | tuple):
-        return [_plain(part) for part in item]
+        return [_plain_item(part) for part in item]
     if isinstance(item, bool | int | str) or item is None:
         return item
     return float(item)

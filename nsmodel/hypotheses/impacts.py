@@ -24,17 +24,17 @@ from nsmodel.classes.registry import class_of
 from nsmodel.laws import Law
 from nsmodel.laws.block import SecondOrder
 from nsmodel.model.base import Model
-from nsmodel.once import once
+from nsmodel.once import cached_per_object
 
-ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
-UNSEEN = 1e-9  # A rate is 0 below this part of the largest |y'|.
-EXPLAINED = 2.0  # A rate below so many times its change in a step is none of an impact.
-GUIDE = "docs/guide.md, 2.7"
-PLACES = 4  # States where rows are looked at: the start, and others around it.
+PRODUCT_ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
+NEGLIGIBLE_RATE = 1e-9  # A rate is 0 below this part of the largest |y'|.
+IMPACT_RATE_FACTOR = 2.0  # A rate below so many times its change in a step is none of an impact.
+IMPACTS_GUIDE = "docs/guide.md, 2.7"
+SAMPLE_POINTS = 4  # States where rows are looked at: the start, and others around it.
 
 
 @dataclass(frozen=True)
-class Watch:
+class ImpactRow:
     """A row of y, or a cone of rows, that may call for an impulse (a contact) or slide by the scheme's damping alone (a relay).
 
     Attributes:
@@ -93,14 +93,14 @@ class Watch:
         """Where l is at an end: open, or a relay that is not at y = 0; so is a start, whose l is not known."""
         return ~((l > self.lower) & (l < self.upper))
 
-    def approach(self, rate: np.ndarray) -> np.ndarray:
+    def approach_speed(self, rate: np.ndarray) -> np.ndarray:
         """How fast y comes to 0 from the side where it may be: > 0 where it does."""
         if self.relay or not np.isfinite([self.lower, self.upper]).any():
             return np.abs(rate)
         return -rate if np.isfinite(self.lower) else rate
 
 
-class System(NamedTuple):
+class ImpactStructure(NamedTuple):
     """s' = F(t, s, l), y = Y(t, s, l), and how l enters. lower, upper: its ends, NaN where it is in no box; cones: their rows."""
 
     t: ca.SX
@@ -128,8 +128,8 @@ class System(NamedTuple):
         return self.t, self.s, self.l, self.u
 
 
-@once
-def watched(model: Model) -> tuple[Watch, ...]:
+@cached_per_object
+def impact_rows(model: Model) -> tuple[ImpactRow, ...]:
     """Return the rows to watch in runs of the bound ``model``: of most models none.
 
     A class whose states may jump has a module of this name; its `system` is None of a model whose states do not.
@@ -138,23 +138,25 @@ def watched(model: Model) -> tuple[Watch, ...]:
     system = None if part is None else part.system(model)
     if system is None or not system.l.numel():
         return ()
-    entries = partial(_entries, system, _places(system))
+    entries = partial(_nonzero_entries, system, _sample_points(system))
     bounded = np.isfinite(system.lower) & np.isfinite(system.upper)
 
-    def entered(rows: np.ndarray, columns: np.ndarray, at: np.ndarray) -> np.ndarray:
+    def has_entered_multiplier(rows: np.ndarray, columns: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Which of the rows hold a multiplier that counts: beside a relay all do, beside a contact those without end."""
         return np.isin(np.arange(at.size), rows[at[rows] | ~bounded[columns]])
 
-    late = ~entered(*entries(system.Y_l), bounded) & ~entered(*entries(system.Y_s, system.F_l), bounded)
+    late = ~has_entered_multiplier(*entries(system.Y_l), bounded) & ~has_entered_multiplier(
+        *entries(system.Y_s, system.F_l), bounded
+    )
     acted, acting = entries(system.F_l)
-    pushes, found = np.array(ca.Function("pushes", list(system.given), [ca.densify(system.F_l)])(*_places(system)[0])), []
+    pushes, found = np.array(ca.Function("pushes", list(system.given), [ca.densify(system.F_l)])(*_sample_points(system)[0])), []
     for rows in (*(slice(i, i + 1) for i in map(int, np.flatnonzero(~np.isnan(system.lower)))), *system.cones):
         if not late[rows].all() or rows.start in system.moving or ca.depends_on(system.Y[rows], system.u):
             continue  # of what an input moves y' holds u'
         Y, first, cone = system.Y[rows], rows.start, rows in system.cones
         rate = ca.jtimes(Y, system.s, system.F) + ca.jacobian(Y, system.t)
         degree, derivative, alone = 2, rate, bounded[rows]
-        while not entered(*(at := entries(ca.jacobian(derivative, system.s), system.F_l)), alone).any():
+        while not has_entered_multiplier(*(at := entries(ca.jacobian(derivative, system.s), system.F_l)), alone).any():
             degree, derivative = degree + 1, ca.jtimes(derivative, system.s, system.F) + ca.jacobian(derivative, system.t)
             if degree > system.s.numel():
                 degree = 0
@@ -162,41 +164,45 @@ def watched(model: Model) -> tuple[Watch, ...]:
         if bounded[first] and not (degree and (at[1] == first).all()):
             continue  # with others' help a relay may well come to y = 0
         own = np.unique(acted[(rows.start <= acting) & (acting < rows.stop)])
-        found.append(Watch(
+        found.append(ImpactRow(
             names=tuple(system.multipliers[rows]), column=system.first + first, lower=0.0 if cone else float(system.lower[first]),
             upper=np.inf if cone else float(system.upper[first]), degree=degree, moved=tuple(system.states[j] for j in own),
             pushed=np.linalg.norm(pushes[:, rows], axis=1),
-            rate=ca.Function("rate", list(system.given), [ca.densify(_to_surface(Y, rate) if cone else rate), ca.densify(rate)]),
+            rate=ca.Function(
+                "rate", list(system.given), [ca.densify(_cone_gap_rate(Y, rate) if cone else rate), ca.densify(rate)]
+            ),
             inputs=slice(system.first, system.first + system.l.numel() or None), untouched=system.untouched,
         ))  # fmt: skip
     return tuple(found)
 
 
-def _to_surface(y: ca.SX, rate: ca.SX) -> ca.SX:
+def _cone_gap_rate(y: ca.SX, rate: ca.SX) -> ca.SX:
     """(y_1 - |(y_2, ...)|)', on the axis the one-sided derivative."""
     size = ca.norm_2(y[1:])
     return rate[0] - ca.if_else(size > 0, ca.dot(y[1:], rate[1:]) / size, ca.norm_2(rate[1:]))
 
 
-def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequence[ca.SX], untouched: str = "y'") -> System:
+def impact_structure(
+    model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequence[ca.SX], untouched: str = "y'"
+) -> ImpactStructure:
     """The system of a law on the states x; matrices are F_l, Y_x, Y_l."""
     lower, upper, driven = [np.empty(0)], [np.empty(0)], ca.vertcat(model.t, model.u)
     moving = frozenset(i for i, moves in enumerate(law.moves(driven)) if moves)
     law = law.at_rest(driven) if moving else law
     for block in law.blocks:
-        low, high = block.hull() if block.separable else np.full((2, block.size), np.nan)
+        low, high = block.bounding_box() if block.separable else np.full((2, block.size), np.nan)
         lower.append(low)
         upper.append(high)
     ends = np.concatenate(lower), np.concatenate(upper)
     cones = tuple(rows for rows, block in law.parts() if isinstance(block.shape(), SecondOrder))
     F_l, Y_x, Y_l = matrices
-    return System(
+    return ImpactStructure(
         model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched, cones,
         model.u, moving,
     )  # fmt: skip
 
 
-def _places(system: System) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
+def _sample_points(system: ImpactStructure) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
     """(t, s, l, u) where rows are looked at."""
     rng, start = np.random.default_rng(0), np.array(ca.DM(system.start)).ravel()
     size = np.abs(start) + (np.abs(start).max(initial=0.0) or 1.0)
@@ -210,12 +216,12 @@ def _places(system: System) -> list[tuple[float, np.ndarray, np.ndarray, np.ndar
             rng.uniform(low, np.maximum(low, high)),
             rng.uniform(-1, 1, system.u.numel()),
         )
-        for _ in range(PLACES - 1)
+        for _ in range(SAMPLE_POINTS - 1)
     ]
     return [(0.0, start, np.clip(0.0, low, np.maximum(low, high)), np.zeros(system.u.numel())), *around]
 
 
-def _entries(system: System, places: Sequence[Any], *factors: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+def _nonzero_entries(system: ImpactStructure, places: Sequence[Any], *factors: ca.SX) -> tuple[np.ndarray, np.ndarray]:
     """(rows, columns) where the product of matrices is not 0, beyond the rounding of its terms, at one of the places."""
     first, *others = (ca.DM(factor) if factor.is_constant() else factor for factor in factors)
     product, size = first, ca.fabs(first)
@@ -225,15 +231,15 @@ def _entries(system: System, places: Sequence[Any], *factors: ca.SX) -> tuple[np
     rows, columns = (np.array(part, int) for part in triplet)
     if not rows.size:
         return rows, columns
-    there, outputs = np.zeros(rows.size, bool), [product, ca.project(size, product.sparsity())]
+    nonzero, outputs = np.zeros(rows.size, bool), [product, ca.project(size, product.sparsity())]
     f = ca.Function("f", list(system.given), outputs)
     for place in places[: 1 if product.is_constant() else None]:
         value, terms = (np.array(part.nonzeros()) for part in f(*place))
-        there |= ~(np.abs(value) <= ROUNDING * terms)
-    return rows[there], columns[there]
+        nonzero |= ~(np.abs(value) <= PRODUCT_ROUNDING * terms)
+    return rows[nonzero], columns[nonzero]
 
 
-def met(watches: Sequence[Watch], columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
+def update_impacts(watches: Sequence[ImpactRow], columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is known of a run after its next rows: how often a row watched set in with a jump, or slid, and when first.
 
     Args:
@@ -241,13 +247,13 @@ def met(watches: Sequence[Watch], columns: Mapping[str, np.ndarray], known: Mapp
         columns: t (k,), x (k, n), multipliers (k, m), of an oscillator v (k, n), inputs (k, nu): the next rows.
         known: what was returned for the rows before; {} at the start of the run.
     """
-    return {watch.name: _met(watch, columns, known.get(watch.name, _NOTHING)) for watch in watches}
+    return {watch.name: _update_impact(watch, columns, known.get(watch.name, _NO_IMPACT)) for watch in watches}
 
 
-_NOTHING = {"count": 0, "t": None, "rate": 0.0, "largest": 0.0, "size": 0.0, "rows": 0, "times": [], "rates": [], "free": []}
+_NO_IMPACT = {"count": 0, "t": None, "rate": 0.0, "largest": 0.0, "size": 0.0, "rows": 0, "times": [], "rates": [], "free": []}
 
 
-def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
+def _update_impact(watch: ImpactRow, columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
     t, l = columns["t"], columns["multipliers"]
     s = np.hstack([columns["x"], columns["v"]]) if "v" in columns else columns["x"]
     u = columns.get("inputs", np.zeros((len(t), 0)))
@@ -265,7 +271,7 @@ def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, An
     else:
         change = np.abs(np.diff(rates, prepend=rates[:1]))
         change[2:] = np.minimum(change[2:], change[1:-1])
-        jumps = watch.approach(rates) > np.maximum(EXPLAINED * change, UNSEEN * size)
+        jumps = watch.approach_speed(rates) > np.maximum(IMPACT_RATE_FACTOR * change, NEGLIGIBLE_RATE * size)
         at = np.flatnonzero(free[:-1] & ~free[1:] & jumps[:-1]) + 1
         at = at[at >= old]
     tail = {"times": times[-3:].tolist(), "rates": rates[-3:].tolist(), "free": free[-3:].tolist()}
@@ -277,12 +283,12 @@ def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, An
     return found
 
 
-def told(watches: Sequence[Watch], known: Mapping[str, Any], model: Model) -> list[str]:
+def describe_impacts(watches: Sequence[ImpactRow], known: Mapping[str, Any], model: Model) -> list[str]:
     """What a run met, in the words of a mechanic: a line for each row that met something."""
-    return [_told(watch, known[watch.name], model) for watch in watches if known.get(watch.name, _NOTHING)["count"]]
+    return [_describe_impact(watch, known[watch.name], model) for watch in watches if known.get(watch.name, _NO_IMPACT)["count"]]
 
 
-def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
+def _describe_impact(watch: ImpactRow, found: Mapping[str, Any], model: Model) -> str:
     why = f"{watch.acts}, not on {watch.untouched}"
     if watch.relay:
         return (
@@ -301,14 +307,15 @@ def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
     return (
         f"{why}: where y closes {watch.jumps} must jump, here {times} at t = {found['t']:.6g} with {of} = {found['rate']:.4g}: "
         f"an impact. {answer} The multipliers of the steps there are impulses / h, and grow as h shrinks; "
-        f"there is no restitution: see {GUIDE}"
+        f"there is no restitution: see {IMPACTS_GUIDE}"
     )
 
 
-def refusal(watch: Watch, t: float) -> str:
+def cone_impact_message(watch: ImpactRow, t: float) -> str:
     """Why steps under error control end where a cone calls for an impulse, and what does not."""
     return (
         f"{watch.acts}, not on {watch.untouched}: where y closes {watch.jumps} must jump, an impact; at t = {t:.6g} the "
         "least step changes them by more than rtol allows. Error control does not pass that at a cone: what y may be off its "
-        f"surface is any jump over such a step. Constant steps have the inelastic answer, without restitution: see {GUIDE}"
+        "surface is any jump over such a step. Constant steps have the inelastic answer, without restitution: see "
+        f"{IMPACTS_GUIDE}"
     )

@@ -16,24 +16,24 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.findings import UNKNOWN, Consequence
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Box
-from nsmodel.hypotheses.uniform import reads
+from nsmodel.hypotheses.scope import IntervalBox
+from nsmodel.hypotheses.uniform import depends_on_symbol
 from nsmodel.model.base import Model
-from nsmodel.model.inputs import by_name, word_of
-from nsmodel.signals.bounds import Ends, Jump, Within
-from nsmodel.signals.signal import Held, Signal
+from nsmodel.model.inputs import signal_label, signals_by_name
+from nsmodel.signals.bounds import SignalJump, SizedBounds, Within
+from nsmodel.signals.signal import ConstantSignal, Signal
 from nsmodel.trajectory import Trajectory
 
-FIX = "give bounds={{'{0}': within(low, high)}} or --bound {0}=LOW:HIGH"
-UNREAD = Held(np.zeros(1))  # What an input of which nothing of a model depends is taken for.
-SLACK = 1e-9  # By which part of its bounds a run's signal may be beyond them.
+BOUNDS_ADVICE = "give bounds={{'{0}': within(low, high)}} or --bound {0}=LOW:HIGH"
+UNUSED_SIGNAL = ConstantSignal(np.zeros(1))  # What an input of which nothing of a model depends is taken for.
+BOUND_SLACK = 1e-9  # By which part of its bounds a run's signal may be beyond them.
 
 
-class Edge(NamedTuple):
+class InputJump(NamedTuple):
     """A jump of one input: the values (k,) of all that a check takes for parameters before and after it."""
 
     name: str
-    jump: Jump
+    jump: SignalJump
     before: np.ndarray
     after: np.ndarray
 
@@ -54,7 +54,7 @@ class Edge(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class InputBounds:
     """The inputs of a model as a check takes them.
 
     Attributes:
@@ -77,13 +77,13 @@ class Motion:
     rate: np.ndarray
     start: Mapping[str, float]
     held: Mapping[str, float]
-    meant: Mapping[str, Ends]
+    meant: Mapping[str, SizedBounds]
     given: frozenset[str]
-    jumps: Mapping[str, Jump]
+    jumps: Mapping[str, SignalJump]
     own: frozenset[str]
 
     @property
-    def box(self) -> Box:
+    def box(self) -> IntervalBox:
         """{name: (low, high)}."""
         return dict(zip(self.names, zip(self.low.tolist(), self.high.tolist(), strict=True), strict=True))
 
@@ -97,17 +97,17 @@ class Motion:
         column = ca.densify(ca.vec(expression))
         return ca.densify(ca.jacobian(column, t) + ca.jacobian(column, self.u) @ self.v)
 
-    def read_by(self, *parts: Any) -> list[int]:
+    def indices_read_by(self, *parts: Any) -> list[int]:
         """Which of the scalar inputs some parts of a model depend on."""
-        return [k for k in range(len(self.names)) if any(reads(part, self.u[k]) for part in parts)]
+        return [k for k in range(len(self.names)) if any(depends_on_symbol(part, self.u[k]) for part in parts)]
 
-    def may_jump(self, *parts: Any) -> list[int]:
+    def jumping_indices(self, *parts: Any) -> list[int]:
         """Which of these have no rate."""
-        return [k for k in self.read_by(*parts) if not np.isfinite(self.rate[k])]
+        return [k for k in self.indices_read_by(*parts) if not np.isfinite(self.rate[k])]
 
-    def edges(self, which: Iterable[int], region: Region) -> list[Edge]:
+    def edges(self, which: Iterable[int], region: Region) -> list[InputJump]:
         """The jumps of the own signals of these; ``region`` has the boxes of all parameters, which else are in their middle."""
-        names, (low, high) = list(region.parameters), region.of_parameters()
+        names, (low, high) = list(region.parameters), region.parameter_bounds()
         found = []
         for name in dict.fromkeys(self.entries[k][0] for k in which):
             if (jump := self.jumps.get(name)) is not None:
@@ -116,17 +116,17 @@ class Motion:
                     for side, u in zip(sides, (jump.before, jump.after), strict=True):
                         if own == name:
                             side[names.index(self.names[k])] = u[place]
-                found.append(Edge(name, jump, *sides))
+                found.append(InputJump(name, jump, *sides))
         return found
 
 
-NOTHING = np.zeros(0)
-STILL = Motion(  # Of a model without inputs.
-    ca.SX(0, 1), ca.SX(0, 1), (), (), NOTHING, NOTHING, NOTHING, {}, {}, {}, frozenset(), {}, frozenset()
+EMPTY_VECTOR = np.zeros(0)
+NO_INPUT_BOUNDS = InputBounds(  # Of a model without inputs.
+    ca.SX(0, 1), ca.SX(0, 1), (), (), EMPTY_VECTOR, EMPTY_VECTOR, EMPTY_VECTOR, {}, {}, {}, frozenset(), {}, frozenset()
 )  # fmt: skip
 
 
-def motion_of(model: Model, bounds: Any, t_end: float) -> Motion:
+def input_bounds(model: Model, bounds: Any, t_end: float) -> InputBounds:
     """Read what is given, and of other inputs what their signals tell up to ``t_end``.
 
     Raises:
@@ -134,20 +134,20 @@ def motion_of(model: Model, bounds: Any, t_end: float) -> Motion:
     """
     if bounds is not None and not isinstance(bounds, Mapping):
         raise UsageError(f"bounds: expected a dictionary {{input: within(low, high)}}, not a {type(bounds).__name__}")
-    given = by_name(bounds, model.input_groups)
+    given = signals_by_name(bounds, model.input_groups)
     own = {name: model.u[[model.input_names.index(one) for one in names]] for name, names in model.input_groups.items()}
     parts = [part for name, part in vars(model).items() if name not in ("blocks", "inputs", "u")]
     meant = {
-        name: _given(name, given[name], len(names))
+        name: _given_bounds(name, given[name], len(names))
         if name in given
-        else _read(name, model.inputs[name] if reads(parts, own[name]) else UNREAD, len(names), t_end)
+        else _signal_bounds(name, model.inputs[name] if depends_on_symbol(parts, own[name]) else UNUSED_SIGNAL, len(names), t_end)
         for name, names in model.input_groups.items()
     }
     scalars = [(name, place) for name, names in model.input_groups.items() for place in range(len(names))]
-    low, high, rate, start = (np.array([getattr(meant[name], end)[k] for name, k in scalars]) for end in Ends._fields)
+    low, high, rate, start = (np.array([getattr(meant[name], end)[k] for name, k in scalars]) for end in SizedBounds._fields)
     moving, labels = np.flatnonzero(low < high), model.input_names
     jumps = {name: signal.jump(t_end) for name, signal in model.inputs.items() if signal is not None}
-    return Motion(
+    return InputBounds(
         u=model.u[moving.tolist()],
         v=ca.vertcat(ca.SX(0, 1), *(ca.SX.sym(f"{labels[k]}'") for k in moving)),
         names=tuple(labels[k] for k in moving),
@@ -160,11 +160,11 @@ def motion_of(model: Model, bounds: Any, t_end: float) -> Motion:
         meant=meant,
         given=frozenset(given),
         jumps={name: jump for name, jump in jumps.items() if jump is not None},
-        own=frozenset(name for name, signal in model.inputs.items() if name not in given and _in_pieces(signal)),
+        own=frozenset(name for name, signal in model.inputs.items() if name not in given and _is_piecewise_polynomial(signal)),
     )
 
 
-def _given(name: str, bounds: Any, size: int) -> Ends:
+def _given_bounds(name: str, bounds: Any, size: int) -> SizedBounds:
     if not isinstance(bounds, Within):
         raise UsageError(f"bounds of '{name}': {bounds!r:.60}; expected within(low, high), or within(low, high, rate=...)")
     if not bounds.sizes <= {size}:
@@ -173,8 +173,8 @@ def _given(name: str, bounds: Any, size: int) -> Ends:
     return bounds.of_size(size)
 
 
-def _read(name: str, signal: Signal | None, size: int, t_end: float) -> Ends:
-    fix = FIX.format(name)
+def _signal_bounds(name: str, signal: Signal | None, size: int, t_end: float) -> SizedBounds:
+    fix = BOUNDS_ADVICE.format(name)
     if signal is None:
         raise UsageError(f"input '{name}' has no signal, and no bounds; {fix}")
     found = signal.within(t_end)
@@ -183,29 +183,29 @@ def _read(name: str, signal: Signal | None, size: int, t_end: float) -> Ends:
     return found.of_size(size)
 
 
-def _in_pieces(signal: Signal | None) -> bool:
+def _is_piecewise_polynomial(signal: Signal | None) -> bool:
     return signal is not None and signal.degree is not None and signal.count is None
 
 
 # -- words -------------------------------------------------------------------------------------------------------------
 
 
-def told(model: Model, motion: Motion, parts: Mapping[str, Sequence[str]] | None) -> tuple[str, ...]:
+def describe_inputs(model: Model, motion: InputBounds, parts: Mapping[str, Sequence[str]] | None) -> tuple[str, ...]:
     """One line an input: where it stands, and which signals are meant; ``parts``: {word: names of the model's expressions}."""
     if parts is None:
         parts = {part.name: (part.name,) for part in fields(model) if part.init}
     lines = []
     for name, names in model.input_groups.items():
         own = model.u[[model.input_names.index(one) for one in names]]
-        where = [word for word, of in parts.items() if any(reads(getattr(model, one), own) for one in of)]
-        signals = "; ".join(_signals(motion, one, one if len(names) > 1 else "") for one in names)
+        where = [word for word, of in parts.items() if any(depends_on_symbol(getattr(model, one), own) for one in of)]
+        signals = "; ".join(_signal_text(motion, one, one if len(names) > 1 else "") for one in names)
         signal = model.inputs[name]
-        source = "given" if name in motion.given or signal is None else f"read off its {word_of(signal)}"
-        lines.append(f"{name}: {f'in {_listed(where)}' if where else 'stands nowhere'}; {signals} ({source})")
+        source = "given" if name in motion.given or signal is None else f"read off its {signal_label(signal)}"
+        lines.append(f"{name}: {f'in {_join_with_and(where)}' if where else 'stands nowhere'}; {signals} ({source})")
     return tuple(lines)
 
 
-def _signals(motion: Motion, name: str, label: str) -> str:
+def _signal_text(motion: InputBounds, name: str, label: str) -> str:
     """The signals that are meant of a scalar input."""
     own = f"{label} " if label else ""
     if name in motion.held:
@@ -216,29 +216,29 @@ def _signals(motion: Motion, name: str, label: str) -> str:
     return f"{own}within [{motion.low[k]:.6g}, {motion.high[k]:.6g}], {kind}{start}"
 
 
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+def _join_with_and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def unbounded(motion: Motion, which: Iterable[int]) -> str:
+def missing_rate_reason(motion: InputBounds, which: Iterable[int]) -> str:
     """Why nothing is known of how fast a model moves with these inputs."""
     names = ", ".join(f"'{motion.names[k]}'" for k in which)
     return f"no rate of {names} is known, and a signal that jumps would move the model at once; give within(..., rate=...)"
 
 
-def beyond(model: Model, motion: Motion, run: Trajectory) -> str:
+def out_of_bounds_reason(model: Model, motion: InputBounds, run: Trajectory) -> str:
     """Why the signals of a run are none of those of which bounds were given, as its rows show; "" where they are."""
     for name in sorted(motion.given if "inputs" in run.arrays else ()):
         at, meant = [model.input_names.index(one) for one in model.input_groups[name]], motion.meant[name]
         end, begin = (run.arrays[column][:, at] for column in ("inputs", "inputs_begin"))
-        room = SLACK * (1 + np.maximum(np.abs(meant.low), np.abs(meant.high)))
+        room = BOUND_SLACK * (1 + np.maximum(np.abs(meant.low), np.abs(meant.high)))
         seen = np.vstack([end, begin])
         if ((seen < meant.low - room) | (seen > meant.high + room)).any():
             return f"'{name}' of the run goes from {seen.min():.6g} to {seen.max():.6g}, beyond its bounds"
         u = np.stack([begin[1:], end[1:]], axis=1).reshape(-1, len(at))
         t = np.stack([run.t[1:] - run.step[1:], run.t[1:]], axis=1).ravel()
         limited = np.isfinite(meant.rate)
-        most = (meant.rate * (1 + SLACK))[limited] * np.diff(t)[:, None] + room[limited]
+        most = (meant.rate * (1 + BOUND_SLACK))[limited] * np.diff(t)[:, None] + room[limited]
         fast = (np.abs(np.diff(u[:, limited], axis=0)) > most).any(axis=1)
         if fast.any():
             return f"'{name}' of the run moves faster at t = {t[int(fast.argmax())]:.6g} than its bounds say"
@@ -248,20 +248,22 @@ def beyond(model: Model, motion: Motion, run: Trajectory) -> str:
 # -- what follows ------------------------------------------------------------------------------------------------------
 
 
-def unsettled(consequence: Consequence, reason: str) -> Consequence:
+def unknown_consequence(consequence: Consequence, reason: str) -> Consequence:
     """The consequence, which does not follow for a reason."""
     statement = f"{consequence.statement}; {reason}"
     return replace(consequence, verdict=UNKNOWN, statement=statement, value={}, clause="", until=None)
 
 
-def between_ticks(model: Model, made: Iterable[Consequence]) -> list[Consequence]:
+def mark_unknown_between_ticks(model: Model, made: Iterable[Consequence]) -> list[Consequence]:
     """What follows for given signals, where blocks make them of the state: unknown."""
     names = ", ".join(f"'{block.name}'" for block in model.blocks if not block.latch)
     reason = f"what holds between the ticks of {names} is not known across them: they act on what the state was"
-    return [unsettled(item, reason) if model.blocks else item for item in made]
+    return [unknown_consequence(item, reason) if model.blocks else item for item in made]
 
 
-def of_the_scheme(consequence: Consequence, motion: Motion, read: Iterable[int], *, smooth: bool = False) -> Consequence:
+def scheme_limit_consequence(
+    consequence: Consequence, motion: InputBounds, read: Iterable[int], *, smooth: bool = False
+) -> Consequence:
     """What is said of a scheme's limit, which knows a signal by its values at the ends of steps alone.
 
     Args:
@@ -275,4 +277,4 @@ def of_the_scheme(consequence: Consequence, motion: Motion, read: Iterable[int],
     kind = "smooth" if smooth else "continuous"
     names = ", ".join(f"'{motion.names[k]}'" for k in loose)
     reason = f"steps see {names} at their ends alone, and not each signal that is meant is {kind} between edges that end steps"
-    return unsettled(consequence, reason)
+    return unknown_consequence(consequence, reason)

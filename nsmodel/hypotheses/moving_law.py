@@ -16,8 +16,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, found
-from nsmodel.hypotheses.inputs import Motion, unsettled
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
+from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.laws import Law
@@ -26,26 +26,28 @@ from nsmodel.proof import extremum, interval
 from nsmodel.signals.function import Expression
 from nsmodel.trajectory import Trajectory
 
-ENDS = Hypothesis("ends", "the law is a set at all times: lower <= upper for all inputs that are meant", "definition of the law")
+LAW_BOUNDS_HYPOTHESIS = Hypothesis(
+    "ends", "the law is a set at all times: lower <= upper for all inputs that are meant", "definition of the law"
+)
 LAW_TIME = "t of the law"
-NO_SET = "the ends of the law are not seen to make a set at all times"
+EMPTY_LAW_REASON = "the ends of the law are not seen to make a set at all times"
 
 
-def standing(model: Model) -> Model:
+def freeze_law(model: Model) -> Model:
     """The model in the form in which its hypotheses are looked at: itself, where nothing of its law moves."""
     part = class_of(model).optional("hypotheses.driven")
-    stands = getattr(part, "standing", None)
-    return model if stands is None else stands(model)
+    freeze = getattr(part, "freeze_law", None)
+    return model if freeze is None else freeze(model)
 
 
-def seen_so(model: Model, runs: Sequence[Trajectory]) -> list[Trajectory]:
+def runs_of_frozen_law(model: Model, runs: Sequence[Trajectory]) -> list[Trajectory]:
     """Runs of the model in that form."""
     part = class_of(model).optional("hypotheses.driven")
-    seen = getattr(part, "seen_so", None)
+    seen = getattr(part, "run_of_frozen_law", None)
     return list(runs) if seen is None else [seen(model, run) for run in runs]
 
 
-def timed(model: Any, put: Callable[[ca.SX], dict[str, Any]]) -> Any:
+def time_as_input(model: Any, put: Callable[[ca.SX], dict[str, Any]]) -> Any:
     """The model with time in its law as a further input, ``put`` of whose symbol gives the fields that have it in place of t."""
     tau = ca.SX.sym(LAW_TIME)
     other, signal = copy(model), Expression((), LAW_TIME, time=model.t, column=ca.SX(model.t))
@@ -56,17 +58,17 @@ def timed(model: Any, put: Callable[[ca.SX], dict[str, Any]]) -> Any:
     return other
 
 
-def timed_law(model: Any) -> Any:
+def law_time_as_input(model: Any) -> Any:
     """The model with time in its law, where it is there, as an input."""
     law: Law | None = model.law
     if law is None or not any(law.moves(model.t)):
         return model
-    return timed(model, lambda tau: {"law": law.put(model.t, tau)})
+    return time_as_input(model, lambda tau: {"law": law.put(model.t, tau)})
 
 
-def ends(model: Any, region: Region, quick: bool) -> Finding:
+def check_law_bounds(model: Any, region: Region, quick: bool) -> Finding:
     """Whether each row of the law has lower <= upper for all t and parameters, inputs among them, by bounds over the box."""
-    z, (low, high) = ca.vertcat(model.t, model.p), region.of_parameters()
+    z, (low, high) = ca.vertcat(model.t, model.p), region.parameter_bounds()
     lower, upper = np.append(region.t0, low), np.append(max(region.t1, float(model.t_end or 0.0)), high)
     names, least, moved = ("t", *region.parameters), np.inf, model.law.ends(model.multiplier_names, z)
     scope = Scope(time=(lower[0], upper[0]), parameters=region.parameters)
@@ -75,7 +77,7 @@ def ends(model: Any, region: Region, quick: bool) -> Finding:
         for side in (end.lower, end.upper):
             if not (side.is_constant() or np.isfinite(interval.enclose(side, z, lower, upper)).all()):
                 unsure = unsure or f"an end of '{end.name}' is not seen to be finite"
-        if end.endless:
+        if end.has_infinite_end:
             continue
         gap = end.lower - end.upper
         top = extremum.supremum(gap, z, lower, upper, quick=quick, bound_to=0.0)
@@ -85,17 +87,23 @@ def ends(model: Any, region: Region, quick: bool) -> Finding:
             at["t"] = at.pop(LAW_TIME, at["t"])
             witness = {"row": end.name, **at, "lower": a, "upper": b}
             how = f"the lower end of '{end.name}' is above its upper end: its law is empty there, and no step passes"
-            return found(ENDS, VIOLATED, how, {"lower - upper": a - b}, witness, scope)
+            return make_finding(LAW_BOUNDS_HYPOTHESIS, VIOLATED, how, {"lower - upper": a - b}, witness, scope)
         least = min(least, -top.bound)
         if not top.bound <= 0:
             unsure = unsure or f"that the lower end of '{end.name}' stays below its upper end is not proved"
     if unsure:
-        return found(ENDS, UNKNOWN, unsure)
-    return found(ENDS, HOLDS, "bounds of the ends over all times and inputs", {"width": least, "rows": len(moved)}, scope=scope)
+        return make_finding(LAW_BOUNDS_HYPOTHESIS, UNKNOWN, unsure)
+    return make_finding(
+        LAW_BOUNDS_HYPOTHESIS,
+        HOLDS,
+        "bounds of the ends over all times and inputs",
+        {"width": least, "rows": len(moved)},
+        scope=scope,
+    )
 
 
-def with_ends(
-    model: Any, region: Region, motion: Motion, quick: bool, hypotheses: Sequence[Hypothesis],
+def decide_with_law_bounds(
+    model: Any, region: Region, motion: InputBounds, quick: bool, hypotheses: Sequence[Hypothesis],
     decide: Callable[[], tuple[list[Finding], list[Consequence]]],
 ) -> tuple[list[Finding], list[Consequence]]:  # fmt: skip
     """What ``decide`` finds and what follows, with ENDS where the law moves; where it is empty nothing else is looked at.
@@ -109,8 +117,8 @@ def with_ends(
     law: Law | None = getattr(model, "law", None)
     if law is None or not any(law.moves(ca.vertcat(model.t, motion.u))):
         return decide()
-    own = ends(model, region, quick)
+    own = check_law_bounds(model, region, quick)
     if own.verdict == VIOLATED:
-        return [*(found(one, UNKNOWN, f"not looked at: {NO_SET}") for one in hypotheses), own], []
+        return [*(make_finding(one, UNKNOWN, f"not looked at: {EMPTY_LAW_REASON}") for one in hypotheses), own], []
     findings, made = decide()
-    return [*findings, own], [item if own.verdict == HOLDS else unsettled(item, NO_SET) for item in made]
+    return [*findings, own], [item if own.verdict == HOLDS else unknown_consequence(item, EMPTY_LAW_REASON) for item in made]

@@ -10,18 +10,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.scope import Box, Scope
+from nsmodel.hypotheses.scope import IntervalBox, Scope
 from nsmodel.model.base import Model
-from nsmodel.pickled import Pickled
+from nsmodel.pickled import Picklable
 from nsmodel.trajectory import Trajectory
 
-GROWTH = 1.5  # The box is this much wider than the runs.
+BOX_GROWTH = 1.5  # The box is this much wider than the runs.
 
 
 @dataclass(frozen=True)
-class Region(Pickled):
+class Region(Picklable):
     """A box: lower (n,), upper (n,) of the states, t0 <= t <= t1; ``origin`` says where it comes from.
 
     ``parameters`` are the boxes of parameters that stayed symbols, in the order of the model's ``p``.
@@ -33,20 +33,20 @@ class Region(Pickled):
     t1: float
     names: tuple[str, ...]
     origin: str
-    parameters: Box = field(default_factory=lambda: MappingProxyType({}))
+    parameters: IntervalBox = field(default_factory=lambda: MappingProxyType({}))
 
-    __repr__ = brief
+    __repr__ = short_repr
 
-    def with_time(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounds_with_time(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds (n + 1,) of (t, x)."""
         return np.concatenate([[self.t0], self.lower]), np.concatenate([[self.t1], self.upper])
 
-    def of_parameters(self) -> tuple[np.ndarray, np.ndarray]:
+    def parameter_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds (k,) of the parameters that stayed symbols."""
         ends = np.array(list(self.parameters.values()), float).reshape(-1, 2)
         return ends[:, 0], ends[:, 1]
 
-    def wider(self, factor: float) -> Region:
+    def widened(self, factor: float) -> Region:
         """The box with the same middle, that many times as wide."""
         middle, half = (self.lower + self.upper) / 2, factor * (self.upper - self.lower) / 2
         return replace(self, lower=middle - half, upper=middle + half, origin=f"{factor:g} times {self.origin}")
@@ -62,8 +62,8 @@ class Region(Pickled):
     def text(self) -> str:
         """One line, for reports."""
         n = len(self.names)
-        shown = [f"{name} in [{a:.4g}, {b:.4g}]" for name, a, b in zip(self.names, self.lower, self.upper, strict=True)]
-        states = ", ".join(shown if n <= 6 else [*shown[:4], f"... ({n} states)"])
+        intervals = [f"{name} in [{a:.4g}, {b:.4g}]" for name, a, b in zip(self.names, self.lower, self.upper, strict=True)]
+        states = ", ".join(intervals if n <= 6 else [*intervals[:4], f"... ({n} states)"])
         return f"{states}, t in [{self.t0:.4g}, {self.t1:.4g}] ({self.origin})"
 
 
@@ -80,12 +80,12 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
     Raises:
         UsageError: an unknown name, or no interval low < high of finite numbers.
     """
-    (names, stems), (low, high) = model.axes, _ends(model, runs)
+    (names, stems), (low, high) = model.axes, _state_ranges(model, runs)
     centre, half = (high + low) / 2, (high - low) / 2
     widest = half.max(initial=0.0) or np.abs(centre).max(initial=0.0) or 1.0
-    half = np.maximum(GROWTH * half, np.maximum(0.1 * np.abs(centre), 0.25 * widest))
+    half = np.maximum(BOX_GROWTH * half, np.maximum(0.1 * np.abs(centre), 0.25 * widest))
     lower, upper = centre - half, centre + half
-    origin = f"{GROWTH:g} times the box around the run" if runs else "a box around the start"
+    origin = f"{BOX_GROWTH:g} times the box around the run" if runs else "a box around the start"
     for name, interval in (given or {}).items():
         rows = [names.index(name)] if name in names else stems.get(name)
         if rows is None:
@@ -102,18 +102,18 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
     return Region(lower, upper, 0.0, t1, names, origin)
 
 
-def around(regions: Sequence[Region], parameters: Box) -> Region:
+def enclosing_region(regions: Sequence[Region], parameters: IntervalBox) -> Region:
     """The box around boxes of the same states, for boxes of parameters."""
     lower, upper = (by([getattr(r, end) for r in regions], axis=0) for end, by in (("lower", np.min), ("upper", np.max)))
     t1 = max(region.t1 for region in regions)
     return replace(regions[0], lower=lower, upper=upper, t1=t1, parameters=MappingProxyType(dict(parameters)))
 
 
-def _ends(model: Model, runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
+def _state_ranges(model: Model, runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest of what the start and the runs go through; rows that are not finite do not count."""
     start = np.array(ca.DM(model.start)).ravel()
     parts = [model.points(rows) for rows in (start[None, :], *(run.smooth().x for run in runs))]
     known = [np.all(np.isfinite(part), axis=1)[:, None] for part in parts]
-    low = [np.min(part, axis=0, where=there, initial=np.inf) for part, there in zip(parts, known, strict=True)]
-    high = [np.max(part, axis=0, where=there, initial=-np.inf) for part, there in zip(parts, known, strict=True)]
+    low = [np.min(part, axis=0, where=finite, initial=np.inf) for part, finite in zip(parts, known, strict=True)]
+    high = [np.max(part, axis=0, where=finite, initial=-np.inf) for part, finite in zip(parts, known, strict=True)]
     return np.min(low, axis=0), np.max(high, axis=0)

@@ -9,12 +9,12 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
-from nsmodel.once import once
+from nsmodel.once import cached_per_object
 from nsmodel.scheme.problem import subdifferential
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import EPS, NumericLaw, numeric_law
 
-ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
+REST_MARGIN_ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
 
 
 def finite_convergence(
@@ -38,9 +38,9 @@ def finite_convergence(
             "finite": False,
             "reason": reason,
         }
-    radii = _radii(model)
-    force = least_force(model, x)
-    margin, bound, binding, part = _margin(model, force, radii)
+    radii = _friction_radii(model)
+    force = least_norm_force(model, x)
+    margin, bound, binding, part = _rest_margin(model, force, radii)
     still = bool((v == 0).all())
     n_0, t_0 = rest_from if still and rest_from is not None and margin > bound else (None, None)
     finite = n_0 is not None
@@ -64,9 +64,9 @@ def finite_convergence(
     }
 
 
-def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
+def least_norm_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     """The element of least norm of dg(x) (n,): smooth gradient, kinks and active constraints."""
-    f, law, active = _forces(model)
+    f, law, active = _force_function(model)
     lower = np.concatenate([law.lower, np.zeros(active)])
     upper = np.concatenate([law.upper, np.full(active, np.inf)])
     base, A, u_x = (np.array(value) for value in f(x, np.zeros(lower.size)))
@@ -78,7 +78,7 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
         tied[rows] = bool((np.abs(u_x[rows]) <= scale).all())
     fixed = np.where(u_x > 0, lower, upper)
     for rows, K in law.curved:
-        fixed[rows] = K.selected(u_x[rows]) if u_x[rows].any() else 0.0
+        fixed[rows] = K.support_point(u_x[rows]) if u_x[rows].any() else 0.0
     fixed = np.where(tied, 0.0, fixed)
     base = base + A @ np.where(np.isfinite(fixed), fixed, 0.0)
     free = np.flatnonzero(tied)
@@ -92,12 +92,12 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     sub = type(law)(lower[free], upper[free], curved)
     M = A[:, free]
     chain = (mlcp.SEMISMOOTH,) if curved else (mlcp.INDEX_SET, mlcp.LEMKE, "qpoases")
-    found = mlcp.solve(M.T @ M, M.T @ base, sub, np.zeros(free.size), np.zeros(free.size, np.int8), chain, True, 1e-10)
+    found = mlcp.solve_mlcp(M.T @ M, M.T @ base, sub, np.zeros(free.size), np.zeros(free.size, np.int8), chain, True, 1e-10)
     return base + M @ found.l
 
 
-@once
-def _forces(model: FrictionOscillator) -> tuple[ca.Function, NumericLaw, int]:
+@cached_per_object
+def _force_function(model: FrictionOscillator) -> tuple[ca.Function, NumericLaw, int]:
     """(x, l) to the force, its slope in l, and u, of dg(x) and the constraints; its law, and how many constraints there are."""
     g = subdifferential(model.potential_split, model.x, "potential")
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
@@ -108,13 +108,13 @@ def _forces(model: FrictionOscillator) -> tuple[ca.Function, NumericLaw, int]:
     return f, numeric_law(g.law), n.numel()
 
 
-@once
-def _radii(model: FrictionOscillator) -> np.ndarray:
+@cached_per_object
+def _friction_radii(model: FrictionOscillator) -> np.ndarray:
     """theta'(0) of each element."""
     return np.array([float(ca.DM(slope_at_zero(e, model.s))) for e in model.elements])
 
 
-def _margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> tuple[float, float, int, float]:
+def _rest_margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> tuple[float, float, int, float]:
     """(margin, rounding bound, element, its part of the force) of the element with the least margin theta_j'(0) - |xi_j|.
 
     For one isotropic element that is theta'(0) - d(0, dg(x)); for several the force is split among them with least norm.
@@ -129,5 +129,5 @@ def _margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> 
     ends = np.cumsum([e.H.shape[0] for e in model.elements])
     sizes = np.array([np.linalg.norm(part) for part in np.split(parts, ends[:-1])])
     binding = int(np.argmin(radii - sizes))
-    bound = ROUNDING * EPS * float(max(radii.max(), np.abs(force).max(), sizes.max()))
+    bound = REST_MARGIN_ROUNDING * EPS * float(max(radii.max(), np.abs(force).max(), sizes.max()))
     return float(radii[binding] - sizes[binding]), bound, binding, float(sizes[binding])

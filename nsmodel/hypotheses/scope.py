@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from nsmodel.brief import brief
-from nsmodel.pickled import Pickled
+from nsmodel.brief import short_repr
+from nsmodel.pickled import Picklable
 
-Box = Mapping[str, tuple[float, float]]
-SHOWN = 6  # Intervals that are written out.
+IntervalBox = Mapping[str, tuple[float, float]]
+MAX_WRITTEN_INTERVALS = 6  # Intervals that are written out.
 
 
 @dataclass(frozen=True)
-class Scope(Pickled):
+class Scope(Picklable):
     """The set that a verdict speaks of; what is not named is not restricted.
 
     Attributes:
@@ -23,11 +23,11 @@ class Scope(Pickled):
         parameters: {name: (low, high)}.
     """
 
-    states: Box = field(default_factory=lambda: MappingProxyType({}))
+    states: IntervalBox = field(default_factory=lambda: MappingProxyType({}))
     time: tuple[float, float] | None = None
-    parameters: Box = field(default_factory=lambda: MappingProxyType({}))
+    parameters: IntervalBox = field(default_factory=lambda: MappingProxyType({}))
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def text(self) -> str:
@@ -46,10 +46,10 @@ class Scope(Pickled):
         }
 
 
-def meet(*scopes: Scope | None) -> Scope | None:
+def intersect_scopes(*scopes: Scope | None) -> Scope | None:
     """The intersection.
 
-    >>> meet(Scope(time=(0.0, 2.0)), None, Scope({"x": (0.0, 1.0)}, (0.0, 1.0))).text
+    >>> intersect_scopes(Scope(time=(0.0, 2.0)), None, Scope({"x": (0.0, 1.0)}, (0.0, 1.0))).text
     'on the box, t in [0, 1]'
     """
     states: dict[str, tuple[float, float]] = {}
@@ -60,15 +60,15 @@ def meet(*scopes: Scope | None) -> Scope | None:
             continue
         for boxes, own in ((states, scope.states), (parameters, scope.parameters)):
             for name, ends in own.items():
-                boxes[name] = _within(boxes.get(name), ends)
-        time = _within(time, scope.time) if scope.time is not None else time
+                boxes[name] = _intersect_intervals(boxes.get(name), ends)
+        time = _intersect_intervals(time, scope.time) if scope.time is not None else time
     return Scope(states, time, parameters) if states or parameters or time is not None else None
 
 
-def _within(one: tuple[float, float] | None, other: tuple[float, float]) -> tuple[float, float]:
+def _intersect_intervals(one: tuple[float, float] | None, other: tuple[float, float]) -> tuple[float, float]:
     return other if one is None else (max(one[0], other[0]), min(one[1], other[1]))
 
 
-def words(scope: Scope | None) -> str:
+def scope_text(scope: Scope | None) -> str:
     """Where, in words."""
     return "everywhere" if scope is None else scope.text

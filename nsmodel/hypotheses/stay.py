@@ -17,43 +17,43 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.base import Model
 
-UP = 1 + 1e-12
+ROUND_UP_FACTOR = 1 + 1e-12
 
 
-class Pace(NamedTuple):
+class SpeedBound(NamedTuple):
     """Bounds on the box: how fast the state moves, and how far a predictor reaches ahead of it."""
 
     speed: float
     ahead: float
 
 
-def clauses(
+def time_limit_clauses(
     model: Model, region: Region, findings: Sequence[Finding], consequences: Sequence[Consequence]
 ) -> list[Consequence]:  # fmt: skip
     """The consequences, those with a clause told for how long it is proved."""
     if not any(consequence.clause and consequence.verdict in (HOLDS, SAMPLED) for consequence in consequences):
         return list(consequences)
-    pace = _pace(model, region, findings, {consequence.name: consequence for consequence in consequences})
-    until = None if pace is None else _until(model, region, pace)
-    if pace is None or until is None or not until > region.t0:
+    bound = _speed_bound(model, region, findings, {consequence.name: consequence for consequence in consequences})
+    until = None if bound is None else _time_limit(model, region, bound)
+    if bound is None or until is None or not until > region.t0:
         why = "; for how long they do is not proved"
         return [replace(item, clause=item.clause + why) if item.clause else item for item in consequences]
     until = min(until, region.t1) if region.t1 > region.t0 else until
-    text = f"; they do for t <= {until:.5g}, moving at {pace.speed:.5g} at most"
+    text = f"; they do for t <= {until:.5g}, moving at {bound.speed:.5g} at most"
     return [replace(item, clause=item.clause + text, until=until) if item.clause else item for item in consequences]
 
 
-def _pace(model: Model, region: Region, findings: Sequence[Finding], found: dict[str, Consequence]) -> Pace | None:
+def _speed_bound(model: Model, region: Region, findings: Sequence[Finding], found: dict[str, Consequence]) -> SpeedBound | None:
     steps = model.steps if model.steps is not None else model.step
     h = float(np.max(steps)) if steps is not None else 0.0
     part = class_of(model).optional("hypotheses.pace")
-    return None if part is None else part.pace(model, region, findings, found, h)
+    return None if part is None else part.speed_bound(model, region, findings, found, h)
 
 
-def _until(model: Model, region: Region, pace: Pace) -> float | None:
+def _time_limit(model: Model, region: Region, bound: SpeedBound) -> float | None:
     """When the nearest side of the box can be reached first."""
     starts = model.points(np.array(ca.DM(model.start)).reshape(1, -1))
-    room = float(np.min(np.minimum(starts - region.lower, region.upper - starts))) - pace.ahead
+    room = float(np.min(np.minimum(starts - region.lower, region.upper - starts))) - bound.ahead
     if not room > 0:
         return None
-    return region.t0 + room / pace.speed / UP if pace.speed > 0 else np.inf
+    return region.t0 + room / bound.speed / ROUND_UP_FACTOR if bound.speed > 0 else np.inf

@@ -11,29 +11,33 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, plain
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, plain_witness
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Box, Scope, meet
+from nsmodel.hypotheses.scope import IntervalBox, Scope, intersect_scopes
 from nsmodel.model.base import Model
 from nsmodel.proof import polynomial, polynomial_signs
 from nsmodel.proof.extremum import samples
-from nsmodel.proof.verdict import Part
+from nsmodel.proof.verdict import HypothesisPart
 
-CORNERS, INSIDE = 3, 6  # Corners of the box are looked at for so many parameters, and so many points inside.
-SPECIAL = (0.0, 1.0, -1.0)  # Values at which ranks and signs of models tend to change.
+MAX_CORNER_PARAMETERS, INNER_POINTS = 3, 6  # Corners of the box are looked at for so many parameters, and so many points inside.
+SPECIAL_VALUES = (0.0, 1.0, -1.0)  # Values at which ranks and signs of models tend to change.
 
-Values = dict[str, float]
+ParameterValues = dict[str, float]
 
 
-def values_in(box: Box, more: Sequence[Values] = ()) -> list[Values]:
+def sample_values(box: IntervalBox, more: Sequence[ParameterValues] = ()) -> list[ParameterValues]:
     """Values of the parameters to look at: the middle, corners, special numbers, points inside, and ``more``."""
-    names, ends, middle = list(box), np.array(list(box.values()), float), middle_of(box)
+    names, ends, middle = list(box), np.array(list(box.values()), float), box_middle(box)
     lower, upper = ends.T
-    corners = [dict(zip(names, corner, strict=True)) for corner in product(*ends.tolist())] if len(names) <= CORNERS else []
-    special = [{**middle, name: x} for name, (low, high) in box.items() for x in SPECIAL if low < x < high]
+    corners = (
+        [dict(zip(names, corner, strict=True)) for corner in product(*ends.tolist())]
+        if len(names) <= MAX_CORNER_PARAMETERS
+        else []
+    )
+    special = [{**middle, name: x} for name, (low, high) in box.items() for x in SPECIAL_VALUES if low < x < high]
     ends_alone = [{**middle, name: x} for name, own in box.items() for x in own] if len(names) > 1 else []
-    inside = [dict(zip(names, point, strict=True)) for point in samples(lower, upper, INSIDE).tolist()[1:]]
-    found: list[Values] = []
+    inside = [dict(zip(names, point, strict=True)) for point in samples(lower, upper, INNER_POINTS).tolist()[1:]]
+    found: list[ParameterValues] = []
     for values in [middle, *corners, *special, *ends_alone, *more, *inside]:
         own = {name: float(x) for name, x in values.items()}
         if own not in found:
@@ -41,61 +45,64 @@ def values_in(box: Box, more: Sequence[Values] = ()) -> list[Values]:
     return found
 
 
-def middle_of(box: Box) -> Values:
+def box_middle(box: IntervalBox) -> ParameterValues:
     """The middle of the box."""
     return {name: low + (high - low) / 2 for name, (low, high) in box.items()}
 
 
-def reads(item: Any, p: ca.SX) -> bool:
+def depends_on_symbol(item: Any, p: ca.SX) -> bool:
     """Whether a part of a model, an expression or what holds some, depends on p."""
     if isinstance(item, ca.SX):
         return bool(item.numel() and ca.depends_on(item, p))
     if is_dataclass(item) and not isinstance(item, type):
-        return any(reads(getattr(item, f.name), p) for f in fields(item))
+        return any(depends_on_symbol(getattr(item, f.name), p) for f in fields(item))
     if isinstance(item, Mapping):
-        return any(reads(part, p) for part in item.values())
-    return any(reads(part, p) for part in item) if isinstance(item, tuple | list) else False
+        return any(depends_on_symbol(part, p) for part in item.values())
+    return any(depends_on_symbol(part, p) for part in item) if isinstance(item, tuple | list) else False
 
 
-def roots(entries: Iterable[ca.SX], model: Model, box: Box) -> list[Values]:
+def parameter_roots(entries: Iterable[ca.SX], model: Model, box: IntervalBox) -> list[ParameterValues]:
     """Values of a single parameter at which an entry, a quotient of polynomials in it, vanishes."""
     if len(box) != 1:
         return []
     ((name, (low, high)),) = box.items()
     found: list[float] = []
     for entry in entries:
-        ratio = polynomial.ratio(entry, model.p)
-        line = polynomial.coefficients(ratio[0]) if ratio is not None and ratio[0] else [Fraction(1)]
+        ratio = polynomial.read_quotient(entry, model.p)
+        line = polynomial.univariate_coefficients(ratio[0]) if ratio is not None and ratio[0] else [Fraction(1)]
         found += [float(a) for a, _ in polynomial_signs.real_roots(line, Fraction(low), Fraction(high))]
     return [{name: x} for x in dict.fromkeys(found) if low <= x <= high]
 
 
-def untouched(
+def unaffected_findings(
     check: Callable[..., tuple[list[Finding], list[Consequence]]], model: Model, region: Region, quick: bool,
     parts: Mapping[str, Sequence[str]],
 ) -> list[Finding]:  # fmt: skip
     """The findings that are the same for all values: of hypotheses whose parts of the model do not depend on the parameters."""
-    same = {id for id, names in parts.items() if not any(reads(getattr(model, name), model.p) for name in names)}
+    same = {id for id, names in parts.items() if not any(depends_on_symbol(getattr(model, name), model.p) for name in names)}
     if not same:
         return []
-    middle = model.bind(middle_of(region.parameters))
+    middle = model.bind(box_middle(region.parameters))
     return [finding for finding in check(middle, replace(region, parameters={}), (), quick)[0] if finding.id in same]
 
 
-def for_the_box(own: Iterable[Finding | None], same: Sequence[Finding], region: Region) -> list[Finding]:
+def findings_for_box(own: Iterable[Finding | None], same: Sequence[Finding], region: Region) -> list[Finding]:
     """The findings that are the same for all values, and those of the others, for the box of the parameters."""
     scope, known = Scope(parameters=region.parameters), {finding.id for finding in same}
-    return [*same, *(replace(item, scope=meet(item.scope, scope)) for item in own if item is not None and item.id not in known)]
+    return [
+        *same,
+        *(replace(item, scope=intersect_scopes(item.scope, scope)) for item in own if item is not None and item.id not in known),
+    ]
 
 
-def agreed(parts: Iterable[Part], ends: Mapping[str, Callable[..., float]]) -> Part | None:
+def combine_proofs(parts: Iterable[HypothesisPart], ends: Mapping[str, Callable[..., float]]) -> HypothesisPart | None:
     """What holds for functions of which those of all values are convex combinations; None where it does not hold for each.
 
     Args:
         parts: of the functions; after one that fails no other is asked for.
         ends: {name of a number: min or max}, whichever is a bound for convex combinations.
     """
-    own: list[Part] = []
+    own: list[HypothesisPart] = []
     for part in parts:
         if part.verdict != HOLDS:
             return None
@@ -108,10 +115,12 @@ def agreed(parts: Iterable[Part], ends: Mapping[str, Callable[..., float]]) -> P
     how = "; ".join(dict.fromkeys(part.how for part in own))
     if len(own) > 1:
         how += f"; at {len(own)} corners, of which that of each value is a convex combination"
-    return Part(HOLDS, how, value or {"corners": len(own)}, {}, any(part.local for part in own))
+    return HypothesisPart(HOLDS, how, value or {"corners": len(own)}, {}, any(part.local for part in own))
 
 
-def joined(box: Box, at: Sequence[tuple[Values, Mapping[str, Finding]]], proofs: Mapping[str, Finding]) -> list[Finding]:
+def join_findings(
+    box: IntervalBox, at: Sequence[tuple[ParameterValues, Mapping[str, Finding]]], proofs: Mapping[str, Finding]
+) -> list[Finding]:
     """One finding a hypothesis, for the whole box.
 
     Args:
@@ -119,15 +128,15 @@ def joined(box: Box, at: Sequence[tuple[Values, Mapping[str, Finding]]], proofs:
         at: values, and what was found at each, by id.
         proofs: what was found for all values of the box at once.
     """
-    return [_joined(box, [(values, found[id]) for values, found in at], proofs.get(id)) for id in at[0][1]]
+    return [_join_finding(box, [(values, found[id]) for values, found in at], proofs.get(id)) for id in at[0][1]]
 
 
-def is_alike(proof: Finding) -> bool:
+def is_same_for_all_values(proof: Finding) -> bool:
     """Whether all values give what one of them gives: it holds for all, or does not depend on them."""
     return proof.verdict == HOLDS or not (proof.scope is not None and proof.scope.parameters)
 
 
-def _joined(box: Box, at: Sequence[tuple[Values, Finding]], proof: Finding | None) -> Finding:
+def _join_finding(box: IntervalBox, at: Sequence[tuple[ParameterValues, Finding]], proof: Finding | None) -> Finding:
     scope = Scope(parameters=box)
     if proof is not None and proof.verdict == VIOLATED and not (proof.scope is not None and proof.scope.parameters):
         return proof  # what does not depend on the parameters
@@ -135,22 +144,27 @@ def _joined(box: Box, at: Sequence[tuple[Values, Finding]], proof: Finding | Non
         if finding.verdict == VIOLATED:
             how = f"at {', '.join(f'{name} = {value:.6g}' for name, value in values.items())}: {finding.how}"
             where = Scope(parameters={name: (x, x) for name, x in values.items()})
-            return replace(finding, how=how, witness=plain({**values, **finding.witness}), scope=meet(where, finding.scope))
+            return replace(
+                finding,
+                how=how,
+                witness=plain_witness({**values, **finding.witness}),
+                scope=intersect_scopes(where, finding.scope),
+            )
     if proof is not None and proof.verdict != UNKNOWN:
         return proof
     count = {"values looked at": float(len(at))}
-    states = meet(*(finding.scope for _, finding in at), scope)
+    states = intersect_scopes(*(finding.scope for _, finding in at), scope)
     worst = next((finding for _, finding in at if finding.verdict == UNKNOWN), None)
     if worst is not None:
-        return replace(worst, how=worst.how if proof is None else proof.how, value=plain({}), scope=scope)
+        return replace(worst, how=worst.how if proof is None else proof.how, value=plain_witness({}), scope=scope)
     seen = sum(finding.verdict == SAMPLED for _, finding in at)
     looked = f"{len(at)} value{'s' * (len(at) > 1)} of {', '.join(box)}"
     how = f"no violation at {looked}" + (f" (at {seen} of them by samples)" if seen else "")
     how += "; between them it is not proved" + ("" if proof is None else f": {proof.how}")
-    return replace(at[0][1], verdict=SAMPLED, how=how, value=plain(count), witness=plain({}), scope=states)
+    return replace(at[0][1], verdict=SAMPLED, how=how, value=plain_witness(count), witness=plain_witness({}), scope=states)
 
 
-def seen_alike(at: Sequence[Sequence[Consequence]], box: Box) -> list[Consequence]:
+def common_consequences(at: Sequence[Sequence[Consequence]], box: IntervalBox) -> list[Consequence]:
     """The consequences that read the same at all values, of which nothing was proved between those."""
     found = []
     for first in at[0]:
@@ -158,6 +172,8 @@ def seen_alike(at: Sequence[Sequence[Consequence]], box: Box) -> list[Consequenc
         if any(item is None or item.statement != first.statement for item in others):
             continue
         met = all(item is not None and item.verdict in (HOLDS, SAMPLED) for item in others)
-        scope = meet(first.scope, Scope(parameters=box))
-        found.append(replace(first, verdict=SAMPLED if met else UNKNOWN, value=plain({}), scope=scope, until=None, clause=""))
+        scope = intersect_scopes(first.scope, Scope(parameters=box))
+        found.append(
+            replace(first, verdict=SAMPLED if met else UNKNOWN, value=plain_witness({}), scope=scope, until=None, clause="")
+        )
     return found

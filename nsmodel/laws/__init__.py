@@ -5,32 +5,32 @@ from __future__ import annotations
 from pathlib import Path
 
 from nsmodel.laws.ball import Ball, BallSet, ball
-from nsmodel.laws.block import Block, Words
+from nsmodel.laws.block import LawFactor, StateNames
 from nsmodel.laws.box import Box, box, complementarity, equality, relay
 from nsmodel.laws.cone import Cone, ConeSet, second_order_cone
-from nsmodel.laws.curved import Curved
+from nsmodel.laws.curved import CurvedSet
 from nsmodel.laws.ellipsoid import Ellipsoid, EllipsoidSet, ellipsoid
 from nsmodel.laws.law import Law, product
 from nsmodel.laws.polyhedron import Polyhedron, polyhedron
 
-KINDS: dict[str, type[Block]] = {kind.kind: kind for kind in (Box, Ball, Cone, Polyhedron, Ellipsoid)}
-CURVED = [name for name, kind in KINDS.items() if kind.curved is not Block.curved]
-WORDS: dict[str, Words] = {label: words for kind in KINDS.values() for label, words in kind.WORDS.items()}
-C = Path(__file__).parent  # NAME.c of the curved kinds
+FACTOR_KINDS: dict[str, type[LawFactor]] = {kind.kind: kind for kind in (Box, Ball, Cone, Polyhedron, Ellipsoid)}
+CURVED_KINDS = [name for name, kind in FACTOR_KINDS.items() if kind.curved is not LawFactor.curved]
+STATE_NAMES: dict[str, StateNames] = {label: names for kind in FACTOR_KINDS.values() for label, names in kind.STATE_NAMES.items()}
+LAW_C_FOLDER = Path(__file__).parent  # NAME.c of the curved kinds
 
 __all__ = [
-    "CURVED",
-    "KINDS",
-    "WORDS",
+    "CURVED_KINDS",
+    "FACTOR_KINDS",
+    "LAW_C_FOLDER",
+    "STATE_NAMES",
     "BallSet",
-    "Block",
     "Box",
-    "C",
     "ConeSet",
-    "Curved",
+    "CurvedSet",
     "EllipsoidSet",
     "Law",
-    "Words",
+    "LawFactor",
+    "StateNames",
     "ball",
     "box",
     "complementarity",

@@ -10,18 +10,27 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import UPPER, ZERO, Block, Rewritten, Round, Words, Writer, product_set
-from nsmodel.laws.box import boxes
-from nsmodel.laws.curved import Curved, norm
-from nsmodel.laws.given import column, count
+from nsmodel.laws.block import (
+    STATE_UPPER,
+    STATE_ZERO,
+    LatexNumberWriter,
+    LawFactor,
+    RewrittenLaw,
+    RoundSet,
+    StateNames,
+    product_set,
+)
+from nsmodel.laws.box import make_box_law
+from nsmodel.laws.curved import CurvedSet, safe_norm
+from nsmodel.laws.given import check_count, read_law_column
 from nsmodel.laws.law import Law
-from nsmodel.laws.moving import Ends, width
+from nsmodel.laws.moving import LawEnds, interval_length
 
 
 @dataclass(frozen=True)
-class BallSet(Curved):
+class BallSet(CurvedSet):
     """{|l| <= radius}, numbers."""
 
     radius: float
@@ -29,12 +38,12 @@ class BallSet(Curved):
 
     def project(self, u: np.ndarray) -> np.ndarray:
         """r u / |u| outside."""
-        size = norm(u)
+        size = safe_norm(u)
         return u if size <= self.radius else u * (self.radius / size)
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
         """(r/|u|) (I - e e'), e = u/|u|, outside."""
-        size = norm(u)
+        size = safe_norm(u)
         if size <= self.radius:
             return np.eye(u.size)
         e = u / size
@@ -42,15 +51,15 @@ class BallSet(Curved):
 
     def code(self, u: np.ndarray) -> int:
         """Stick or slip."""
-        return 1 if norm(u) > self.radius else 0
+        return 1 if safe_norm(u) > self.radius else 0
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
         """Along the ray."""
         return self.project(l * 2)
 
-    def selected(self, y: np.ndarray) -> np.ndarray:
+    def support_point(self, y: np.ndarray) -> np.ndarray:
         """-r y/|y|."""
-        return -self.radius * y / norm(y)
+        return -self.radius * y / safe_norm(y)
 
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """<l, y> + r |y|, r^2 - |l|^2."""
@@ -67,15 +76,17 @@ class BallSet(Curved):
 
 
 @dataclass(frozen=True, eq=False)
-class Ball(Block):
+class Ball(LawFactor):
     """{|l| <= radius}; ``radius`` a number or an expression of parameters, t and inputs."""
 
     kind: ClassVar[str] = "ball"
     strict: ClassVar[bool] = True
-    WORDS: ClassVar[Mapping[str, Words]] = {"ball": {0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")}}
+    STATE_NAMES: ClassVar[Mapping[str, StateNames]] = {
+        "ball": {0: (STATE_ZERO, "l inside the ball (y = 0)"), 1: (STATE_UPPER, "l on the sphere")}
+    }
     radius: ca.SX
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def numbers(self) -> dict[str, ca.SX]:
@@ -86,7 +97,7 @@ class Ball(Block):
         """The radius times u."""
         return replace(self, radius=u * self.radius)
 
-    def refusal(self, given: str) -> str:
+    def invalidity_reason(self, given: str) -> str:
         """A negative or infinite radius."""
         if not self.radius.is_constant():
             return ""
@@ -97,28 +108,30 @@ class Ball(Block):
         """With its number."""
         return BallSet(float(self.radius))
 
-    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten | None:
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> RewrittenLaw | None:
         """A radius that moves by l = r l' with l' in the unit ball; y as it is."""
         if not ca.depends_on(self.radius, moving):
             return None
-        l, ends = ca.SX.sym("l", self.size), Ends(names[0], ca.SX(0), self.radius)
-        law, r = Law((replace(self, radius=ca.SX(1)),)), width(ends.lower, ends.upper, guarded=guarded)
-        return Rewritten(law, l, r * l, names, y, (ends,), ca.repmat(r, self.size, 1))
+        l, ends = ca.SX.sym("l", self.size), LawEnds(names[0], ca.SX(0), self.radius)
+        law, r = Law((replace(self, radius=ca.SX(1)),)), interval_length(ends.lower, ends.upper, guarded=guarded)
+        return RewrittenLaw(law, l, r * l, names, y, (ends,), ca.repmat(r, self.size, 1))
 
     def c_numbers(self) -> ca.SX:
         """The radius."""
         return self.radius
 
-    def shape(self) -> Round:
+    def shape(self) -> RoundSet:
         """Itself."""
-        return Round([[Fraction(int(i == j)) for j in range(self.size)] for i in range(self.size)], Fraction(float(self.radius)))
+        return RoundSet(
+            [[Fraction(int(i == j)) for j in range(self.size)] for i in range(self.size)], Fraction(float(self.radius))
+        )
 
     @property
     def width(self) -> float:
         """The diameter."""
         return 2 * float(self.radius)
 
-    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
         """A cube."""
         return np.full(self.size, -float(self.radius)), np.full(self.size, float(self.radius))
 
@@ -136,7 +149,7 @@ class Ball(Block):
         """The radius."""
         return float(self.radius)
 
-    def latex(self, write: Writer) -> list[str]:
+    def latex(self, write: LatexNumberWriter) -> list[str]:
         """|lambda| <= r."""
         return [product_set(write, self.size, rf"\left\Vert \lambda \right\Vert \leq {write.number(self.radius)}")]
 
@@ -151,9 +164,9 @@ def ball(m: int, radius: Any = 1) -> Law:
     Raises:
         ModelError: m < 1, a radius that is negative or not finite.
     """
-    m, r = count("ball", m), column("ball", "radius", radius, 1)
+    m, r = check_count("ball", m), read_law_column("ball", "radius", radius, 1)
     if r.is_constant() and not 0 <= float(r) < np.inf:
         raise ModelError(f"ball: radius = {float(r):g} must be finite and not negative")
     if m == 1:
-        return boxes("relay", 1, -r, r)
+        return make_box_law("relay", 1, -r, r)
     return Law((Ball("ball", m, r),))

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel.laws.moving import Ends
-from nsmodel.pickled import Pickled
+from nsmodel.laws.moving import LawEnds
+from nsmodel.pickled import Picklable
 
 if TYPE_CHECKING:
-    from nsmodel.laws.curved import Curved
+    from nsmodel.laws.curved import CurvedSet
     from nsmodel.laws.law import Law
 
 # What an index set shows, by code: -1 and +1 at ends, 0 where y = 0.
-LOWER, ZERO, UPPER, NOTHING = "lower", "zero", "upper", "nothing"
-Words = Mapping[int, tuple[str, str]]  # code: (one of the names above, words)
+STATE_LOWER, STATE_ZERO, STATE_UPPER, STATE_NOTHING = "lower", "zero", "upper", "nothing"
+StateNames = Mapping[int, tuple[str, str]]  # code: (one of the names above, words)
 
 
 class Intervals(NamedTuple):
@@ -29,7 +29,7 @@ class Intervals(NamedTuple):
     upper: np.ndarray
 
 
-class Round(NamedTuple):
+class RoundSet(NamedTuple):
     """{A w : |w| <= radius}, bounded, 0 inside; A (m, m) of fractions, None where it has none."""
 
     A: Any
@@ -49,10 +49,10 @@ class Halfspaces(NamedTuple):
     K: np.ndarray
 
 
-Shape = Intervals | Round | SecondOrder | Halfspaces
+ExactSet = Intervals | RoundSet | SecondOrder | Halfspaces
 
 
-class Rewritten(NamedTuple):
+class RewrittenLaw(NamedTuple):
     """A set in terms of others: l = ``multipliers`` of the symbols ``l``, rows ``y`` of ``law`` with names.
 
     ``ends`` are those that move; ``scale`` (m, 1) is s of l = c + s l', None where no row has one.
@@ -63,7 +63,7 @@ class Rewritten(NamedTuple):
     multipliers: ca.SX
     rows: tuple[str, ...]
     y: ca.SX
-    ends: tuple[Ends, ...] = ()
+    ends: tuple[LawEnds, ...] = ()
     scale: ca.SX | None = None
 
     @property
@@ -72,7 +72,7 @@ class Rewritten(NamedTuple):
         return self.multipliers.shape != self.l.shape or not ca.is_equal(self.multipliers, self.l)
 
 
-class Writer(Protocol):
+class LatexNumberWriter(Protocol):
     """Writes numbers and matrices in LaTeX."""
 
     def number(self, expression: ca.SX) -> str:
@@ -93,7 +93,7 @@ class Writer(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Block(Pickled, ABC):
+class LawFactor(Picklable, ABC):
     """One closed convex factor of K in R^m, with the relation -y ∈ N_K(l).
 
     Attributes:
@@ -107,7 +107,7 @@ class Block(Pickled, ABC):
     kind: ClassVar[str]
     separable: ClassVar[bool] = False
     strict: ClassVar[bool] = False
-    WORDS: ClassVar[Mapping[str, Words]]
+    STATE_NAMES: ClassVar[Mapping[str, StateNames]]
     label: str
     size: int
 
@@ -135,17 +135,17 @@ class Block(Pickled, ABC):
     def scaled(self, u: float) -> Self:
         """{u l : l ∈ K}, u > 0."""
 
-    def refusal(self, given: str) -> str:
+    def invalidity_reason(self, given: str) -> str:
         """Why numbers that are constants make no set; else ''. ``given`` says of which parameters they are."""
         return ""
 
     # -- what solvers ask
 
-    def curved(self) -> Curved | None:
+    def curved(self) -> CurvedSet | None:
         """The set with its numbers, constants; None where it is a box."""
         return None
 
-    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten | None:
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> RewrittenLaw | None:
         """The same law in terms of basic ones, whose numbers do not depend on ``moving``; None where it is one.
 
         ``guarded``: the multipliers are NaN where a set that moves is none.
@@ -159,7 +159,7 @@ class Block(Pickled, ABC):
     # -- what checks ask; numbers are constants
 
     @abstractmethod
-    def shape(self) -> Shape | None:
+    def shape(self) -> ExactSet | None:
         """The set in exact terms; None where these cannot say it."""
 
     @property
@@ -167,7 +167,7 @@ class Block(Pickled, ABC):
         """The narrowest width of a bounded set."""
         return np.inf
 
-    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
         """A box around K, rounded outwards."""
         return np.full(self.size, -np.inf), np.full(self.size, np.inf)
 
@@ -189,10 +189,10 @@ class Block(Pickled, ABC):
     # -- what readers see
 
     @abstractmethod
-    def latex(self, write: Writer) -> list[str]:
+    def latex(self, write: LatexNumberWriter) -> list[str]:
         """The sets whose product it is."""
 
-    def says(self) -> str:
+    def latex_relation(self) -> str:
         """-y ∈ N_K(l) in the usual words, in LaTeX; '' where there are none."""
         return ""
 
@@ -201,6 +201,6 @@ class Block(Pickled, ABC):
         """Its numbers by name, for certificates."""
 
 
-def product_set(write: Writer, m: int, condition: str) -> str:
+def product_set(write: LatexNumberWriter, m: int, condition: str) -> str:
     """{lambda ∈ R^m : condition}."""
     return rf"\left\{{ \lambda \in {write.space(m)} : {condition} \right\}}"

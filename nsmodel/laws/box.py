@@ -9,30 +9,44 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import LOWER, NOTHING, UPPER, ZERO, Block, Intervals, Rewritten, Words, Writer
-from nsmodel.laws.given import column, count, entries
+from nsmodel.laws.block import (
+    STATE_LOWER,
+    STATE_NOTHING,
+    STATE_UPPER,
+    STATE_ZERO,
+    Intervals,
+    LatexNumberWriter,
+    LawFactor,
+    RewrittenLaw,
+    StateNames,
+)
+from nsmodel.laws.given import check_count, read_entries, read_law_column
 from nsmodel.laws.law import Law
-from nsmodel.laws.moving import Ends, fixed_ends
+from nsmodel.laws.moving import LawEnds, fixed_ends
 
 
 @dataclass(frozen=True, eq=False)
-class Box(Block):
+class Box(LawFactor):
     """{lower <= l <= upper}; ``lower`` and ``upper`` (m, 1), numbers or expressions of parameters, t and inputs."""
 
     kind: ClassVar[str] = "box"
     separable: ClassVar[bool] = True
-    WORDS: ClassVar[Mapping[str, Words]] = {
-        "complementarity": {-1: (NOTHING, "open (l = 0)"), 0: (ZERO, "contact (y = 0)")},
-        "relay": {-1: (LOWER, "l at lower"), 0: (ZERO, "stick or sliding mode (y = 0)"), 1: (UPPER, "l at upper")},
-        "box": {-1: (LOWER, "l at lower"), 0: (ZERO, "l between its bounds (y = 0)"), 1: (UPPER, "l at upper")},
-        "equality": {0: (ZERO, "equality (y = 0)")},
+    STATE_NAMES: ClassVar[Mapping[str, StateNames]] = {
+        "complementarity": {-1: (STATE_NOTHING, "open (l = 0)"), 0: (STATE_ZERO, "contact (y = 0)")},
+        "relay": {
+            -1: (STATE_LOWER, "l at lower"),
+            0: (STATE_ZERO, "stick or sliding mode (y = 0)"),
+            1: (STATE_UPPER, "l at upper"),
+        },
+        "box": {-1: (STATE_LOWER, "l at lower"), 0: (STATE_ZERO, "l between its bounds (y = 0)"), 1: (STATE_UPPER, "l at upper")},
+        "equality": {0: (STATE_ZERO, "equality (y = 0)")},
     }
     lower: ca.SX
     upper: ca.SX
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def numbers(self) -> dict[str, ca.SX]:
@@ -58,14 +72,14 @@ class Box(Block):
         """Both ends times u."""
         return Box(self.label, self.size, u * self.lower, u * self.upper)
 
-    def refusal(self, given: str) -> str:
+    def invalidity_reason(self, given: str) -> str:
         """An empty interval."""
         for i, (a, b) in enumerate(zip(ca.vertsplit(self.lower), ca.vertsplit(self.upper), strict=True)):
             if a.is_constant() and b.is_constant() and not float(a) <= float(b):
                 return f"{self.label} has lower[{i}] = {float(a):g} above upper[{i}] = {float(b):g}{given}"
         return ""
 
-    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten | None:
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> RewrittenLaw | None:
         """Rows whose ends move by l = c + s l' with l' in an interval that stays; y as it is."""
         own = [i for i, moves in enumerate(self.moves(moving)) if moves]
         if not own:
@@ -75,25 +89,25 @@ class Box(Block):
         for i in own:
             c, scale[i], lower[i], upper[i] = fixed_ends(self.lower[i], self.upper[i], moving, guarded=guarded)
             whole[i] = c + scale[i] * l[i]
-            ends.append(Ends(names[i], self.lower[i], self.upper[i]))
-        return Rewritten(Law((replace(self, lower=lower, upper=upper),)), l, whole, names, y, tuple(ends), scale)
+            ends.append(LawEnds(names[i], self.lower[i], self.upper[i]))
+        return RewrittenLaw(Law((replace(self, lower=lower, upper=upper),)), l, whole, names, y, tuple(ends), scale)
 
     def shape(self) -> Intervals:
         """Itself."""
-        return Intervals(*self._ends())
+        return Intervals(*self._end_numbers())
 
-    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Itself."""
-        return self._ends()
+        return self._end_numbers()
 
     def excess(self, l: np.ndarray) -> np.ndarray:
         """Beyond an end."""
-        lower, upper = self._ends()
+        lower, upper = self._end_numbers()
         return np.maximum(np.maximum(lower - l, l - upper), 0)
 
     def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
         """One row after the other at that of its ends where <l', y> is least; far out where there is none."""
-        lower, upper = self._ends()
+        lower, upper = self._end_numbers()
         inside, far = np.clip(l, lower, upper), 1 + np.abs(l)
         low, high = np.where(np.isfinite(lower), lower, inside - far), np.where(np.isfinite(upper), upper, inside + far)
         end, found = np.where(y > 0, low, high), np.repeat(inside[None], self.size, axis=0)
@@ -104,15 +118,15 @@ class Box(Block):
     @property
     def extent(self) -> float:
         """The largest finite end."""
-        both = np.concatenate(self._ends())
+        both = np.concatenate(self._end_numbers())
         return float(np.abs(both[np.isfinite(both)]).max(initial=0.0))
 
-    def latex(self, write: Writer) -> list[str]:
+    def latex(self, write: LatexNumberWriter) -> list[str]:
         """An interval a row."""
         ends = zip(map(write.number, ca.vertsplit(self.lower)), map(write.number, ca.vertsplit(self.upper)), strict=True)
-        return [_interval(low, high) for low, high in ends]
+        return [_interval_latex(low, high) for low, high in ends]
 
-    def says(self) -> str:
+    def latex_relation(self) -> str:
         """Where all rows are the same."""
         ends = {(str(low), str(high)) for low, high in zip(self.lower.nonzeros(), self.upper.nonzeros(), strict=True)}
         index = "" if self.size == 1 else "_i"
@@ -125,14 +139,14 @@ class Box(Block):
 
     def data(self) -> dict[str, Any]:
         """The ends."""
-        lower, upper = self._ends()
+        lower, upper = self._end_numbers()
         return {"lower": lower, "upper": upper}
 
-    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+    def _end_numbers(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array(ca.DM(self.lower)).ravel(), np.array(ca.DM(self.upper)).ravel()
 
 
-def _interval(low: str, high: str) -> str:
+def _interval_latex(low: str, high: str) -> str:
     if (low, high) == (r"-\infty", r"\infty"):
         return r"\mathbb{R}"
     left, right = ("(" if low == r"-\infty" else "["), (")" if high == r"\infty" else "]")
@@ -141,12 +155,12 @@ def _interval(low: str, high: str) -> str:
 
 def equality(m: int) -> Law:
     """y = 0 with l free, m components."""
-    return boxes("equality", m, -np.inf, np.inf)
+    return make_box_law("equality", m, -np.inf, np.inf)
 
 
 def complementarity(m: int) -> Law:
     """0 <= y ⟂ l >= 0, m components."""
-    return boxes("complementarity", m, 0, np.inf)
+    return make_box_law("complementarity", m, 0, np.inf)
 
 
 def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
@@ -154,7 +168,7 @@ def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
 
     ``lower`` and ``upper`` are scalars or m values, numbers or expressions of parameters, t and inputs.
     """
-    return boxes("relay", m, lower, upper)
+    return make_box_law("relay", m, lower, upper)
 
 
 def box(lower: Any, upper: Any) -> Law:
@@ -163,26 +177,26 @@ def box(lower: Any, upper: Any) -> Law:
     Ends are numbers or expressions of parameters, t and inputs.
     """
     ends = {"lower": lower, "upper": upper}
-    m = max(entries("box", name, end).numel() for name, end in ends.items())
-    return boxes("box", m, lower, upper)
+    m = max(read_entries("box", name, end).numel() for name, end in ends.items())
+    return make_box_law("box", m, lower, upper)
 
 
-def boxes(label: str, m: int, lower: Any, upper: Any) -> Law:
+def make_box_law(label: str, m: int, lower: Any, upper: Any) -> Law:
     """A box with the label."""
-    m = count(label, m)
-    lo, up = column(label, "lower", lower, m), column(label, "upper", upper, m)
+    m = check_count(label, m)
+    lo, up = read_law_column(label, "lower", lower, m), read_law_column(label, "upper", upper, m)
     for i in range(m):
         a, b = lo[i], up[i]
         if not (a.is_constant() and b.is_constant()):
             continue
         a, b = float(a), float(b)
         if a > b:
-            raise ModelError(f"{label}: lower[{i}] = {a:g} is above upper[{i}] = {b:g}; {_mended(label, m, a, b)}")
+            raise ModelError(f"{label}: lower[{i}] = {a:g} is above upper[{i}] = {b:g}; {_correction_hint(label, m, a, b)}")
         if a == np.inf or b == -np.inf:
             raise ModelError(f"{label}: component {i} has the empty interval [{a:g}, {b:g}]; give lower < inf, upper > -inf")
     return Law((Box(label, m, lo, up),)) if m else Law(())
 
 
-def _mended(label: str, m: int, lower: float, upper: float) -> str:
+def _correction_hint(label: str, m: int, lower: float, upper: float) -> str:
     """What was meant: of a relay the one number F that was given, ``relay(m, F)``, is F to both sides."""
     return f"for -F <= l <= F write relay({m}, {-lower:g}, {lower:g})" if label == "relay" and upper == 1 else "exchange them"

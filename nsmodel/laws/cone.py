@@ -9,16 +9,25 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
-from nsmodel.laws.block import NOTHING, UPPER, ZERO, Block, SecondOrder, Words, Writer, product_set
+from nsmodel.brief import short_repr
+from nsmodel.laws.block import (
+    STATE_NOTHING,
+    STATE_UPPER,
+    STATE_ZERO,
+    LatexNumberWriter,
+    LawFactor,
+    SecondOrder,
+    StateNames,
+    product_set,
+)
 from nsmodel.laws.box import complementarity
-from nsmodel.laws.curved import Curved, norm
-from nsmodel.laws.given import count
+from nsmodel.laws.curved import CurvedSet, safe_norm
+from nsmodel.laws.given import check_count
 from nsmodel.laws.law import Law
 
 
 @dataclass(frozen=True)
-class ConeSet(Curved):
+class ConeSet(CurvedSet):
     """{|(l_2, ..., l_m)| <= l_1}."""
 
     radius: float = np.inf
@@ -27,7 +36,7 @@ class ConeSet(Curved):
 
     def project(self, u: np.ndarray) -> np.ndarray:
         """u inside, 0 in the polar cone, else (t, t e), t = (u_1 + |(u_2, ...)|)/2."""
-        head, size = u[0], norm(u[1:])
+        head, size = u[0], safe_norm(u[1:])
         if size <= head:
             return u
         if size <= -head:
@@ -37,7 +46,7 @@ class ConeSet(Curved):
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
         """Of the three branches of P_K."""
-        size = norm(u[1:])
+        size = safe_norm(u[1:])
         if size <= u[0]:
             return np.eye(u.size)
         if size <= -u[0]:
@@ -49,14 +58,14 @@ class ConeSet(Curved):
 
     def code(self, u: np.ndarray) -> int:
         """Inside, apex or boundary."""
-        head, size = u[0], norm(u[1:])
+        head, size = u[0], safe_norm(u[1:])
         return 0 if size <= head else (-1 if size <= -head else 1)
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
         """The first entry follows from the others."""
-        return np.concatenate(([norm(l[1:])], l[1:]))
+        return np.concatenate(([safe_norm(l[1:])], l[1:]))
 
-    def selected(self, y: np.ndarray) -> np.ndarray:
+    def support_point(self, y: np.ndarray) -> np.ndarray:
         """0: -y is a normal there for y in K."""
         return np.zeros_like(y)
 
@@ -70,17 +79,17 @@ class ConeSet(Curved):
 
 
 @dataclass(frozen=True, eq=False)
-class Cone(Block):
+class Cone(LawFactor):
     """{|(l_2, ..., l_m)| <= l_1}."""
 
     kind: ClassVar[str] = "cone"
-    WORDS: ClassVar[Mapping[str, Words]] = {
+    STATE_NAMES: ClassVar[Mapping[str, StateNames]] = {
         "second-order cone": {
-            -1: (NOTHING, "open (l = 0)"), 0: (ZERO, "l inside the cone (y = 0)"), 1: (UPPER, "l on the cone"),
+            -1: (STATE_NOTHING, "open (l = 0)"), 0: (STATE_ZERO, "l inside the cone (y = 0)"), 1: (STATE_UPPER, "l on the cone"),
         }
     }  # fmt: skip
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def scaled(self, u: float) -> Cone:
         """Itself."""
@@ -105,12 +114,12 @@ class Cone(Block):
         inside = l + np.pad(self.excess(l), ((0, 0), (0, self.size - 1)))
         return np.stack([np.zeros_like(l), 2 * inside, inside + edge * (np.abs(l).max(axis=1, keepdims=True) + 1e-300)])
 
-    def latex(self, write: Writer) -> list[str]:
+    def latex(self, write: LatexNumberWriter) -> list[str]:
         """|(lambda_2, ...)| <= lambda_1."""
         across = r"\left\Vert \left(\lambda_2, \ldots, \lambda_m\right) \right\Vert"
         return [product_set(write, self.size, rf"{across} \leq \lambda_1")]
 
-    def says(self) -> str:
+    def latex_relation(self) -> str:
         """Complementarity of cones."""
         return r"K \ni \lambda \perp y \in K"
 
@@ -121,7 +130,7 @@ class Cone(Block):
 
 def second_order_cone(m: int) -> Law:
     """K = {l : |(l_2, ..., l_m)| <= l_1}, self-dual: K ∋ l ⟂ y ∈ K. For m = 1 this is complementarity."""
-    m = count("second_order_cone", m)
+    m = check_count("second_order_cone", m)
     if m == 1:
         return complementarity(1)
     return Law((Cone("second-order cone", m),))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 
-class Curved(ABC):
+class CurvedSet(ABC):
     """A closed convex set in R^m with one curved boundary: {c - l'S l >= 0}, with l_1 >= 0 where it is a cone.
 
     Attributes:
@@ -45,7 +45,7 @@ class Curved(ABC):
         """The l near this one that lies on the curved boundary."""
 
     @abstractmethod
-    def selected(self, y: np.ndarray) -> np.ndarray:
+    def support_point(self, y: np.ndarray) -> np.ndarray:
         """The l in K with -y ∈ N_K(l), y != 0; 0 where K is not bounded."""
 
     @abstractmethod
@@ -61,6 +61,6 @@ class Curved(ABC):
         """(S, c), S (m, m)."""
 
 
-def norm(u: np.ndarray) -> float:
+def safe_norm(u: np.ndarray) -> float:
     """|u|, whose squares may overflow."""
     return math.hypot(*u)

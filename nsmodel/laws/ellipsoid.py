@@ -12,21 +12,21 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import UPPER, ZERO, Block, Round, Words, Writer, product_set
-from nsmodel.laws.box import boxes
-from nsmodel.laws.curved import Curved, norm
-from nsmodel.laws.given import array
+from nsmodel.laws.block import STATE_UPPER, STATE_ZERO, LatexNumberWriter, LawFactor, RoundSet, StateNames, product_set
+from nsmodel.laws.box import make_box_law
+from nsmodel.laws.curved import CurvedSet, safe_norm
+from nsmodel.laws.given import read_array
 from nsmodel.laws.law import Law
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 
 EPS = np.finfo(float).eps
 MULTIPLIER_ITERATIONS = 100  # Of Newton's method for mu; a dozen are usual.
 
 
 @dataclass(frozen=True, eq=False)
-class EllipsoidSet(Curved):
+class EllipsoidSet(CurvedSet):
     """{sum d_i w_i^2 <= 1}, w = V'l: ``d`` (m,) > 0, ``V`` (m, m) orthogonal."""
 
     d: np.ndarray
@@ -47,7 +47,7 @@ class EllipsoidSet(Curved):
         mu, root = 0.0, np.sqrt(self.d)
         for _ in range(MULTIPLIER_ITERATIONS):
             s = root * w / (1 + mu * self.d)
-            psi = norm(s)
+            psi = safe_norm(s)
             step = (psi - 1) / float((self.d / (1 + mu * self.d)) @ (s / psi) ** 2) if psi > 1 else 0.0
             if not step > 2 * EPS * mu:
                 break
@@ -68,22 +68,22 @@ class EllipsoidSet(Curved):
             return np.eye(u.size)
         a = 1 / (1 + mu * self.d)
         n = self.d * a * w
-        n = n / norm(n)
+        n = n / safe_norm(n)
         an = a * n
         return self.V @ (np.diag(a) - np.outer(an, an) / (n @ an)) @ self.V.T
 
     def code(self, u: np.ndarray) -> int:
         """Stick or slip."""
-        return 1 if self._size(u) > 1 else 0
+        return 1 if self._q_norm(u) > 1 else 0
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
         """Along the ray."""
-        return l / self._size(l)
+        return l / self._q_norm(l)
 
-    def selected(self, y: np.ndarray) -> np.ndarray:
+    def support_point(self, y: np.ndarray) -> np.ndarray:
         """-Q^-1 y / sqrt(y'Q^-1 y)."""
         v = (self.V.T @ y) / np.sqrt(self.d)
-        return -self.V @ (v / np.sqrt(self.d) / norm(v))
+        return -self.V @ (v / np.sqrt(self.d) / safe_norm(v))
 
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """<l, y> + sqrt(y'Q^-1 y), 1 - l'Q l."""
@@ -100,24 +100,24 @@ class EllipsoidSet(Curved):
         """1 - l'Q l."""
         return self.V @ np.diag(self.d) @ self.V.T, 1.0
 
-    def _size(self, l: np.ndarray) -> float:
-        return norm(np.sqrt(self.d) * (self.V.T @ l))
+    def _q_norm(self, l: np.ndarray) -> float:
+        return safe_norm(np.sqrt(self.d) * (self.V.T @ l))
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipsoid(Block):
+class Ellipsoid(LawFactor):
     """{l'Q l <= 1}; ``Q`` (m, m), numbers, symmetric and positive definite."""
 
     kind: ClassVar[str] = "ellipsoid"
-    WORDS: ClassVar[Mapping[str, Words]] = {
-        "ellipsoid": {0: (ZERO, "l inside the ellipsoid (y = 0)"), 1: (UPPER, "l on the ellipsoid")}
+    STATE_NAMES: ClassVar[Mapping[str, StateNames]] = {
+        "ellipsoid": {0: (STATE_ZERO, "l inside the ellipsoid (y = 0)"), 1: (STATE_UPPER, "l on the ellipsoid")}
     }
     Q: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @cached_property
-    def _axes(self) -> EllipsoidSet:
+    def _eigen_axes(self) -> EllipsoidSet:
         return EllipsoidSet(*np.linalg.eigh(self.Q))
 
     def scaled(self, u: float) -> Ellipsoid:
@@ -126,34 +126,34 @@ class Ellipsoid(Block):
 
     def curved(self) -> EllipsoidSet:
         """With its axes."""
-        return self._axes
+        return self._eigen_axes
 
     def c_numbers(self) -> ca.SX:
         """The eigenvalues, then the eigenvectors row by row."""
-        return ca.SX(ca.DM(np.concatenate([self._axes.d, self._axes.V.ravel()])))
+        return ca.SX(ca.DM(np.concatenate([self._eigen_axes.d, self._eigen_axes.V.ravel()])))
 
-    def shape(self) -> Round:
+    def shape(self) -> RoundSet:
         """The image of a ball by R^-1, Q = R'R, where the pivots of Q have rational roots."""
         from nsmodel.proof import exact
 
-        L, D = _factors(exact.rational(self.Q))
-        roots = [_root(pivot) for pivot in D]
+        L, D = _ldl_factors(exact.rational(self.Q))
+        roots = [_rational_root(pivot) for pivot in D]
         if any(root is None for root in roots):
-            return Round(None, Fraction(1))
+            return RoundSet(None, Fraction(1))
         R = np.array([[root * entry for entry in column] for root, column in zip(roots, L.T, strict=True)], dtype=object)
-        return Round(exact.inverse(R), Fraction(1))
+        return RoundSet(exact.inverse_matrix(R), Fraction(1))
 
     @property
     def width(self) -> float:
         """The shortest axis."""
-        return float(2 / np.sqrt(self._axes.d.max()))
+        return float(2 / np.sqrt(self._eigen_axes.d.max()))
 
-    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Sqrt((Q^-1)_ii) each way."""
         from nsmodel.proof import exact
 
-        inverse = sure(exact.inverse(exact.rational(self.Q)))
-        half = np.array([nextafter(sqrt(exact.up(entry)), np.inf) for entry in np.diag(inverse)])
+        inverse = not_none(exact.inverse_matrix(exact.rational(self.Q)))
+        half = np.array([nextafter(sqrt(exact.round_up(entry)), np.inf) for entry in np.diag(inverse)])
         return -half, half
 
     def excess(self, l: np.ndarray) -> np.ndarray:
@@ -172,9 +172,9 @@ class Ellipsoid(Block):
     @property
     def extent(self) -> float:
         """The longest half-axis."""
-        return self._axes.radius
+        return self._eigen_axes.radius
 
-    def latex(self, write: Writer) -> list[str]:
+    def latex(self, write: LatexNumberWriter) -> list[str]:
         """lambda' Q lambda <= 1."""
         return [product_set(write, self.size, rf"\lambda^{{\mathsf{{T}}}} {write.matrix(self.Q)} \lambda \leq 1")]
 
@@ -183,7 +183,7 @@ class Ellipsoid(Block):
         return {"Q": self.Q}
 
 
-def _factors(Q: np.ndarray) -> tuple[np.ndarray, list[Fraction]]:
+def _ldl_factors(Q: np.ndarray) -> tuple[np.ndarray, list[Fraction]]:
     """L and the diagonal of D with Q = L D L', L unit lower triangular; Q rational and definite."""
     m, rest = len(Q), Q.copy()
     L, D = np.array([[Fraction(int(i == j)) for j in range(m)] for i in range(m)], dtype=object), []
@@ -194,7 +194,7 @@ def _factors(Q: np.ndarray) -> tuple[np.ndarray, list[Fraction]]:
     return L, D
 
 
-def _root(number: Fraction) -> Fraction | None:
+def _rational_root(number: Fraction) -> Fraction | None:
     over, under = isqrt(number.numerator), isqrt(number.denominator)
     return Fraction(over, under) if (over**2, under**2) == (number.numerator, number.denominator) else None
 
@@ -211,7 +211,7 @@ def ellipsoid(Q: Any) -> Law:
     Raises:
         ModelError: Q is no such matrix.
     """
-    matrix = np.atleast_2d(array("ellipsoid", "Q", Q))
+    matrix = np.atleast_2d(read_array("ellipsoid", "Q", Q))
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.size:
         raise ModelError(f"ellipsoid: Q has the shape {np.shape(Q)}; expected (m, m), m >= 1")
     if not np.isfinite(matrix).all():
@@ -225,5 +225,5 @@ def ellipsoid(Q: Any) -> Law:
     if not least > len(matrix) * EPS * size:
         raise ModelError(f"ellipsoid: Q is not positive definite: its least eigenvalue is {least:g}, its largest entry {size:g}")
     if len(matrix) == 1:
-        return boxes("relay", 1, -1 / np.sqrt(least), 1 / np.sqrt(least))
+        return make_box_law("relay", 1, -1 / np.sqrt(least), 1 / np.sqrt(least))
     return Law((Ellipsoid("ellipsoid", len(matrix), matrix),))

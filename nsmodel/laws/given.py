@@ -10,14 +10,14 @@ import numpy as np
 from nsmodel.errors import ModelError
 
 
-def count(label: str, m: Any) -> int:
+def check_count(label: str, m: Any) -> int:
     """A number of components."""
     if isinstance(m, bool) or not isinstance(m, int | np.integer) or m < 0:
         raise ModelError(f"{label}: the number of components must be a whole number >= 0, not {m!r}")
     return int(m)
 
 
-def entries(label: str, name: str, value: Any) -> ca.SX:
+def read_entries(label: str, name: str, value: Any) -> ca.SX:
     """The numbers or expressions in ``value`` as a column."""
     try:
         if isinstance(value, ca.MX):
@@ -28,9 +28,9 @@ def entries(label: str, name: str, value: Any) -> ca.SX:
     return ca.densify(ca.vec(column))
 
 
-def column(label: str, name: str, value: Any, m: int) -> ca.SX:
+def read_law_column(label: str, name: str, value: Any, m: int) -> ca.SX:
     """The same, m of them, or one for all; no NaN."""
-    found = entries(label, name, value)
+    found = read_entries(label, name, value)
     if found.numel() == 1 and m != 1:
         found = ca.repmat(found, m, 1)
     if found.numel() != m:
@@ -41,7 +41,7 @@ def column(label: str, name: str, value: Any, m: int) -> ca.SX:
     return found
 
 
-def array(label: str, name: str, value: Any) -> np.ndarray:
+def read_array(label: str, name: str, value: Any) -> np.ndarray:
     """An array of real numbers, not of expressions."""
     try:
         if isinstance(value, ca.SX | ca.MX):

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from nsmodel.brief import listed
+from nsmodel.brief import join_within_width
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import Block
-from nsmodel.laws.moving import Ends
-from nsmodel.pickled import Pickled
+from nsmodel.laws.block import LawFactor
+from nsmodel.laws.moving import LawEnds
+from nsmodel.pickled import Picklable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Law(Pickled):
+class Law(Picklable):
     """A product of blocks: l and y are stacked in their order. Build it with the functions of this package."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[LawFactor, ...]
 
     def __post_init__(self) -> None:
         """Refuse what is no kind of set.
@@ -26,21 +26,21 @@ class Law(Pickled):
             ModelError: a block that is none of a kind of this package.
         """
         for block in self.blocks:
-            if not isinstance(block, Block):
+            if not isinstance(block, LawFactor):
                 raise ModelError(f"law: {block!r} is no set of a known kind")
 
     @property
-    def in_words(self) -> str:
+    def description(self) -> str:
         """The kinds of its blocks with their sizes: "relay 2, ball 3"."""
         runs: list[tuple[str, int]] = []
         for block in self.blocks:
             before = runs.pop()[1] if runs and runs[-1][0] == block.label else 0
             runs.append((block.label, before + block.size))
-        return listed([f"{label} {size}" for label, size in runs], 80)
+        return join_within_width([f"{label} {size}" for label, size in runs], 80)
 
     def __repr__(self) -> str:
         """Return one line: the kinds of its blocks with their sizes."""
-        return f"Law({self.in_words})"
+        return f"Law({self.description})"
 
     @property
     def size(self) -> int:
@@ -75,7 +75,7 @@ class Law(Pickled):
     def put(self, symbols: ca.SX, values: ca.SX) -> Law:
         """The law with values in place of symbols."""
 
-        def other(block: Block) -> Block:
+        def other(block: LawFactor) -> LawFactor:
             if not any(block.moves(symbols)):
                 return block
             return block.with_numbers(**{name: ca.substitute(value, symbols, values) for name, value in block.numbers.items()})
@@ -94,15 +94,15 @@ class Law(Pickled):
             found += (block,) if other is None else other.law.blocks
         return Law(tuple(found))
 
-    def ends(self, names: tuple[str, ...], moving: ca.SX) -> tuple[Ends, ...]:
+    def ends(self, names: tuple[str, ...], moving: ca.SX) -> tuple[LawEnds, ...]:
         """The ends of each row, one of ``names`` each, that depend on ``moving``."""
-        found: list[Ends] = []
+        found: list[LawEnds] = []
         for rows, block in self.parts():
             other = block.rewritten(ca.SX.sym("y", block.size), tuple(names[rows]), moving) if any(block.moves(moving)) else None
             found += () if other is None else other.ends
         return tuple(found)
 
-    def parts(self) -> list[tuple[slice, Block]]:
+    def parts(self) -> list[tuple[slice, LawFactor]]:
         """The rows of each block."""
         found, at = [], 0
         for block in self.blocks:

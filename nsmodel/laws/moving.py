@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 
-class Ends(NamedTuple):
+class LawEnds(NamedTuple):
     """The set of row ``name``: [lower, upper], expressions, none where lower > upper; of a ball [0, radius]."""
 
     name: str
@@ -23,19 +23,19 @@ class Ends(NamedTuple):
     upper: ca.SX
 
     @property
-    def endless(self) -> bool:
+    def has_infinite_end(self) -> bool:
         """Whether one of them is infinite."""
-        return any(_is(end, value) for end, value in ((self.lower, -np.inf), (self.upper, np.inf)))
+        return any(_is_constant_number(end, value) for end, value in ((self.lower, -np.inf), (self.upper, np.inf)))
 
 
-class NoSet(NamedTuple):
+class InvalidLawRow(NamedTuple):
     """A row whose law is no set, and why."""
 
     name: str
     text: str
 
 
-DEPTH = 32  # Of the graphs in which an end is seen to be the negative of the other.
+NEGATION_DEPTH = 32  # Of the graphs in which an end is seen to be the negative of the other.
 
 
 def fixed_ends(a: ca.SX, b: ca.SX, moving: ca.SX, *, guarded: bool) -> tuple[ca.SX, ca.SX, float, float]:
@@ -45,13 +45,13 @@ def fixed_ends(a: ca.SX, b: ca.SX, moving: ca.SX, *, guarded: bool) -> tuple[ca.
     is then what it was. ``guarded``: where b < a for some values s is NaN, and no step passes.
     """
     zero, one = ca.SX(0), ca.SX(1)
-    if _is(b, np.inf):
+    if _is_constant_number(b, np.inf):
         return a, one, 0.0, np.inf
-    if _is(a, -np.inf):
+    if _is_constant_number(a, -np.inf):
         return b, one, -np.inf, 0.0
-    if ca.is_equal(a, -b, DEPTH) or ca.is_equal(-a, b, DEPTH):
-        return zero, width(zero, b, guarded=guarded), -1.0, 1.0
-    s = width(a, b, guarded=guarded)
+    if ca.is_equal(a, -b, NEGATION_DEPTH) or ca.is_equal(-a, b, NEGATION_DEPTH):
+        return zero, interval_length(zero, b, guarded=guarded), -1.0, 1.0
+    s = interval_length(a, b, guarded=guarded)
     if not ca.depends_on(a, moving):
         return a, s, 0.0, 1.0
     if not ca.depends_on(b, moving):
@@ -59,12 +59,12 @@ def fixed_ends(a: ca.SX, b: ca.SX, moving: ca.SX, *, guarded: bool) -> tuple[ca.
     return (a + b) / 2, s / 2, -1.0, 1.0
 
 
-def width(a: ca.SX, b: ca.SX, *, guarded: bool) -> ca.SX:
+def interval_length(a: ca.SX, b: ca.SX, *, guarded: bool) -> ca.SX:
     """B - a; where that is < 0, if ``guarded``, NaN."""
     return ca.if_else(a <= b, b - a, np.nan) if guarded else b - a
 
 
-def no_set(ends: Sequence[Ends], symbols: ca.SX, values: np.ndarray, t: float) -> NoSet | None:
+def find_invalid_row(ends: Sequence[LawEnds], symbols: ca.SX, values: np.ndarray, t: float) -> InvalidLawRow | None:
     """The first of the ``ends`` that make no set at time t; None where each makes one.
 
     ``values``: of the symbols that they are expressions of.
@@ -75,12 +75,12 @@ def no_set(ends: Sequence[Ends], symbols: ca.SX, values: np.ndarray, t: float) -
         where = f"the law of '{end.name}' at t = {t:.10g}"
         for value, own in ((low, end.lower), (high, end.upper)):
             if not (np.isfinite(value) or own.is_constant()):
-                return NoSet(end.name, f"{where}: an end is {value:g}; an end that moves is a finite number")
+                return InvalidLawRow(end.name, f"{where}: an end is {value:g}; an end that moves is a finite number")
         if low > high:
             text = f"its lower end, {low:.10g}, is above its upper end, {high:.10g}; keep lower <= upper at all times of the run"
-            return NoSet(end.name, f"{where}: {text}")
+            return InvalidLawRow(end.name, f"{where}: {text}")
     return None
 
 
-def _is(end: ca.SX, value: float) -> bool:
+def _is_constant_number(end: ca.SX, value: float) -> bool:
     return end.is_constant() and float(end) == value

@@ -9,36 +9,36 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import Block, Halfspaces, Rewritten, Words, Writer, product_set
+from nsmodel.laws.block import Halfspaces, LatexNumberWriter, LawFactor, RewrittenLaw, StateNames, product_set
 from nsmodel.laws.box import complementarity, equality
-from nsmodel.laws.given import array
+from nsmodel.laws.given import read_array
 from nsmodel.laws.law import Law, product
 
 
 @dataclass(frozen=True, eq=False)
-class Polyhedron(Block):
+class Polyhedron(LawFactor):
     """{H l >= K}; arrays H (r, m) and K (r,)."""
 
     kind: ClassVar[str] = "polyhedron"
-    WORDS: ClassVar[Mapping[str, Words]] = {}
+    STATE_NAMES: ClassVar[Mapping[str, StateNames]] = {}
     H: np.ndarray
     K: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def scaled(self, u: float) -> Polyhedron:
         """K times u."""
         return replace(self, K=u * self.K)
 
-    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten:
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> RewrittenLaw:
         """l free with y - H'n = 0, and 0 <= n ⟂ H l - K >= 0."""
         del moving, guarded
         l, n = ca.SX.sym("l", self.size), ca.SX.sym("n", len(self.K))
         rows = (*names, *(f"{names[0]} face {i}" for i in range(len(self.K))))
         outputs = ca.vertcat(y - ca.DM(self.H.T) @ n, ca.DM(self.H) @ l - ca.DM(self.K))
-        return Rewritten(product(equality(self.size), complementarity(len(self.K))), ca.vertcat(l, n), l, rows, outputs)
+        return RewrittenLaw(product(equality(self.size), complementarity(len(self.K))), ca.vertcat(l, n), l, rows, outputs)
 
     def shape(self) -> Halfspaces:
         """Itself."""
@@ -69,7 +69,7 @@ class Polyhedron(Block):
         """The largest of K."""
         return float(np.abs(self.K).max(initial=0.0))
 
-    def latex(self, write: Writer) -> list[str]:
+    def latex(self, write: LatexNumberWriter) -> list[str]:
         """H lambda >= K."""
         return [product_set(write, self.size, rf"{write.matrix(self.H)} \lambda \geq {write.column(self.K)}")]
 
@@ -85,7 +85,7 @@ def polyhedron(H: Any, K: Any) -> Law:
         ModelError: no numbers, other shapes.
     """
     try:
-        h, k = np.atleast_2d(array("polyhedron", "H", H)), np.ravel(array("polyhedron", "K", K))
+        h, k = np.atleast_2d(read_array("polyhedron", "H", H)), np.ravel(read_array("polyhedron", "K", K))
     except ModelError:
         raise ModelError(f"polyhedron: H = {H!r}, K = {K!r}; expected numbers") from None
     if h.ndim != 2 or k.shape != (h.shape[0],):

@@ -12,32 +12,39 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.laws import Words
-from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, rows_called, units_given
+from nsmodel.laws import StateNames
+from nsmodel.model.arguments import (
+    RESERVED_RUN_NAMES,
+    check_grid_arguments,
+    check_switch_times,
+    numbered_row_names,
+    read_units,
+    state_names_and_stems,
+)
 from nsmodel.model.convert import Converter, declare
-from nsmodel.model.documented import OwnFirst, with_common
-from nsmodel.model.driving import Driving
-from nsmodel.model.exact import Sampled
-from nsmodel.model.expressions import refuse_infinite
-from nsmodel.model.facts import model_in_short
+from nsmodel.model.documented import OwnArgumentsFirst, add_common_arguments
+from nsmodel.model.driving import DeclaredInputs
+from nsmodel.model.exact import SampledExactState
+from nsmodel.model.expressions import check_finite
+from nsmodel.model.facts import describe_model
 from nsmodel.model.inputs import Signals
-from nsmodel.model.outputs import declared_outputs
-from nsmodel.model.parameters import Values, declared, scalars
-from nsmodel.model.replaced import replaced
-from nsmodel.notebook import shown_by
-from nsmodel.pickled import Pickled
-from nsmodel.proof.graph import COMPARISONS
+from nsmodel.model.outputs import declare_outputs
+from nsmodel.model.parameters import Values, declare_parameters, scalar_values
+from nsmodel.model.replaced import substitute_in_model
+from nsmodel.notebook import html_repr
+from nsmodel.pickled import Picklable
+from nsmodel.proof.graph import TRUTH_VALUED_OPERATIONS
 from nsmodel.words import one_line
 
-ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
-KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
-MOVE = "move that term elsewhere"
-NO_INPUTS = frozenset({"certificate", "--certificate"})  # What models with inputs have no place in.
+ARRAYS_WITH_UNITS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
+KINK_PREFIXES = "potential ", "phi "  # What the names of a potential's kinks begin with.
+MOVE_TERM_HINT = "move that term elsewhere"
+INPUT_FREE_USES = frozenset({"certificate", "--certificate"})  # What models with inputs have no place in.
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Model(Pickled):
+class Model(Picklable):
     """Arguments of all classes.
 
     Attributes:
@@ -98,31 +105,33 @@ class Model(Pickled):
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
     gaps: ClassVar[bool] = False  # Whether y of a run is by how much constraints are kept.
     second_order: ClassVar[bool] = False  # Whether what moves is x with its velocity v, a column of runs.
-    words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
+    law_descriptions: ClassVar[
+        Mapping[str, tuple[str, StateNames]]
+    ] = {}  # What laws are called in the class, and its words for their states.
     refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
     unblocked: ClassVar[str] = ""  # Why models of the class take no blocks, and what to do instead.
     outputless: ClassVar[str] = ""  # Why models of the class declare no outputs, and what to do instead.
-    of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
+    of_time: ClassVar[str] = MOVE_TERM_HINT  # What to do with time where it may not stand.
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        cls.__doc__ = with_common(cls.__doc__, Model.__doc__)
+        cls.__doc__ = add_common_arguments(cls.__doc__, Model.__doc__)
 
-    __signature__ = OwnFirst()
-    __repr__ = model_in_short
-    _repr_html_ = shown_by("model")
+    __signature__ = OwnArgumentsFirst()
+    __repr__ = describe_model
+    _repr_html_ = html_repr("model")
 
     def __post_init__(self) -> None:
         """Check and convert what was given."""
-        self._set(scheme=self._scheme())
+        self._set(scheme=self._chosen_scheme())
         self._declare()
-        self._set(outputs=MappingProxyType(declared_outputs(self.outputs, self)))
+        self._set(outputs=MappingProxyType(declare_outputs(self.outputs, self)))
         self._check_units()
 
     def _declare(self) -> None:
         raise NotImplementedError
 
-    def _scheme(self) -> str:
+    def _chosen_scheme(self) -> str:
         if not self.scheme:
             return self.schemes[0]
         if self.scheme not in self.schemes:
@@ -133,7 +142,7 @@ class Model(Pickled):
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
-    def _settle(self, state: str, **symbols: Any) -> Converter:
+    def _declare_symbols(self, state: str, **symbols: Any) -> Converter:
         """Declare t, the state and the other symbols, check the common arguments, return the converter."""
         given = {label: declare(value, label) for label, value in symbols.items() if value is not None}
         if state not in given or not given[state].names:
@@ -141,13 +150,13 @@ class Model(Pickled):
         time = declare(ca.SX.sym("t") if self.t is None else self.t, "t")
         if len(time.names) != 1:
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
-        p, values, vectors = declared(self.parameters)
-        driving = Driving.of({} if self.inputs is None else self.inputs, self.blocks, self.unblocked)
+        p, values, vectors = declare_parameters(self.parameters)
+        driving = DeclaredInputs.of({} if self.inputs is None else self.inputs, self.blocks, self.unblocked)
         self._set(u=driving.u, input_groups=MappingProxyType(driving.groups))
         known = [*([] if self.t is None else [time]), *given.values(), *p, *driving.symbols]
         converter = Converter(known)
         own = given[state]
-        names, stems = names_of_states(self.names, own, state, self.has)
+        names, stems = state_names_and_stems(self.names, own, state, self.has)
         self._set(
             t=time.sx,
             p=ca.vertcat(ca.SX(0, 1), *(item.sx for item in p)),
@@ -155,20 +164,20 @@ class Model(Pickled):
             vectors=MappingProxyType(vectors),
             names=tuple(names),
             stems=MappingProxyType(stems),
-            units=MappingProxyType(units_given(self.units)),
+            units=MappingProxyType(read_units(self.units)),
             title="" if self.title is None else one_line(str(self.title)),
             **{label: item.sx for label, item in given.items()},
         )
-        self._set(**grid_given(self.t_end, self.step, self.steps), switch_times=known_times(self.switch_times))
+        self._set(**check_grid_arguments(self.t_end, self.step, self.steps), switch_times=check_switch_times(self.switch_times))
         if self.exact is not None and not callable(self.exact):
-            self._set(exact=self._vector(converter, self.exact, "exact", len(names), [time.sx]))
+            self._set(exact=self._read_vector(converter, self.exact, "exact", len(names), [time.sx]))
             if not self.p.numel():
-                self._set(exact=Sampled(time.sx, self.exact))
+                self._set(exact=SampledExactState(time.sx, self.exact))
         read = [time.sx, own.sx, *(given[name].sx for name in ("lam",) if name in given)]
-        self._set(**driving.fields(time, converter, lambda expression, label: self._only(expression, label, read)))
+        self._set(**driving.fields(time, converter, lambda expression, label: self._check_symbols(expression, label, read)))
         return converter
 
-    def _vector(
+    def _read_vector(
         self, converter: Converter, value: Any, label: str, size: int, allow: Sequence[ca.SX], *, infinite: bool = False
     ) -> ca.SX:
         """A column of ``size`` expressions of the symbols in ``allow``; a scalar 0 stands for zeros."""
@@ -180,12 +189,12 @@ class Model(Pickled):
         if column.shape != (size, 1):
             expected = "one scalar expression" if size == 1 else f"a column of {size} entries"
             raise ModelError(f"{label}: shape {column.shape}; expected {expected}")
-        self._only(column, label, allow)
+        self._check_symbols(column, label, allow)
         if not infinite:
-            refuse_infinite(column, label)
+            check_finite(column, label)
         return column
 
-    def _matrix(self, converter: Converter, value: Any, label: str, shape: tuple[int, int], why: str) -> ca.SX:
+    def _read_matrix(self, converter: Converter, value: Any, label: str, shape: tuple[int, int], why: str) -> ca.SX:
         """A matrix of numbers or expressions of the parameters, of the given shape, without zeros; vectors are laid along it."""
         matrix = ca.sparsify(ca.SX(converter.convert(value, label)))
         if matrix.shape != shape and matrix.shape == shape[::-1] and 1 in shape:
@@ -193,22 +202,22 @@ class Model(Pickled):
         if matrix.shape != shape:
             hint = "; it seems to be transposed" if matrix.shape == shape[::-1] else ""
             raise ModelError(f"{label}: shape {matrix.shape}; expected {shape}, {why}{hint}")
-        self._only(matrix, label, [])
-        refuse_infinite(matrix, label)
+        self._check_symbols(matrix, label, [])
+        check_finite(matrix, label)
         return matrix
 
-    def _numbers(self, converter: Converter, value: Any, label: str, size: int) -> ca.SX:
+    def _read_start(self, converter: Converter, value: Any, label: str, size: int) -> ca.SX:
         """A start value: ``size`` finite numbers, or expressions of the parameters."""
-        return self._vector(converter, value, label, size, [])
+        return self._read_vector(converter, value, label, size, [])
 
-    def _only(self, expression: ca.SX, label: str, allow: Sequence[ca.SX]) -> None:
+    def _check_symbols(self, expression: ca.SX, label: str, allow: Sequence[ca.SX]) -> None:
         allowed = {str(s) for group in [*allow, self.p] for s in ca.symvar(ca.SX(group))}
         allowed |= {str(s) for s in ca.symvar(self.u)} if str(self.t) in allowed else set()
         for symbol in ca.symvar(expression):
             if symbol.name() not in allowed:
                 raise ModelError(
                     f"{label} depends on '{symbol.name()}', but may depend only on {', '.join(sorted(allowed)) or 'numbers'}; "
-                    + (self.of_time if symbol.name() in {str(s) for s in (self.t, *ca.symvar(self.u))} else MOVE)
+                    + (self.of_time if symbol.name() in {str(s) for s in (self.t, *ca.symvar(self.u))} else MOVE_TERM_HINT)
                 )
 
     def _named_constraints(
@@ -223,11 +232,11 @@ class Model(Pickled):
             label = f"constraint '{name}'"
             column = ca.densify(ca.vec(ca.SX(converter.convert(value, label))))
             for row in ca.vertsplit(column):
-                if row.op() in COMPARISONS:
+                if row.op() in TRUTH_VALUED_OPERATIONS:
                     raise ModelError(f"{label}: {row} is a comparison; give the expression that stays >= 0, such as q[0] - 1")
-            self._only(column, label, allow)
+            self._check_symbols(column, label, allow)
             columns[str(name)] = column
-            names += rows_called(str(name), column.numel())
+            names += numbered_row_names(str(name), column.numel())
         return columns, names
 
     @property
@@ -245,9 +254,9 @@ class Model(Pickled):
         """The state at t = 0, under the letter of the class."""
         return getattr(self, f"{self.letter}0")
 
-    def refuse(self, what: str) -> None:
+    def check_allowed(self, what: str) -> None:
         """Raise UsageError where the class refuses to be used for it, or the model's inputs have no place there."""
-        if self.u.numel() and what in NO_INPUTS:
+        if self.u.numel() and what in INPUT_FREE_USES:
             of = f"'{self.title or type(self).__name__}' has inputs ({', '.join(self.input_groups)})"
             raise UsageError(f"{what}: {of}; a certificate says nothing of signals")
         if why := self.refuses.get(what):
@@ -283,7 +292,7 @@ class Model(Pickled):
         Raises:
             UsageError: a name that is not declared or comes twice, values of another shape than declared.
         """
-        return scalars(parameters, self.parameters, self.vectors)
+        return scalar_values(parameters, self.parameters, self.vectors)
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -317,14 +326,14 @@ class Model(Pickled):
         if not checked:
             return self
         given = [i for i, value in enumerate(numbers.values()) if value is not None]
-        bound = replaced(self, self.p[given], ca.SX(list(checked.values())))
+        bound = substitute_in_model(self, self.p[given], ca.SX(list(checked.values())))
         rest = ca.vertcat(ca.SX(0, 1), *(self.p[i] for i in range(self.p.numel()) if i not in given))
         whole = {name: names for name, names in self.vectors.items() if set(names.ravel()) <= set(missing)}
         bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), vectors=MappingProxyType(whole))
         bound._set(bound_parameters=MappingProxyType({**self.bound_parameters, **checked}))
-        bound._refuse_undefined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
+        bound._check_defined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
         if isinstance(bound.exact, ca.SX) and not missing:
-            bound._set(exact=Sampled(bound.t, bound.exact))
+            bound._set(exact=SampledExactState(bound.t, bound.exact))
         return bound
 
     def _check_units(self) -> None:
@@ -335,15 +344,18 @@ class Model(Pickled):
         bounds = [f"{end} {name}" for end in ("lower", "upper") for name in states]
         for name in self.units:
             group = name.partition("[")[0]
-            if not ({name, group} & {*known, *bounds, *self.has, *ARRAYS, *RESERVED} or group.startswith(KINKS)):
+            if not (
+                {name, group} & {*known, *bounds, *self.has, *ARRAYS_WITH_UNITS, *RESERVED_RUN_NAMES}
+                or group.startswith(KINK_PREFIXES)
+            ):
                 hint = difflib.get_close_matches(name, known, 1)
                 raise ModelError(
                     f"units: '{name}' is no state, multiplier or time; the model has {', '.join(dict.fromkeys(known))}"
                     + (f". Did you mean '{hint[0]}'?" if hint else "")
                 )
 
-    def _refuse_undefined(self, given: str) -> None:
+    def _check_defined(self, given: str) -> None:
         """Refuse entries that the parameters made infinite or NaN; bounds and the ends of a law may be infinite."""
         for name, value in vars(self).items():
             if isinstance(value, ca.SX) and name not in ("lower", "upper"):
-                refuse_infinite(value, f"with {given}, {name}", UsageError)
+                check_finite(value, f"with {given}, {name}", UsageError)

@@ -10,17 +10,17 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.blocks.block import Block
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.model.convert import Converter, Declared, declare
-from nsmodel.pickled import Pickled
-from nsmodel.signals.kept import Kept
+from nsmodel.model.convert import Converter, DeclaredSymbols, declare
+from nsmodel.pickled import Picklable
+from nsmodel.signals.kept import HeldSignal
 from nsmodel.signals.pwm import Pwm
-from nsmodel.signals.signal import NEAR, Signal
+from nsmodel.signals.signal import NEAR_TOLERANCE, Signal
 
 
 @dataclass(frozen=True, eq=False)
-class ModelBlock(Pickled):
+class ModelBlock(Picklable):
     """A block in the symbols of a model.
 
     Attributes:
@@ -41,7 +41,7 @@ class ModelBlock(Pickled):
     memory: int = 0
     latch: bool = False
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def in_units(self, tau: float, put: Callable[[ca.SX], ca.SX]) -> ModelBlock:
         """The block where times are tau times as large; ``put`` writes what it reads in those units."""
@@ -59,15 +59,15 @@ class ModelBlock(Pickled):
         """The first tick that is not before a time; infinite where there is none."""
         if self.period is None:
             return np.inf
-        k = max(np.ceil((t * (1 - NEAR) - self.offset) / self.period), 0)
+        k = max(np.ceil((t * (1 - NEAR_TOLERANCE) - self.offset) / self.period), 0)
         return float(self.offset + k * self.period)
 
-    def ticks_at(self, t: float) -> bool:
+    def has_tick_at(self, t: float) -> bool:
         """Whether a tick is one with a time."""
         if self.period is None:
             return False
         k = max(round((t - self.offset) / self.period), 0)
-        return abs(self.offset + k * self.period - t) <= NEAR * t
+        return abs(self.offset + k * self.period - t) <= NEAR_TOLERANCE * t
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +75,16 @@ class DeclaredBlock:
     """A block whose symbols are declared and whose expressions are not yet."""
 
     block: Block
-    memory: list[tuple[Declared, Any]]
-    outputs: list[tuple[Declared, Any]]
+    memory: list[tuple[DeclaredSymbols, Any]]
+    outputs: list[tuple[DeclaredSymbols, Any]]
 
     @property
-    def symbols(self) -> list[Declared]:
+    def symbols(self) -> list[DeclaredSymbols]:
         """All that it sets, memory first."""
         return [symbol for symbol, _ in (*self.memory, *self.outputs)]
 
 
-def declared_blocks(given: Any) -> list[DeclaredBlock]:
+def declare_blocks(given: Any) -> list[DeclaredBlock]:
     """The symbols of blocks; ModelError for what is no block, and names that repeat."""
     if isinstance(given, Block):
         given = [given]
@@ -109,21 +109,23 @@ def declared_blocks(given: Any) -> list[DeclaredBlock]:
     return found
 
 
-def kept_signals(blocks: Sequence[DeclaredBlock]) -> dict[str, Kept]:
+def held_signals(blocks: Sequence[DeclaredBlock]) -> dict[str, HeldSignal]:
     """What drives the symbols that blocks set: the blocks."""
     found = {}
     for each in blocks:
         label = f"block '{each.block.name}'"
         few = {
-            name: _few(own, f"{label}: values of {name}")
-            for name, own in _by_name(each.block.values, each, "values", label).items()
+            name: _allowed_values(own, f"{label}: values of {name}")
+            for name, own in _by_symbol_name(each.block.values, each, "values", label).items()
         }
         for symbol in each.symbols:
-            found[str(symbol.stem)] = Kept(np.zeros(len(symbol.names)), str(symbol.stem), each.block.name, few.get(symbol.stem))
+            found[str(symbol.stem)] = HeldSignal(
+                np.zeros(len(symbol.names)), str(symbol.stem), each.block.name, few.get(symbol.stem)
+            )
     return found
 
 
-def model_blocks(
+def make_model_blocks(
     blocks: Sequence[DeclaredBlock], places: Mapping[str, range], converter: Converter, only: Any
 ) -> tuple[ModelBlock, ...]:
     """The blocks of a model.
@@ -137,9 +139,11 @@ def model_blocks(
     found = []
     for each in blocks:
         block, label = each.block, f"block '{each.block.name}'"
-        update, begin = (_by_name(part, each, where, label) for part, where in ((block.update, "update"), (block.start, "start")))
+        update, begin = (
+            _by_symbol_name(part, each, where, label) for part, where in ((block.update, "update"), (block.start, "start"))
+        )
 
-        def column(value: Any, symbol: Declared, what: str, label: str = label) -> ca.SX:
+        def column(value: Any, symbol: DeclaredSymbols, what: str, label: str = label) -> ca.SX:
             size, where = len(symbol.names), f"{label}: {what} {symbol.stem}"
             expression = ca.densify(ca.vec(ca.SX(converter.convert(value, where))))
             if expression.numel() == 1 and size > 1:
@@ -160,7 +164,7 @@ def model_blocks(
     return tuple(found)
 
 
-def _by_name(part: Mapping[Any, Any], each: DeclaredBlock, where: str, label: str) -> dict[str | None, Any]:
+def _by_symbol_name(part: Mapping[Any, Any], each: DeclaredBlock, where: str, label: str) -> dict[str | None, Any]:
     """A part of a block by the names of its symbols; ModelError for others."""
     own = [symbol for symbol, _ in each.memory] if where == "update" else each.symbols
     own = [symbol for symbol, _ in each.outputs] if where == "start" else own
@@ -175,7 +179,7 @@ def _by_name(part: Mapping[Any, Any], each: DeclaredBlock, where: str, label: st
     return found
 
 
-def _few(values: Any, label: str) -> tuple[float, ...]:
+def _allowed_values(values: Any, label: str) -> tuple[float, ...]:
     try:
         found = tuple(sorted({float(value) for value in values}))
     except (TypeError, ValueError):
@@ -185,14 +189,14 @@ def _few(values: Any, label: str) -> tuple[float, ...]:
     return found
 
 
-def held_duty(signal: Any) -> bool:
+def has_held_duty(signal: Any) -> bool:
     """Whether a signal is a PWM whose duty is an expression, of what blocks hold."""
     return isinstance(signal, Pwm) and not isinstance(signal.duty, Signal)
 
 
-def latched(name: str, signal: Pwm, place: int, duty: ca.SX) -> tuple[Pwm, ModelBlock]:
+def latched_pwm(name: str, signal: Pwm, place: int, duty: ca.SX) -> tuple[Pwm, ModelBlock]:
     """A PWM with the duty that its periods begin with, and the block that keeps that."""
     own, offset = f"{name}.duty", signal.phase % signal.period
     clipped = ca.fmin(ca.fmax(duty, 0), 1)
     block = ModelBlock(own, signal.period, offset, (place,), clipped, clipped, latch=True)
-    return replace(signal, duty=Kept(np.zeros(1), own, own)), block
+    return replace(signal, duty=HeldSignal(np.zeros(1), own, own)), block

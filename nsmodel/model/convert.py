@@ -17,13 +17,22 @@ import numpy as np
 
 from nsmodel.errors import ModelError
 from nsmodel.model.from_sympy import from_sympy
-from nsmodel.model.symbols import entries_of, is_casadi, is_sympy, refuse_repeats, refuse_undeclared, shown, stem_of, symbols_of
-from nsmodel.model.tables import opened
-from nsmodel.proof.graph import column, constants
+from nsmodel.model.symbols import (
+    check_declared,
+    check_distinct_names,
+    common_stem,
+    describe_value,
+    entry_names,
+    is_casadi,
+    is_sympy,
+    read_symbols,
+)
+from nsmodel.model.tables import expand_tables
+from nsmodel.proof.graph import numeric_constants, stack_column
 
 
 @dataclass(frozen=True, eq=False)
-class Declared:
+class DeclaredSymbols:
     """Symbols that the user declared under one label (x=, t=, a key of parameters).
 
     Attributes:
@@ -39,7 +48,7 @@ class Declared:
     source: tuple[Any, ...]
 
 
-def declare(value: Any, label: str) -> Declared:
+def declare(value: Any, label: str) -> DeclaredSymbols:
     """Read ``value`` as symbols: SX or MX (vertcat allowed), SymPy Symbol or Matrix of them, a name, a list of these.
 
     Raises:
@@ -48,11 +57,11 @@ def declare(value: Any, label: str) -> Declared:
     >>> declare([ca.SX.sym("q_0"), ca.SX.sym("q_1")], "q").stem
     'q'
     """
-    pairs = symbols_of(value, label)
+    pairs = read_symbols(value, label)
     names = tuple(name for name, _, _ in pairs)
-    refuse_repeats(names, label)
+    check_distinct_names(names, label)
     source = tuple(item for i, (_, _, item) in enumerate(pairs) if i == 0 or item is not pairs[i - 1][2])
-    return Declared(names, stem_of(names), column([symbol for _, symbol, _ in pairs]), source)
+    return DeclaredSymbols(names, common_stem(names), stack_column([symbol for _, symbol, _ in pairs]), source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +75,11 @@ class Converter:
     SX([1, 2])
     """
 
-    declared: Sequence[Declared]
+    declared: Sequence[DeclaredSymbols]
 
     def __post_init__(self) -> None:
         """Refuse a name declared twice."""
-        refuse_repeats([name for item in self.declared for name in item.names], "the declared symbols")
+        check_distinct_names([name for item in self.declared for name in item.names], "the declared symbols")
 
     @cached_property
     def symbols(self) -> dict[str, ca.SX]:
@@ -94,14 +103,14 @@ def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     Raises:
         ModelError: an undeclared symbol, a NaN, rows of unequal length, an unknown function or type.
     """
-    result = opened(_convert(value, symbols, label))
+    result = expand_tables(_convert(value, symbols, label))
     used = ca.symvar(result)
     known = {symbol.element_hash() for symbol in symbols.values()} if used else set()
-    refuse_undeclared((symbol.name() for symbol in used), symbols, label)
+    check_declared((symbol.name() for symbol in used), symbols, label)
     strange = [symbol for symbol in used if symbol.element_hash() not in known]
     if strange:
-        result = ca.substitute(result, column(strange), column([symbols[symbol.name()] for symbol in strange]))
-    _refuse_nan(result, label)
+        result = ca.substitute(result, stack_column(strange), stack_column([symbols[symbol.name()] for symbol in strange]))
+    _check_no_nan(result, label)
     return result
 
 
@@ -145,14 +154,15 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
         return _from_sparse(value, label)
     hint = "; call it with your symbols" if callable(value) else ""
     raise ModelError(
-        f"{label}: {shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
+        f"{label}: {describe_value(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or "
+        "SymPy"
     )
 
 
 def _from_mx(value: ca.MX, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     own = ca.symvar(value)
-    refuse_undeclared((name for mx in own for name in entries_of(mx.name(), mx.numel())), symbols, label)
-    columns = [ca.reshape(column([symbols[name] for name in entries_of(mx.name(), mx.numel())]), *mx.shape) for mx in own]
+    check_declared((name for mx in own for name in entry_names(mx.name(), mx.numel())), symbols, label)
+    columns = [ca.reshape(stack_column([symbols[name] for name in entry_names(mx.name(), mx.numel())]), *mx.shape) for mx in own]
     return expand_mx([value], own, columns, label)[0]
 
 
@@ -162,7 +172,7 @@ def _from_array(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if value.dtype.kind in "biuf":
         return ca.SX(ca.DM(value.astype(float))) if value.size else ca.SX(*value.shape, *([1] * (2 - value.ndim)))
     if value.ndim == 2:
-        return _rows([[_convert(entry, symbols, label) for entry in row] for row in value.tolist()], label)
+        return _read_matrix_rows([[_convert(entry, symbols, label) for entry in row] for row in value.tolist()], label)
     return _convert(value.tolist() if value.ndim else value.item(), symbols, label)
 
 
@@ -178,15 +188,15 @@ def _from_sparse(value: Any, label: str) -> ca.SX:
 def _from_list(value: Sequence[Any], symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     """Read a list of rows where any entry is a list or 1-D array, else a column of scalars and columns."""
     if any(isinstance(item, list | tuple) or np.ndim(item) == 1 for item in value if not is_casadi(item)):
-        return _rows([[_convert(entry, symbols, label) for entry in _entries(row)] for row in value], label)
+        return _read_matrix_rows([[_convert(entry, symbols, label) for entry in _row_entries(row)] for row in value], label)
     pieces = [_convert(item, symbols, label) for item in value]
     for i, piece in enumerate(pieces):
         if piece.shape[1] != 1:
             raise ModelError(f"{label}[{i}]: shape {piece.shape}; expected a scalar or a column; stack matrices with ca.vertcat")
-    return column(pieces)
+    return stack_column(pieces)
 
 
-def _rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
+def _read_matrix_rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
     lengths = [len(row) for row in rows]
     if len(set(lengths)) > 1:
         raise ModelError(f"{label}: the rows have {', '.join(map(str, lengths))} entries; expected rows of one length")
@@ -199,14 +209,16 @@ def _rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
     return ca.vertcat(*(ca.horzcat(*row) for row in rows)) if rows and lengths[0] else ca.SX(len(rows), 0)
 
 
-def _entries(row: Any) -> list[Any]:
+def _row_entries(row: Any) -> list[Any]:
     return list(row) if isinstance(row, list | tuple) or (isinstance(row, np.ndarray) and row.ndim) else [row]
 
 
-def _refuse_nan(value: ca.SX, label: str) -> None:
-    numbers = np.array(ca.DM(value).nonzeros()) if value.is_constant() else constants(value)
+def _check_no_nan(value: ca.SX, label: str) -> None:
+    numbers = np.array(ca.DM(value).nonzeros()) if value.is_constant() else numeric_constants(value)
     if not np.isnan(numbers).any():
         return
-    where = next((i, j) for i, j in zip(*value.sparsity().get_triplet(), strict=True) if np.isnan(constants(value[i, j])).any())
+    where = next(
+        (i, j) for i, j in zip(*value.sparsity().get_triplet(), strict=True) if np.isnan(numeric_constants(value[i, j])).any()
+    )
     index = "" if value.numel() == 1 else f"[{where[0]}]" if value.shape[1] == 1 else f"[{where[0]}, {where[1]}]"
     raise ModelError(f"{label}{index} holds a NaN; give a number (inf is allowed) or an expression")

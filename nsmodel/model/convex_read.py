@@ -10,15 +10,15 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.expressions import evaluate, is_affine, is_constant
-from nsmodel.proof.graph import OpaqueExpression, Rule, column, keys, replay, same
+from nsmodel.model.expressions import evaluate_at_samples, is_affine, is_constant
+from nsmodel.proof.graph import OpaqueExpression, RewriteRule, is_same_expression, rewrite_nodes, stack_column, symbol_hashes
 
 _UNSUPPORTED = {getattr(ca, f"OP_{name.upper()}"): name for name in "sign floor ceil fmod remainder copysign".split()}
 _NONSMOOTH = (*_UNSUPPORTED, ca.OP_SQRT, ca.OP_HYPOT, ca.OP_CONSTPOW, ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 
 
 @dataclass(frozen=True, eq=False)
-class Node:
+class NonsmoothNode:
     """A symbol and its meaning; ``args`` may hold the symbols of earlier nodes, ``text`` is what the user wrote.
 
     Kinds: "abs" |args|, "norm" |args|_2, "max" the largest of args, "domain" 0 on the domain ``text``, inf elsewhere.
@@ -43,7 +43,7 @@ class Node:
 
 
 @dataclass(frozen=True, eq=False)
-class Condition:
+class PotentialCondition:
     """A condition of the domain: "indicator" u >= 0, "equality" u = 0 or "cone" |u[1:]| <= u[0]."""
 
     kind: str
@@ -52,17 +52,17 @@ class Condition:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class PotentialParts:
     """Phi = ``value``, smooth in y and the symbols of the nodes, on the domain given by the bounds."""
 
     value: ca.SX
-    nodes: list[Node]
-    bounds: list[Condition]
+    nodes: list[NonsmoothNode]
+    bounds: list[PotentialCondition]
 
     @property
     def symbols(self) -> ca.SX:
         """The symbols of the nodes."""
-        return column(node.symbol for node in self.nodes)
+        return stack_column(node.symbol for node in self.nodes)
 
     @property
     def slopes(self) -> list[ca.SX]:
@@ -72,37 +72,37 @@ class Parts:
     @property
     def held(self) -> set[int]:
         """The symbols that other nodes or the bounds hold."""
-        return keys(column([*(node.args for node in self.nodes), *(bound.u for bound in self.bounds)]))
+        return symbol_hashes(stack_column([*(node.args for node in self.nodes), *(bound.u for bound in self.bounds)]))
 
-    def inside(self, expr: ca.SX) -> list[Node]:
+    def inside(self, expr: ca.SX) -> list[NonsmoothNode]:
         """Return the nodes whose symbol ``expr`` holds."""
-        held = keys(expr)
+        held = symbol_hashes(expr)
         return [node for node in self.nodes if node.symbol.element_hash() in held]
 
-    def only(self, expr: ca.SX) -> tuple[Node | None, float]:
+    def only(self, expr: ca.SX) -> tuple[NonsmoothNode | None, float]:
         """Return the node inside and its weight, where there is one node and its weight is a number."""
         inside = self.inside(expr)
         weight = ca.jacobian(expr, inside[0].symbol) if len(inside) == 1 else None
         return (None, 0.0) if weight is None or not weight.is_constant() else (inside[0], float(weight))
 
-    def meanings(self, slack: dict[Node, ca.SX]) -> ca.SX:
+    def meanings(self, slack: dict[NonsmoothNode, ca.SX]) -> ca.SX:
         """Return what the symbols stand for in terms of y alone, plus the slack of each node that has some."""
         values = ca.SX(0, 1)
         for k, node in enumerate(self.nodes):
-            exact = ca.substitute(node.meaning, column(other.symbol for other in self.nodes[:k]), values)
+            exact = ca.substitute(node.meaning, stack_column(other.symbol for other in self.nodes[:k]), values)
             values = ca.vertcat(values, exact + slack.get(node, 0))
         return values
 
 
-def read(phi: ca.SX, y: ca.SX, label: str) -> Parts:
+def read_potential_parts(phi: ca.SX, y: ca.SX, label: str) -> PotentialParts:
     """Put a symbol in place of every nonsmooth node that depends on y."""
-    expr, nodes, bounds = _conditions(phi, y, label)
+    expr, nodes, bounds = _read_domain(phi, y, label)
 
     def add(kind: str, args: ca.SX, old: ca.SX) -> ca.SX:
         for node in nodes:
-            if node.kind == kind and same(node.args, args):
+            if node.kind == kind and is_same_expression(node.args, args):
                 return node.symbol
-        nodes.append(Node(kind, ca.SX.sym(f"{label}_s{len(nodes)}"), args, str(old)))
+        nodes.append(NonsmoothNode(kind, ca.SX.sym(f"{label}_s{len(nodes)}"), args, str(old)))
         return nodes[-1].symbol
 
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
@@ -121,18 +121,18 @@ def read(phi: ca.SX, y: ca.SX, label: str) -> Parts:
         distance = add("abs" if u.numel() == 1 else "norm", u, old)
         return distance ** (2 * args[1]) if op == ca.OP_CONSTPOW else distance
 
-    value, *us = ca.vertsplit(rebuilt(expr, rule, _NONSMOOTH, y, label))
-    return Parts(value, nodes, [replace(bound, u=u) for bound, u in zip(bounds, us, strict=True)])
+    value, *us = ca.vertsplit(replay_expression(expr, rule, _NONSMOOTH, y, label))
+    return PotentialParts(value, nodes, [replace(bound, u=u) for bound, u in zip(bounds, us, strict=True)])
 
 
-def rebuilt(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -> ca.SX:
-    """``replay`` of what a user wrote.
+def replay_expression(expr: ca.SX, rule: RewriteRule, ops: Sequence[int], x: ca.SX, label: str) -> ca.SX:
+    """``rewrite_nodes`` of what a user wrote.
 
     Raises:
         ModelError: it calls a Function that cannot be looked into.
     """
     try:
-        return replay(expr, rule, ops, x, label)
+        return rewrite_nodes(expr, rule, ops, x, label)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
 
@@ -142,11 +142,11 @@ def rebuilt(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -
 _Literal = tuple[str, ca.SX, ca.SX]
 
 
-def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Condition]]:
+def _read_domain(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[NonsmoothNode], list[PotentialCondition]]:
     """Turn the conditions of the values inf into the domain, settle finite branches on it; a column of value and bounds."""
-    nodes: list[Node] = []
+    nodes: list[NonsmoothNode] = []
     known: list[_Literal] = []
-    bounds: list[Condition] = []
+    bounds: list[PotentialCondition] = []
     branches: list[tuple[ca.SX, ca.SX, ca.SX, str]] = []
 
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
@@ -158,23 +158,26 @@ def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], li
             return symbol
         if float(value) < 0:
             raise ModelError(f"{label} takes the value -inf where {old.dep(0)}; a convex potential is +inf outside its domain")
-        text, literals = str(ca.logic_not(old.dep(0))), _literals(condition, False)
+        text, literals = str(ca.logic_not(old.dep(0))), _condition_literals(condition, False)
         if literals is None or any(relation == "!=" for relation, _, _ in literals):
             raise ModelError(
                 f"{label} is not convex: its domain {text} is not a conjunction of <=, >=, ==; "
                 "write the domain as such conditions joined by logic_and"
             )
-        new = [literal for literal in literals if not _is_known(literal, known)]
-        bounds.extend(Condition("indicator", b - a, text) if r == "<=" else Condition("equality", a - b, text) for r, a, b in new)
+        new = [literal for literal in literals if not _is_known_literal(literal, known)]
+        bounds.extend(
+            PotentialCondition("indicator", b - a, text) if r == "<=" else PotentialCondition("equality", a - b, text)
+            for r, a, b in new
+        )
         known.extend(new)
-        nodes.append(Node("domain", symbol, ca.SX(0, 1), text))
+        nodes.append(NonsmoothNode("domain", symbol, ca.SX(0, 1), text))
         return symbol
 
-    value = rebuilt(phi, rule, (ca.OP_IF_ELSE_ZERO,), y, label)
+    value = replay_expression(phi, rule, (ca.OP_IF_ELSE_ZERO,), y, label)
     expr = ca.vertcat(value, *(bound.u for bound in bounds))
     for symbol, condition, branch, text in reversed(branches):
-        cases = [_literals(condition, holds) for holds in (True, False)]
-        holds = [case is not None and all(_is_known(literal, known) for literal in case) for case in cases]
+        cases = [_condition_literals(condition, holds) for holds in (True, False)]
+        holds = [case is not None and all(_is_known_literal(literal, known) for literal in case) for case in cases]
         if not any(holds):
             raise ModelError(
                 f"{label}: {text} switches between finite values; write it with fmax, fmin or fabs, "
@@ -184,20 +187,20 @@ def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], li
     return expr, nodes, bounds
 
 
-def _is_known(literal: _Literal, known: Iterable[_Literal]) -> bool:
+def _is_known_literal(literal: _Literal, known: Iterable[_Literal]) -> bool:
     relation, a, b = literal
-    return any(relation == other and same(a, left) and same(b, right) for other, left, right in known)
+    return any(relation == other and is_same_expression(a, left) and is_same_expression(b, right) for other, left, right in known)
 
 
-def _literals(condition: ca.SX, holds: bool) -> list[_Literal] | None:
+def _condition_literals(condition: ca.SX, holds: bool) -> list[_Literal] | None:
     """Write a condition, or its negation, as a conjunction of ("<=" | "==" | "!=", a, b); None if it is not one."""
     op = condition.op()
     if op == ca.OP_NOT:
-        return _literals(condition.dep(0), not holds)
+        return _condition_literals(condition.dep(0), not holds)
     if op in (ca.OP_AND, ca.OP_OR):
         if holds != (op == ca.OP_AND):
             return None
-        left, right = _literals(condition.dep(0), holds), _literals(condition.dep(1), holds)
+        left, right = _condition_literals(condition.dep(0), holds), _condition_literals(condition.dep(1), holds)
         return None if left is None or right is None else left + right
     if op in (ca.OP_LE, ca.OP_LT):
         a, b = condition.dep(0), condition.dep(1)
@@ -215,18 +218,18 @@ def _norm_argument(op: int, args: list[ca.SX], z: ca.SX, old: ca.SX, label: str)
     if op == ca.OP_CONSTPOW and not 0 < float(args[1]) < 1:
         return None
     q = args[0] ** 2 + args[1] ** 2 if op == ca.OP_HYPOT else args[0]
-    entries = _squares(q, z)
-    u = _quadratic_root(q, z, old, label) if entries is None else column(entries)
+    entries = _squared_terms(q, z)
+    u = _quadratic_root(q, z, old, label) if entries is None else stack_column(entries)
     if u is None:
         return None
     if is_affine(u, z):
-        return None if _never_zero(u, z) else u
+        return None if _has_no_zero(u, z) else u
     if any(not ca.depends_on(entry, z) for entry in ca.vertsplit(u)):
         return None
     raise ModelError(f"{label}: {old} is the norm of a nonlinear expression; write it as norm_2 of an affine one")
 
 
-def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
+def _squared_terms(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
     """Read q as a sum of squares u_i^2, factors without z taken into the square; None if it is not one."""
     op = q.op()
     if not ca.depends_on(q, z):
@@ -234,7 +237,7 @@ def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
     if op == ca.OP_SQ:
         return [q.dep(0)]
     if op == ca.OP_ADD:
-        left, right = _squares(q.dep(0), z), _squares(q.dep(1), z)
+        left, right = _squared_terms(q.dep(0), z), _squared_terms(q.dep(1), z)
         return None if left is None or right is None else left + right
     if op == ca.OP_TWICE:
         inner, factor = q.dep(0), ca.SX(2)
@@ -243,7 +246,7 @@ def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
         inner, factor = (inner, factor) if ca.depends_on(inner, z) else (factor, inner)
     else:
         return None
-    entries = _squares(inner, z)
+    entries = _squared_terms(inner, z)
     if entries is None or ca.depends_on(factor, z) or (factor.is_constant() and float(factor) < 0):
         return None
     return [ca.sqrt(factor) * entry for entry in entries]
@@ -267,13 +270,13 @@ def _quadratic_root(q: ca.SX, z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
     u = ca.DM(L) @ z + ca.DM(L / squares) @ g / 2
     rest = q - ca.sumsqr(u)
     both = ca.vertcat(rest, ca.gradient(rest, z), q, gradient)
-    rest0, scale = np.split(np.abs(evaluate(both, z, np.zeros((1, z.numel())))[0]), 2)
+    rest0, scale = np.split(np.abs(evaluate_at_samples(both, z, np.zeros((1, z.numel())))[0]), 2)
     return u if rest0.max() <= 1e-12 * (1 + scale.max()) else None
 
 
-def _never_zero(u: ca.SX, z: ca.SX) -> bool:
+def _has_no_zero(u: ca.SX, z: ca.SX) -> bool:
     """Whether the affine u(z) has no zero, for generic values of the other symbols."""
-    both = evaluate(ca.horzcat(u, ca.jacobian(u, z)), z, np.zeros((1, z.numel())))
+    both = evaluate_at_samples(ca.horzcat(u, ca.jacobian(u, z)), z, np.zeros((1, z.numel())))
     c, *A = both.reshape(-1, u.numel())
     rest = c - np.transpose(A) @ np.linalg.lstsq(np.transpose(A), c, rcond=None)[0]
     return bool(np.linalg.norm(rest) > 1e-12 * (1 + np.linalg.norm(c)))

@@ -6,20 +6,20 @@ import dataclasses
 import inspect
 from typing import Any
 
-HEAD = "Attributes:\n"
+ATTRIBUTES_HEADING = "Attributes:\n"
 
 
-def with_common(own: str | None, common: str | None) -> str | None:
+def add_common_arguments(own: str | None, common: str | None) -> str | None:
     """The docstring of a class with the arguments of all classes behind its own; None where docstrings are left out."""
-    if not own or not common or HEAD not in own or HEAD not in common:
+    if not own or not common or ATTRIBUTES_HEADING not in own or ATTRIBUTES_HEADING not in common:
         return own
-    shared = common.partition(HEAD)[2].partition("\n\n")[0].rstrip()
-    before, _, rest = own.partition(HEAD)
+    shared = common.partition(ATTRIBUTES_HEADING)[2].partition("\n\n")[0].rstrip()
+    before, _, rest = own.partition(ATTRIBUTES_HEADING)
     attributes, gap, after = rest.partition("\n\n")
-    return f"{before}{HEAD}{attributes.rstrip()}\n{shared}\n{gap[1:]}{after}"
+    return f"{before}{ATTRIBUTES_HEADING}{attributes.rstrip()}\n{shared}\n{gap[1:]}{after}"
 
 
-class OwnFirst:
+class OwnArgumentsFirst:
     """The signature of a dataclass: the arguments of its own before those that it inherits, without defaults that say nothing."""
 
     def __get__(self, made: Any, owner: type) -> inspect.Signature:
@@ -27,9 +27,9 @@ class OwnFirst:
         given = inspect.signature(owner.__init__)
         fields = {field.name: field for field in dataclasses.fields(owner)}
         own = {name for name in vars(owner).get("__annotations__", {}) if name in given.parameters}
-        shown = []
+        parameters = []
         for name, parameter in list(given.parameters.items())[1:]:
             made_new = fields[name].default_factory if name in fields else dataclasses.MISSING
-            shown.append(parameter if made_new is dataclasses.MISSING else parameter.replace(default=made_new()))
-        shown.sort(key=lambda parameter: parameter.name not in own)
-        return given.replace(parameters=shown)
+            parameters.append(parameter if made_new is dataclasses.MISSING else parameter.replace(default=made_new()))
+        parameters.sort(key=lambda parameter: parameter.name not in own)
+        return given.replace(parameters=parameters)

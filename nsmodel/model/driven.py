@@ -11,98 +11,98 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.model.blocks import held_duty
+from nsmodel.model.blocks import has_held_duty
 from nsmodel.model.convert import Converter, declare
-from nsmodel.model.inputs import Signals, by_name, signals_of
-from nsmodel.model.replaced import replaced
-from nsmodel.model.ticks import ticks_of
-from nsmodel.proof.sure import sure
-from nsmodel.signals.kept import Kept
+from nsmodel.model.inputs import Signals, read_signals, signals_by_name
+from nsmodel.model.replaced import substitute_in_model
+from nsmodel.model.ticks import model_ticks
+from nsmodel.proof.sure import not_none
+from nsmodel.signals.kept import HeldSignal
 from nsmodel.signals.signal import Signal
 
 T = TypeVar("T", bound=Any)
-UNDRIVEN = {"u": ca.SX(0, 1), "inputs": MappingProxyType({}), "input_groups": MappingProxyType({}), "blocks": ()}
+NO_INPUT_FIELDS = {"u": ca.SX(0, 1), "inputs": MappingProxyType({}), "input_groups": MappingProxyType({}), "blocks": ()}
 
 
-def driven_by(model: T, signals: Signals | None = None) -> T:
+def with_inputs(model: T, signals: Signals | None = None) -> T:
     """The model with these signals in place of those declared.
 
     Raises:
         UsageError: a name that is no input; an input that nothing drives; another number of values.
     """
-    named = by_name(signals, model.input_groups)
-    for name in [name for name, signal in named.items() if held_duty(signal)]:
+    named = signals_by_name(signals, model.input_groups)
+    for name in [name for name, signal in named.items() if has_held_duty(signal)]:
         raise UsageError(f"input '{name}': a pwm whose duty is an expression; declare it in the model, whose blocks it reads")
-    given = signals_of(named, model.input_groups, Converter([declare(model.t, "t")]), UsageError)
+    given = read_signals(named, model.input_groups, Converter([declare(model.t, "t")]), UsageError)
     for name in given:
-        if isinstance(model.inputs[name], Kept):
+        if isinstance(model.inputs[name], HeldSignal):
             raise UsageError(f"input '{name}' is set by the block '{model.inputs[name].by}'; leave it out")
     inputs = {**model.inputs, **given}
     for name, signal in inputs.items():
         if signal is None:
             raise UsageError(f"input '{name}' has no signal; give inputs={{'{name}': ...}} or --input {name}=FILE.csv")
-    return _with(model, inputs=MappingProxyType(inputs)) if given else model
+    return _with_fields(model, inputs=MappingProxyType(inputs)) if given else model
 
 
-def at_any_step(model: T, what: str, signals: Signals | None = None) -> T:
+def with_inputs_at_any_step(model: T, what: str, signals: Signals | None = None) -> T:
     """The model with these signals in place of those declared, for ``what`` takes steps of other lengths than its own.
 
     Raises:
-        UsageError: see `driven_by`; a signal that has a value for each step of one grid.
+        UsageError: see `with_inputs`; a signal that has a value for each step of one grid.
     """
-    driven = driven_by(model, signals)
+    driven = with_inputs(model, signals)
     for name, signal in driven.inputs.items():
         if signal.count is not None:
             raise UsageError(f"{what}: input '{name}' is steps(...), a row a step, and steps have many lengths; give table")
     return driven
 
 
-def at_start(model: T) -> T:
+def with_initial_inputs(model: T) -> T:
     """The model with its inputs held at u(0+)."""
     if not model.u.numel():
         return model
-    held = replaced(model, model.u, ca.SX(inputs_at_start(model)))
-    return _with(held, **UNDRIVEN)
+    held = substitute_in_model(model, model.u, ca.SX(initial_inputs(model)))
+    return _with_fields(held, **NO_INPUT_FIELDS)
 
 
-def frozen(model: T, held: Mapping[str, float]) -> T:
+def freeze_inputs(model: T, held: Mapping[str, float]) -> T:
     """The model at constant values of its inputs: those of ``held`` by their names, the others, behind its own parameters, as
     parameters without value.
     """
     parameters = MappingProxyType(dict.fromkeys([*model.parameters, *model.input_names]))
-    other = _with(model, p=ca.vertcat(model.p, model.u), parameters=parameters, **UNDRIVEN)
+    other = _with_fields(model, p=ca.vertcat(model.p, model.u), parameters=parameters, **NO_INPUT_FIELDS)
     return other.bind(held, partly=True) if held else other
 
 
-def as_parameters(model: T) -> T:
+def inputs_as_parameters(model: T) -> T:
     """The model with its inputs as further parameters without name, behind its own."""
-    return _with(model, p=ca.vertcat(model.p, model.u), **UNDRIVEN) if model.u.numel() else model
+    return _with_fields(model, p=ca.vertcat(model.p, model.u), **NO_INPUT_FIELDS) if model.u.numel() else model
 
 
-def entries_of_blocks(model: Any) -> np.ndarray:
+def block_input_entries(model: Any) -> np.ndarray:
     """The entries of the inputs that blocks set, or that a PWM has whose duty they hold."""
     owners = [signal for name, signal in model.inputs.items() for _ in model.input_groups[name]]
-    return np.array([i for i, signal in enumerate(owners) if isinstance(signal, Kept) or (signal and signal.moving)], int)
+    return np.array([i for i, signal in enumerate(owners) if isinstance(signal, HeldSignal) or (signal and signal.moving)], int)
 
 
-def inputs_at_start(model: Any, x: np.ndarray | None = None) -> np.ndarray:
+def initial_inputs(model: Any, x: np.ndarray | None = None) -> np.ndarray:
     """u(0+) (nu,) where the state is ``x``, else the model's start; 0 where nothing drives it yet."""
     first = [
         signal.limits(np.zeros(2), 0)[0][0] if isinstance(signal, Signal) else np.zeros(len(model.input_groups[name]))
         for name, signal in model.inputs.items()
     ]
     u = np.concatenate([np.zeros(0), *first])
-    ticks = None if model.p.numel() else ticks_of(model)
+    ticks = None if model.p.numel() else model_ticks(model)
     if ticks is None:
         return u
     x = np.array(ca.DM(model.start)).ravel() if x is None else x
-    u = _with_pulses(model, ticks.before(x, u))
-    return _with_pulses(model, ticks.start(x, u))
+    u = _set_pulses(model, ticks.before(x, u))
+    return _set_pulses(model, ticks.start(x, u))
 
 
-def _with_pulses(model: Any, u: np.ndarray) -> np.ndarray:
+def _set_pulses(model: Any, u: np.ndarray) -> np.ndarray:
     """U at t = 0 with the PWMs whose duty it holds."""
-    at, ticks = 0, sure(ticks_of(model))
+    at, ticks = 0, not_none(model_ticks(model))
     for signal, names in zip(model.inputs.values(), model.input_groups.values(), strict=True):
         if signal is not None and signal.moving:
             u[at : at + len(names)] = signal.holding(ticks.kept(u)).after(np.zeros(1))[0]
@@ -110,7 +110,7 @@ def _with_pulses(model: Any, u: np.ndarray) -> np.ndarray:
     return u
 
 
-def _with(model: T, **fields: Any) -> T:
+def _with_fields(model: T, **fields: Any) -> T:
     other = copy(model)
     for name, value in fields.items():
         object.__setattr__(other, name, value)

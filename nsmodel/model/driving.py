@@ -11,17 +11,17 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import RESERVED
-from nsmodel.model.blocks import DeclaredBlock, declared_blocks, held_duty, kept_signals, latched, model_blocks
-from nsmodel.model.convert import Converter, Declared, declare
-from nsmodel.model.inputs import declared_inputs, signals_of
+from nsmodel.model.arguments import RESERVED_RUN_NAMES
+from nsmodel.model.blocks import DeclaredBlock, declare_blocks, has_held_duty, held_signals, latched_pwm, make_model_blocks
+from nsmodel.model.convert import Converter, DeclaredSymbols, declare
+from nsmodel.model.inputs import declare_inputs, read_signals
 
 
 @dataclass(frozen=True, eq=False)
-class Driving:
+class DeclaredInputs:
     """Declared: the symbols of all inputs, what drives each by its name, and the blocks."""
 
-    symbols: Sequence[Declared]
+    symbols: Sequence[DeclaredSymbols]
     driven: Mapping[str, Any]
     blocks: Sequence[DeclaredBlock]
 
@@ -32,13 +32,13 @@ class Driving:
         Raises:
             ModelError: what is no input or no block, a name that is taken.
         """
-        u, driven = declared_inputs(inputs)
-        found = declared_blocks(blocks)
-        duties = [declare(f"{name}.duty", "inputs") for name, signal in driven.items() if held_duty(signal)]
+        u, driven = declare_inputs(inputs)
+        found = declare_blocks(blocks)
+        duties = [declare(f"{name}.duty", "inputs") for name, signal in driven.items() if has_held_duty(signal)]
         if unblocked and (found or duties):
             raise ModelError(f"blocks: {unblocked}")
         kept = [symbol for block in found for symbol in block.symbols]
-        known = {*RESERVED, *(str(other.stem) for other in u)}
+        known = {*RESERVED_RUN_NAMES, *(str(other.stem) for other in u)}
         for symbol in kept:
             clash = {str(symbol.stem), *symbol.names} & known
             known |= {str(symbol.stem)}
@@ -46,7 +46,7 @@ class Driving:
                 raise ModelError(
                     f"blocks: '{min(clash)}' is an input, or what another block sets, or an attribute of runs; take another name"
                 )
-        signals = {**driven, **kept_signals(found), **{str(duty.stem): None for duty in duties}}
+        signals = {**driven, **held_signals(found), **{str(duty.stem): None for duty in duties}}
         return cls((*u, *kept, *duties), signals, found)
 
     @property
@@ -59,18 +59,18 @@ class Driving:
         """{name of an input: names of its entries}."""
         return {str(item.stem): item.names for item in self.symbols}
 
-    def fields(self, time: Declared, converter: Converter, only: Callable[[ca.SX, str], None]) -> dict[str, Any]:
+    def fields(self, time: DeclaredSymbols, converter: Converter, only: Callable[[ca.SX, str], None]) -> dict[str, Any]:
         """``inputs`` and ``blocks`` of a model; ``only`` refuses an expression, by its label, of what blocks do not read."""
         groups, driven = self.groups, dict(self.driven)
         ends = np.cumsum([0, *(len(names) for names in groups.values())])
         places = {name: range(ends[i], ends[i + 1]) for i, name in enumerate(groups)}
-        blocks = list(model_blocks(self.blocks, places, converter, only))
-        for name in [name for name, signal in driven.items() if held_duty(signal)]:
+        blocks = list(make_model_blocks(self.blocks, places, converter, only))
+        for name in [name for name, signal in driven.items() if has_held_duty(signal)]:
             label = f"input '{name}': duty"
             duty = ca.densify(ca.SX(converter.convert(driven[name].duty, label)))
             only(duty, label)
-            driven[name], latch = latched(name, driven[name], places[f"{name}.duty"][0], duty)
+            driven[name], latch = latched_pwm(name, driven[name], places[f"{name}.duty"][0], duty)
             driven[f"{name}.duty"] = driven[name].duty
             blocks.append(latch)
-        inputs = signals_of(driven, groups, Converter([time]))
+        inputs = read_signals(driven, groups, Converter([time]))
         return {"inputs": MappingProxyType(inputs), "blocks": tuple(blocks)}

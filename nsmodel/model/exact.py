@@ -8,11 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.pickled import Pickled
+from nsmodel.later import former_names
+from nsmodel.pickled import Picklable
 
 
 @dataclass(frozen=True, eq=False)
-class Sampled(Pickled):
+class SampledExactState(Picklable):
     """Expressions of t (n, 1) as a function of times: (N,) -> (N, n)."""
 
     t: ca.SX
@@ -23,3 +24,6 @@ class Sampled(Pickled):
         times = np.atleast_1d(np.asarray(t, float))
         values = ca.Function("exact", [self.t], [self.column]).map(len(times))(times[None, :])
         return np.array(values).reshape(self.column.numel(), -1).T
+
+
+__getattr__ = former_names(__name__, Sampled="SampledExactState")

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError
-from nsmodel.proof.graph import column, entries, keys
+from nsmodel.proof.graph import stack_column, stored_entries, symbol_hashes
 
 
 def derivatives(expr: ca.SX, symbols: ca.SX) -> ca.SX:
@@ -29,7 +29,7 @@ def is_constant(expr: ca.SX, z: ca.SX) -> bool:
     """Whether ``expr`` does not change with z: read off, or else (y - y is not simplified) seen at sample points."""
     if not ca.depends_on(expr, z):
         return True
-    values = evaluate(expr, z, points(z.numel(), 6))
+    values = evaluate_at_samples(expr, z, sample_points(z.numel(), 6))
     return bool(np.allclose(values, values[0], rtol=1e-9, atol=1e-12))
 
 
@@ -43,29 +43,29 @@ def is_concave(expr: ca.SX, z: ca.SX) -> bool:
     if is_affine(expr, z):
         return True
     n = z.numel()
-    values = evaluate(ca.hessian(expr, z)[0], z, points(n, 32))
+    values = evaluate_at_samples(ca.hessian(expr, z)[0], z, sample_points(n, 32))
     spectra = np.linalg.eigvalsh(values[np.isfinite(values).all(axis=1)].reshape(-1, n, n))
     return bool((spectra <= 1e-9 * (1 + np.abs(spectra).max(initial=0))).all())
 
 
-def points(n: int, count: int) -> np.ndarray:
+def sample_points(n: int, count: int) -> np.ndarray:
     """Return sample points (count, n) of sizes from 0.1 to 10."""
     rng = np.random.default_rng(0)
     return rng.normal(size=(count, n)) * 10.0 ** rng.uniform(-1, 1, (count, 1))
 
 
-def evaluate(expr: ca.SX, z: ca.SX, samples: np.ndarray) -> np.ndarray:
+def evaluate_at_samples(expr: ca.SX, z: ca.SX, samples: np.ndarray) -> np.ndarray:
     """Values (count, numel) of ``expr`` at samples (count, n) of z; each other symbol gets one number in (0.5, 2)."""
-    own = keys(z)
-    others = column(symbol for symbol in ca.symvar(expr) if symbol.element_hash() not in own)
+    own = symbol_hashes(z)
+    others = stack_column(symbol for symbol in ca.symvar(expr) if symbol.element_hash() not in own)
     numbers = np.random.default_rng(0).uniform(0.5, 2, others.numel())
     function = ca.Function("values", [z, others], [ca.densify(ca.vec(expr))])
     return np.array(function(samples.T, numbers)).T
 
 
-def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
+def check_finite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
     """Refuse a constant entry that is not finite."""
-    stored, symbols = column(entries(matrix)), column(ca.symvar(matrix))
+    stored, symbols = stack_column(stored_entries(matrix)), stack_column(ca.symvar(matrix))
     values = np.array(ca.Function("values", [symbols], [stored])(np.full(symbols.numel(), 0.7))).ravel()
     where = np.column_stack(matrix.sparsity().get_triplet())
     for k in np.flatnonzero(~np.isfinite(values)):

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.model.symbols import entries_of, refuse_undeclared
+from nsmodel.model.symbols import check_declared, entry_names
 
 
 def _equals(value: ca.SX, number: float) -> bool:
@@ -53,12 +53,12 @@ def from_sympy(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     """The expression in the declared symbols."""
     name = type(expr).__name__
     if name in ("Symbol", "Dummy"):
-        refuse_undeclared([expr.name], symbols, label)
+        check_declared([expr.name], symbols, label)
         return symbols[expr.name]
     if name == "MatrixElement":
         matrix, i, j = expr.args
-        entries = entries_of(matrix.name, int(matrix.rows * matrix.cols))
-        refuse_undeclared([entry := entries[int(i + j * matrix.rows)]], symbols, label)
+        entries = entry_names(matrix.name, int(matrix.rows * matrix.cols))
+        check_declared([entry := entries[int(i + j * matrix.rows)]], symbols, label)
         return symbols[entry]
     if expr.is_Number or getattr(expr, "is_NumberSymbol", False):
         return ca.SX(float(expr))

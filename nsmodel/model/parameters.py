@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
-from nsmodel.model.convert import Declared, declare
-from nsmodel.model.symbols import stem_of
+from nsmodel.model.convert import DeclaredSymbols, declare
+from nsmodel.model.symbols import common_stem
 
 Values = Mapping[Any, Any]  # {symbol or name: number, list, array or None}
 
@@ -21,7 +21,7 @@ except NotImplementedError:
     ca.SX.__hash__ = lambda self: self.element_hash() if self.is_scalar() else id(self)
 
 
-def declared(given: Any) -> tuple[list[Declared], dict[str, float | None], dict[str, np.ndarray]]:
+def declare_parameters(given: Any) -> tuple[list[DeclaredSymbols], dict[str, float | None], dict[str, np.ndarray]]:
     """Read ``parameters=``: the symbols, {name: value} of each scalar, {name: names of its entries} of each vector and matrix.
 
     The entries of a vector or matrix th are th_0, th_1, ..., column by column, as those of ``ca.SX.sym("th", 2, 3)``.
@@ -31,17 +31,17 @@ def declared(given: Any) -> tuple[list[Declared], dict[str, float | None], dict[
     """
     if not isinstance(given, Mapping):
         raise ModelError(f"parameters: expected a dictionary {{symbol or name: value}}, not a {type(given).__name__}")
-    symbols: list[Declared] = []
+    symbols: list[DeclaredSymbols] = []
     values: dict[str, float | None] = {}
     vectors: dict[str, np.ndarray] = {}
     for key, value in given.items():
-        names = _numbered(key, np.shape(_array(value))) if isinstance(key, str) else _names_of(key)
+        names = _numbered_names(key, np.shape(_object_array(value))) if isinstance(key, str) else _scalar_names(key)
         symbol = declare(names.ravel(order="F").tolist() if isinstance(key, str) else key, "parameters")
-        whole = _whole(names)
+        whole = _common_name(names)
         for name in {*symbol.names, whole or symbol.names[0]}:
             if name in values or name in vectors:
                 raise ModelError(f"parameters: '{name}' is declared twice; keep one")
-        filled = _filled(names, value, _label(key, names), ModelError)
+        filled = _entry_values(names, value, _parameter_label(key, names), ModelError)
         values |= {name: filled[name] for name in symbol.names}
         if names.size > 1 and whole is not None:
             vectors[whole] = names
@@ -49,7 +49,7 @@ def declared(given: Any) -> tuple[list[Declared], dict[str, float | None], dict[
     return symbols, values, vectors
 
 
-def scalars(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, float | None]:
+def scalar_values(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, float | None]:
     """Return {name: value} of each scalar in ``values``, which may speak of whole vectors and matrices, by name or symbol.
 
     Raises:
@@ -62,15 +62,15 @@ def scalars(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndar
         raise UsageError(f"parameters: expected a dictionary {{name: value}}, not a {type(values).__name__}")
     found: dict[str, float | None] = {}
     for key, value in values.items():
-        names = _names_of(key) if not isinstance(key, str) else vectors.get(key, np.array(key))
-        whole = None if isinstance(key, str | tuple) else vectors.get(_whole(names) or "")
+        names = _scalar_names(key) if not isinstance(key, str) else vectors.get(key, np.array(key))
+        whole = None if isinstance(key, str | tuple) else vectors.get(_common_name(names) or "")
         if whole is not None and set(whole.flat) != set(names.flat):
             names = whole
         for name in names.ravel().tolist():
             if name not in known:
                 hint = difflib.get_close_matches(name, [*vectors, *known], 1)
                 raise UsageError(
-                    f"parameter '{name}' is not declared; the model has {', '.join(gathered(known, vectors)) or 'none'}"
+                    f"parameter '{name}' is not declared; the model has {', '.join(gather_values(known, vectors)) or 'none'}"
                     + (
                         f". Did you mean '{hint[0]}'?"
                         if hint
@@ -79,7 +79,7 @@ def scalars(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndar
                 )
             if name in found:
                 raise UsageError(f"parameter '{name}' is given twice; keep one")
-        found |= _filled(names, value, _label(key, names), UsageError)
+        found |= _entry_values(names, value, _parameter_label(key, names), UsageError)
     return found
 
 
@@ -93,7 +93,7 @@ def split_boxes(values: Any, known: Mapping[str, Any]) -> tuple[Any, dict[str, t
         return values, {}
     numbers, boxes = {}, {}
     for key, value in values.items():
-        names = np.array(key) if isinstance(key, str) else _names_of(key)
+        names = np.array(key) if isinstance(key, str) else _scalar_names(key)
         name = str(names) if names.ndim == 0 else ""
         if name not in known or not isinstance(value, tuple | list) or len(value) != 2:
             numbers[key] = value
@@ -108,14 +108,14 @@ def split_boxes(values: Any, known: Mapping[str, Any]) -> tuple[Any, dict[str, t
     return numbers, boxes
 
 
-def gathered(values: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def gather_values(values: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Return {name: value} of each parameter as it was declared: the inverse of `scalars`."""
     inside = {entry: name for name, names in vectors.items() for entry in names.ravel().tolist()}
     whole = {name: np.vectorize(values.get, otypes=[object])(names) for name, names in vectors.items()}
     return {inside.get(name, name): whole.get(inside.get(name, name), value) for name, value in values.items()}
 
 
-def number(value: Any, label: str) -> float:
+def finite_number(value: Any, label: str) -> float:
     """A finite number; else ModelError."""
     try:
         if isinstance(value, str | bool | np.bool_ | complex | np.complexfloating | ca.SX | ca.MX):
@@ -128,7 +128,7 @@ def number(value: Any, label: str) -> float:
     return found
 
 
-def _names_of(key: Any) -> np.ndarray:
+def _scalar_names(key: Any) -> np.ndarray:
     """The names of a symbol's scalars, in its shape: () for one, (n,) for a vector, (r, c) for a matrix."""
     names = np.array(declare(key, "parameters").names)
     shape = tuple(getattr(key, "shape", names.shape))
@@ -137,7 +137,7 @@ def _names_of(key: Any) -> np.ndarray:
     return names.reshape(shape, order="C" if hasattr(key, "tolist") else "F")  # SymPy lists the entries of a matrix by rows
 
 
-def _numbered(name: str, shape: tuple[int, ...]) -> np.ndarray:
+def _numbered_names(name: str, shape: tuple[int, ...]) -> np.ndarray:
     """The names of a parameter that is given by its own name, from the shape of its value."""
     size = int(np.prod(shape))
     if size < 2 or len(shape) > 2:
@@ -146,17 +146,17 @@ def _numbered(name: str, shape: tuple[int, ...]) -> np.ndarray:
     return names if 1 in shape else names.reshape(shape, order="F")
 
 
-def _label(key: Any, names: np.ndarray) -> str:
+def _parameter_label(key: Any, names: np.ndarray) -> str:
     """What a message calls a parameter."""
-    return key if isinstance(key, str) else _whole(names) or ", ".join(names.ravel(order="F").tolist())
+    return key if isinstance(key, str) else _common_name(names) or ", ".join(names.ravel(order="F").tolist())
 
 
-def _whole(names: np.ndarray) -> str | None:
+def _common_name(names: np.ndarray) -> str | None:
     """The name W of the entries W_0, W_1, ..., column by column or row by row; None where there is none."""
-    return stem_of(names.ravel(order="F").tolist()) or stem_of(names.ravel().tolist())
+    return common_stem(names.ravel(order="F").tolist()) or common_stem(names.ravel().tolist())
 
 
-def _array(value: Any) -> np.ndarray:
+def _object_array(value: Any) -> np.ndarray:
     """A value as an array of objects; what has no shape is one."""
     value = np.array(value) if isinstance(value, ca.DM) else value.toarray() if hasattr(value, "toarray") else value
     try:
@@ -167,21 +167,21 @@ def _array(value: Any) -> np.ndarray:
         return box
 
 
-def _filled(names: np.ndarray, value: Any, label: str, error: type[NsmodelError]) -> dict[str, float | None]:
+def _entry_values(names: np.ndarray, value: Any, label: str, error: type[NsmodelError]) -> dict[str, float | None]:
     """{name: number} of the scalars of one parameter; None where the value is still to be given."""
-    array = np.full(names.shape, None) if value is None else _array(value)
+    array = np.full(names.shape, None) if value is None else _object_array(value)
     flat = names.ndim < 2 and array.size == names.size and (array.ndim < 2 or 1 in array.shape)
     if not (flat or array.shape == names.shape):
-        raise error(f"parameter '{label}': {_what(array)}; expected {_wanted(names)}")
+        raise error(f"parameter '{label}': {_shape_text(array)}; expected {_expected_shape_text(names)}")
     pairs = zip(names.ravel().tolist(), array.ravel().tolist(), strict=True)
-    return {name: None if one is None else number(one, f"parameter '{name}'") for name, one in pairs}
+    return {name: None if one is None else finite_number(one, f"parameter '{name}'") for name, one in pairs}
 
 
-def _what(array: np.ndarray) -> str:
+def _shape_text(array: np.ndarray) -> str:
     return f"shape {array.shape}" if array.ndim > 1 else f"{array.size} value{'' if array.size == 1 else 's'}"
 
 
-def _wanted(names: np.ndarray) -> str:
+def _expected_shape_text(names: np.ndarray) -> str:
     entries = names.ravel(order="F").tolist()
     if names.ndim == 2:
         return f"a matrix of shape {names.shape}, a list of its rows ({entries[0]}, ..., {entries[-1]} column by column)"

@@ -11,11 +11,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, StorageError
+from nsmodel.later import former_names
 from nsmodel.model.convert import to_sx
-from nsmodel.proof.graph import column
+from nsmodel.proof.graph import stack_column
 
 
-class ByName(dict[str, ca.SX]):
+class SymbolsByName(dict[str, ca.SX]):
     """{name: symbol} of all names that are ``known``, made when they are first asked for; to begin with those given."""
 
     def __init__(self, given: Mapping[str, ca.SX], known: Callable[[str], bool] = lambda name: True) -> None:
@@ -32,7 +33,7 @@ class ByName(dict[str, ca.SX]):
         return self[name]
 
 
-def read(value: Any, label: str, symbols: ByName, error: type[NsmodelError] = ModelError) -> ca.SX:
+def read_column(value: Any, label: str, symbols: SymbolsByName, error: type[NsmodelError] = ModelError) -> ca.SX:
     """What a user wrote as a column of expressions; ``error`` for what is none."""
     try:
         expression = ca.densify(to_sx(value, symbols, label))
@@ -43,14 +44,14 @@ def read(value: Any, label: str, symbols: ByName, error: type[NsmodelError] = Mo
     return ca.vec(expression)
 
 
-def _serialized(word: str) -> str:
+def _casadi_encoding(word: str) -> str:
     """A word as CasADi writes it: two letters from a to p a byte, the lower half first."""
     return "".join(chr(97 + half) for byte in word.encode() for half in (byte & 15, byte >> 4))
 
 
-_HEAD = 128  # Letters within which the kind of a function stands.
-_EXPRESSION = _serialized("SXFunction")
-_FROM_ELSEWHERE = tuple(map(_serialized, ("External", "Importer", "Library")))  # Kinds that load code from a path.
+_HEAD_LETTERS = 128  # Letters within which the kind of a function stands.
+_EXPRESSION_KIND = _casadi_encoding("SXFunction")
+_EXTERNAL_KINDS = tuple(map(_casadi_encoding, ("External", "Importer", "Library")))  # Kinds that load code from a path.
 
 
 @dataclass(frozen=True)
@@ -65,19 +66,19 @@ class Quantity:
     def made(cls, expression: ca.SX) -> Self:
         """Of an expression (size, 1) whose symbols have the names of columns."""
         symbols = ca.symvar(expression)
-        function = ca.Function("quantity", [column(symbols)], [expression])
+        function = ca.Function("quantity", [stack_column(symbols)], [expression])
         return cls(tuple(symbol.name() for symbol in symbols), expression.numel(), function.serialize())
 
     @classmethod
     def named(cls, names: tuple[str, ...]) -> Self:
         """These columns themselves."""
-        return cls.made(column(ca.SX.sym(name) for name in names))
+        return cls.made(stack_column(ca.SX.sym(name) for name in names))
 
     @classmethod
-    def of_text(cls, text: Mapping[str, Any]) -> Self:
+    def from_text(cls, text: Mapping[str, Any]) -> Self:
         """What ``text`` gave; StorageError where it is no expression, but code that CasADi would load from elsewhere."""
         code = text["code"]
-        if _EXPRESSION not in code[:_HEAD] or any(word in code for word in _FROM_ELSEWHERE):
+        if _EXPRESSION_KIND not in code[:_HEAD_LETTERS] or any(word in code for word in _EXTERNAL_KINDS):
             raise StorageError(
                 f"the quantity of {', '.join(text['of']) or 'no column'} is no expression of CasADi: it was changed"
             )
@@ -101,7 +102,10 @@ class Quantity:
         return found[:, 0] if self.size == 1 else found
 
 
-def entry_of(name: str) -> tuple[str, int] | None:
+def parse_entry_name(name: str) -> tuple[str, int] | None:
     """(stem, i) of a name such as stem_0 or stem[0], the entries of a vector; else None."""
     found = re.fullmatch(r"(.+?)(?:_(\d+)|\[(\d+)\])", name)
     return None if found is None else (found[1], int(found[2] or found[3]))
+
+
+__getattr__ = former_names(__name__, ByName="SymbolsByName")

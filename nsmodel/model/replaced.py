@@ -10,12 +10,12 @@ from typing import Any, TypeVar
 
 import casadi as ca
 
-SYMBOLS = frozenset({"p", "t", "u", "parameters", "inputs"})  # What is left as it is.
+UNCHANGED_FIELDS = frozenset({"p", "t", "u", "parameters", "inputs"})  # What is left as it is.
 
 T = TypeVar("T")
 
 
-def replaced(model: T, symbols: ca.SX, values: ca.SX) -> T:
+def substitute_in_model(model: T, symbols: ca.SX, values: ca.SX) -> T:
     """A copy of the model with values in place of symbols."""
 
     def put(expression: Any) -> Any:
@@ -32,6 +32,6 @@ def replaced(model: T, symbols: ca.SX, values: ca.SX) -> T:
 
     other = copy(model)
     for name, value in vars(model).items():
-        if name not in SYMBOLS:
+        if name not in UNCHANGED_FIELDS:
             object.__setattr__(other, name, put(value))
     return other

@@ -20,7 +20,7 @@ def start_name(state: str) -> str:
     return f"{state}(0)"
 
 
-def starts_of(model: Model) -> dict[str, tuple[str, int]]:
+def start_entries(model: Model) -> dict[str, tuple[str, int]]:
     """{name: (field, entry)} of what a model starts from: each state; velocities ``v``, or ``v_0``, ..., where it has some."""
     if not isinstance(vars(model).get(f"{model.letter}0"), ca.SX):
         return {}
@@ -32,7 +32,7 @@ def starts_of(model: Model) -> dict[str, tuple[str, int]]:
     return found
 
 
-def started(model: M, states: Sequence[str]) -> M:
+def with_start_parameters(model: M, states: Sequence[str]) -> M:
     """The model with the starts of these states as further parameters, called ``start_name``, without a value.
 
     Raises:
@@ -40,14 +40,14 @@ def started(model: M, states: Sequence[str]) -> M:
     """
     if not states:
         return model
-    known = starts_of(model)
+    known = start_entries(model)
     fields: dict[str, ca.SX] = {}
     symbols = []
     for state in states:
         if state not in known:
             hint = difflib.get_close_matches(state, list(known), 1)
-            there = f"there are {', '.join(known)}" if known else f"{type(model).__name__} has its start in its own arguments"
-            raise UsageError(f"start: '{state}' is no state; {there}" + (f". Did you mean '{hint[0]}'?" if hint else ""))
+            available = f"there are {', '.join(known)}" if known else f"{type(model).__name__} has its start in its own arguments"
+            raise UsageError(f"start: '{state}' is no state; {available}" + (f". Did you mean '{hint[0]}'?" if hint else ""))
         field, entry = known[state]
         symbols.append(ca.SX.sym(start_name(state)))
         fields.setdefault(field, ca.SX(getattr(model, field)))[entry] = symbols[-1]

@@ -14,42 +14,42 @@ from nsmodel.errors import ModelError
 _Named = tuple[str, ca.SX, Any]
 
 
-def symbols_of(value: Any, label: str) -> list[_Named]:
+def read_symbols(value: Any, label: str) -> list[_Named]:
     """List (scalar name, SX symbol, the user's object)."""
     if isinstance(value, str):
         return [(value, ca.SX.sym(value), value)]
     if isinstance(value, ca.SX) and value.is_dense() and value.is_valid_input():
         return [(s.name(), s, s) for s in ca.vertsplit(ca.vec(value))]
     if isinstance(value, ca.MX) and value.is_dense() and value.is_valid_input():
-        return [(name, ca.SX.sym(name), mx) for mx in value.primitives() for name in entries_of(mx.name(), mx.numel())]
+        return [(name, ca.SX.sym(name), mx) for mx in value.primitives() for name in entry_names(mx.name(), mx.numel())]
     if isinstance(value, np.ndarray) and value.dtype == object:
-        return symbols_of(value.ravel().tolist(), label)
+        return read_symbols(value.ravel().tolist(), label)
     if isinstance(value, list | tuple):
-        return [pair for item in value for pair in symbols_of(item, label)]
+        return [pair for item in value for pair in read_symbols(item, label)]
     found = _sympy_symbols(value, label) if is_sympy(value) else None
     if found is not None:
         return found
     raise ModelError(
-        f"{label}: {shown(value)} is not a symbol; expected symbols only, such as ca.SX.sym('{_word(label)}', 2), "
-        "a list of scalar symbols, or SymPy symbols"
+        f"{label}: {describe_value(value)} is not a symbol; expected symbols only, such as ca.SX.sym('{_example_name(label)}', "
+        "2), a list of scalar symbols, or SymPy symbols"
     )
 
 
 def _sympy_symbols(value: Any, label: str) -> list[_Named] | None:
     if type(value).__name__ == "MatrixSymbol":
-        return [(name, ca.SX.sym(name), value) for name in entries_of(value.name, int(value.rows * value.cols))]
+        return [(name, ca.SX.sym(name), value) for name in entry_names(value.name, int(value.rows * value.cols))]
     if hasattr(value, "tolist"):
-        return symbols_of(flat(value.tolist()), label)
+        return read_symbols(flatten_lists(value.tolist()), label)
     scalar = getattr(value, "is_Symbol", False) and not hasattr(value, "shape")
     return [(value.name, ca.SX.sym(value.name), value)] if scalar else None
 
 
-def entries_of(name: str, size: int) -> list[str]:
+def entry_names(name: str, size: int) -> list[str]:
     """Name the scalars of a symbol as SX.sym does, column by column."""
     return [name] if size == 1 else [f"{name}_{i}" for i in range(size)]
 
 
-def stem_of(names: Sequence[str]) -> str | None:
+def common_stem(names: Sequence[str]) -> str | None:
     """The name q of q_0, q_1, ...; None where there is none."""
     if len(names) == 1:
         return names[0]
@@ -57,14 +57,14 @@ def stem_of(names: Sequence[str]) -> str | None:
     return stem if stem and list(names) == [f"{stem}_{i}" for i in range(len(names))] else None
 
 
-def refuse_repeats(names: Sequence[str], label: str) -> None:
+def check_distinct_names(names: Sequence[str], label: str) -> None:
     """Refuse names that stand there twice."""
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise ModelError(f"{label}: the symbol '{repeated[0]}' is declared twice; give each symbol its own name")
 
 
-def refuse_undeclared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None:
+def check_declared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None:
     """Refuse a symbol that was not declared."""
     for name in names:
         if name not in symbols:
@@ -89,16 +89,16 @@ def is_casadi(value: Any) -> bool:
     return isinstance(value, ca.SX | ca.MX | ca.DM) or is_sympy(value)
 
 
-def flat(rows: Any) -> list[Any]:
+def flatten_lists(rows: Any) -> list[Any]:
     """The entries of nested lists."""
-    return [item for row in rows for item in flat(row)] if isinstance(rows, list) else [rows]
+    return [item for row in rows for item in flatten_lists(row)] if isinstance(rows, list) else [rows]
 
 
-def shown(value: Any) -> str:
+def describe_value(value: Any) -> str:
     """A value in a message, cut short."""
     text = str(value)
     return f"{text if len(text) <= 60 else text[:57] + '...'} (a {type(value).__name__})"
 
 
-def _word(label: str) -> str:
+def _example_name(label: str) -> str:
     return label if label.isidentifier() else "x"

@@ -11,37 +11,38 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.graph import applied, operations
+from nsmodel.later import former_names
+from nsmodel.proof.graph import apply_operation, operation_codes
 
-MOST_POINTS = 400
-SAME = 8 * np.finfo(float).eps  # Slopes that differ by less than this part of them are one.
+MAX_TABLE_POINTS = 400
+SAME_SLOPE_TOLERANCE = 8 * np.finfo(float).eps  # Slopes that differ by less than this part of them are one.
 
 
-class Table(NamedTuple):
+class InterpolationTable(NamedTuple):
     """Points (n,), increasing, and the values there (n,)."""
 
     points: np.ndarray
     values: np.ndarray
 
 
-def opened(expr: ca.SX) -> ca.SX:
+def expand_tables(expr: ca.SX) -> ca.SX:
     """Return the expression with each linear interpolant of one variable written out; others stay calls."""
-    if not expr.numel() or ca.OP_CALL not in operations(expr):
+    if not expr.numel() or ca.OP_CALL not in operation_codes(expr):
         return expr
     known: dict[int, ca.SX] = {}
     dense = ca.densify(expr)
     found = ca.SX(*dense.shape)
     for k in range(dense.numel()):
-        found[k] = _rebuilt(dense.nz[k], known)
+        found[k] = _rebuild_scalar(dense.nz[k], known)
     return found
 
 
-def _rebuilt(root: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
+def _rebuild_scalar(root: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
     """A scalar with its tables written out, node by node."""
     work = [root]
     while work:
         node = work[-1]
-        parts = _parts(node)
+        parts = _node_arguments(node)
         waiting = [part for part in parts if part.element_hash() not in known]
         if waiting:
             work += waiting
@@ -49,11 +50,11 @@ def _rebuilt(root: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
         work.pop()
         if node.element_hash() not in known:
             new = [known[part.element_hash()] for part in parts]
-            known[node.element_hash()] = _node(node, parts, new)
+            known[node.element_hash()] = _rebuild_node(node, parts, new)
     return known[root.element_hash()]
 
 
-def _parts(node: ca.SX) -> list[ca.SX]:
+def _node_arguments(node: ca.SX) -> list[ca.SX]:
     """What a node is made of; of the output of a call, the call's arguments."""
     if node.is_leaf():
         return []
@@ -61,31 +62,31 @@ def _parts(node: ca.SX) -> list[ca.SX]:
     return [call.dep(k) for k in range(call.n_dep())]
 
 
-def _node(node: ca.SX, parts: list[ca.SX], new: list[ca.SX]) -> ca.SX:
+def _rebuild_node(node: ca.SX, parts: list[ca.SX], new: list[ca.SX]) -> ca.SX:
     if node.is_leaf():
         return node
     if node.is_output():
-        table = read(node.dep(0).which_function()) if len(parts) == 1 else None
+        table = read_table(node.dep(0).which_function()) if len(parts) == 1 else None
         if table is not None:
-            return written(table, new[0])
+            return table_expression(table, new[0])
         if all(ca.is_equal(a, b) for a, b in zip(parts, new, strict=True)):
             return node
         return node.dep(0).which_function()(*new) if len(parts) == 1 else node
-    return node if all(ca.is_equal(a, b) for a, b in zip(parts, new, strict=True)) else applied(node.op(), new)
+    return node if all(ca.is_equal(a, b) for a, b in zip(parts, new, strict=True)) else apply_operation(node.op(), new)
 
 
-def written(table: Table, x: ca.SX) -> ca.SX:
+def table_expression(table: InterpolationTable, x: ca.SX) -> ca.SX:
     """The table at x; the first and the last slope go on outside of it."""
     slopes = np.diff(table.values) / np.diff(table.points)
     total, slope = table.values[0] + slopes[0] * (x - table.points[0]), slopes[0]
     for point, after in zip(table.points[1:-1].tolist(), slopes[1:].tolist(), strict=True):
-        if abs(after - slope) > SAME * (abs(after) + abs(slope)):
+        if abs(after - slope) > SAME_SLOPE_TOLERANCE * (abs(after) + abs(slope)):
             total += (after - slope) * ca.fmax(x - point, 0)
             slope = after
     return total
 
 
-def read(function: ca.Function) -> Table | None:
+def read_table(function: ca.Function) -> InterpolationTable | None:
     """The table behind a CasADi interpolant: read off its serialised form, and believed only where the function agrees.
 
     None where it is no linear interpolant of one variable with one value, or has more than MOST_POINTS points.
@@ -94,21 +95,21 @@ def read(function: ca.Function) -> Table | None:
         return None
     text = function.serialize()
     data = bytes((ord(a) - ord("a")) | (ord(b) - ord("a")) << 4 for a, b in zip(text[::2], text[1::2], strict=False))
-    for n in range(2, MOST_POINTS + 1):
+    for n in range(2, MAX_TABLE_POINTS + 1):
         head, between = struct.pack("<q", n), struct.pack("<4q", 2, 0, n, n)
         start = data.find(head)
         while start >= 0:
             middle = start + 8 + 8 * n
             if data[middle : middle + 32] == between:
                 points, values = (np.array(struct.unpack_from(f"<{n}d", data, at)) for at in (start + 8, middle + 32))
-                table = Table(points, values)
-                if _agrees(function, table):
+                table = InterpolationTable(points, values)
+                if _reproduces_table(function, table):
                     return table
             start = data.find(head, start + 1)
     return None
 
 
-def _agrees(function: ca.Function, table: Table) -> bool:
+def _reproduces_table(function: ca.Function, table: InterpolationTable) -> bool:
     """Whether the function has the table's values at its points, between them and beyond."""
     points, values = table
     if not (np.isfinite(points).all() and np.isfinite(values).all() and (np.diff(points) > 0).all()):
@@ -120,3 +121,6 @@ def _agrees(function: ca.Function, table: Table) -> bool:
     given = np.array(function.map(at.size)(at[None, :])).ravel()
     steepest = float(np.abs(np.diff(values) / np.diff(points)).max())
     return bool((np.abs(given - wanted) <= 64 * np.finfo(float).eps * (np.abs(values).max() + steepest * np.abs(at))).all())
+
+
+__getattr__ = former_names(__name__, Table="InterpolationTable")

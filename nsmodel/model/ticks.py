@@ -10,12 +10,12 @@ import numpy as np
 
 from nsmodel.errors import BlockError
 from nsmodel.model.blocks import ModelBlock
-from nsmodel.once import once
-from nsmodel.proof.buffered import attached
-from nsmodel.signals.signal import earlier
+from nsmodel.once import cached_per_object
+from nsmodel.proof.buffered import attach_buffers
+from nsmodel.signals.signal import just_before
 
 
-class Ticks:
+class BlockTicks:
     """The blocks of a bound model.
 
     Attributes:
@@ -39,25 +39,27 @@ class Ticks:
         self._t, self._x, self._l, self._u = (np.zeros(size) for size in (1, model.state.numel(), l.numel(), model.u.numel()))
         given = [model.t, model.state, l, model.u]
         self.reads = any(bool(l.numel()) and ca.depends_on(block.next, l) for block in self.blocks)
-        self._next = [self._attached(given, block.next) for block in self.blocks]
-        self._start = [self._attached(given, block.start) for block in self.blocks]
+        self._next = [self._attached_function(given, block.next) for block in self.blocks]
+        self._start = [self._attached_function(given, block.start) for block in self.blocks]
 
-    def _attached(self, given: list[ca.SX], column: ca.SX) -> tuple[Any, Callable[[], None], np.ndarray]:
+    def _attached_function(self, given: list[ca.SX], column: ca.SX) -> tuple[Any, Callable[[], None], np.ndarray]:
         out = np.zeros(column.numel())
-        buffer, call = attached(ca.Function("tick", given, [ca.densify(column)]), [self._t, self._x, self._l, self._u], [out])
+        buffer, call = attach_buffers(
+            ca.Function("tick", given, [ca.densify(column)]), [self._t, self._x, self._l, self._u], [out]
+        )
         return buffer, call, out
 
     def kept(self, u: np.ndarray) -> Mapping[str, np.ndarray]:
         """What blocks hold, by name, among the inputs (nu,)."""
         return {name: u[at] for name, at in self._own.items()}
 
-    def due_at(self, t: np.ndarray) -> list[np.ndarray]:
+    def tick_rows(self, t: np.ndarray) -> list[np.ndarray]:
         """Of each block the ticks before the last of these times, as numbers of the times that they are one with."""
-        return [np.searchsorted(t, earlier(block.ticks(float(t[-1])))) for block in self.blocks]
+        return [np.searchsorted(t, just_before(block.ticks(float(t[-1])))) for block in self.blocks]
 
-    def due(self, t: float) -> list[int]:
+    def due_blocks(self, t: float) -> list[int]:
         """The blocks that tick at a time."""
-        return [i for i, block in enumerate(self.blocks) if block.ticks_at(t)]
+        return [i for i, block in enumerate(self.blocks) if block.has_tick_at(t)]
 
     def before(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """U (nu,) at the start with what blocks hold before their first ticks; ``u``: of signals."""
@@ -66,13 +68,13 @@ class Ticks:
             for block, (_, call, out) in zip(self.blocks, self._start, strict=True):
                 call()
                 self._u[list(block.at)] = out
-        self._refuse_others(0.0, self._u)
+        self._check_allowed_values(0.0, self._u)
         return self._u.copy()
 
     def start(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """U (nu,) at t = 0 with what blocks hold after their ticks there; ``u``: of signals."""
         u = self.before(x, u)
-        return self.after([*self.due(0.0), *self.each_step], 0.0, x, np.zeros(self.multipliers), u)
+        return self.after([*self.due_blocks(0.0), *self.each_step], 0.0, x, np.zeros(self.multipliers), u)
 
     def after(self, due: Sequence[int], t: float, x: np.ndarray, l: np.ndarray, u: np.ndarray) -> np.ndarray:
         """U (nu,) after the ticks of these blocks at t; latches follow the others.
@@ -89,17 +91,17 @@ class Ticks:
                 if block.latch is latches:
                     call()
                     u[list(block.at)] = out
-                    self._refuse(block, t, out)
-        self._refuse_others(t, u)
+                    self._check_finite(block, t, out)
+        self._check_allowed_values(t, u)
         return u
 
-    def _refuse(self, block: ModelBlock, t: float, values: np.ndarray) -> None:
+    def _check_finite(self, block: ModelBlock, t: float, values: np.ndarray) -> None:
         if np.isfinite(values).all():
             return
         i = int(np.flatnonzero(~np.isfinite(values))[0])
         raise BlockError(f"block '{block.name}' sets {self._names[block.at[i]]} = {values[i]:g} at t = {t:.10g}")
 
-    def _refuse_others(self, t: float, u: np.ndarray) -> None:
+    def _check_allowed_values(self, t: float, u: np.ndarray) -> None:
         """Refuse a value that is none of ``values=``: matrices are kept, and a model is checked, for those alone."""
         for at, few in self._few:
             for i in range(at.start, at.stop):
@@ -109,7 +111,7 @@ class Ticks:
                     )
 
 
-@once
-def ticks_of(model: Any) -> Ticks | None:
+@cached_per_object
+def model_ticks(model: Any) -> BlockTicks | None:
     """The blocks of a model that has some."""
-    return Ticks(model) if model.blocks else None
+    return BlockTicks(model) if model.blocks else None

@@ -9,33 +9,33 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.grid import is_number, written
-from nsmodel.pieces.integrator import LEAST_RTOL
+from nsmodel.grid import format_value, is_number
+from nsmodel.pieces.integrator import MIN_RTOL
 from nsmodel.scheme.continuous import ContinuousProblem
 
-LARGE = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
+MAX_EVENT_DRIVEN_OPERATIONS = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
 
 
-def operations(p: ContinuousProblem) -> int:
+def operation_count(p: ContinuousProblem) -> int:
     """Of f, g and h."""
     return sum(ca.n_nodes(part) for part in (p.f, p.g, p.h))
 
 
-def tolerances(problem: ContinuousProblem, rtol: Any, atol: Any) -> tuple[float, list[float]]:
+def checked_tolerances(problem: ContinuousProblem, rtol: Any, atol: Any) -> tuple[float, list[float]]:
     """Rtol, and atol of each state; UsageError for what is none."""
-    return relative(rtol), np.resize(absolute(atol, problem.names[: problem.states]), len(problem.names)).tolist()
+    return checked_rtol(rtol), np.resize(checked_atol(atol, problem.names[: problem.states]), len(problem.names)).tolist()
 
 
-def relative(rtol: Any) -> float:
+def checked_rtol(rtol: Any) -> float:
     """Rtol; UsageError for what is none."""
-    if not (is_number(rtol) and LEAST_RTOL <= rtol < 1):
+    if not (is_number(rtol) and MIN_RTOL <= rtol < 1):
         raise UsageError(
-            f"rtol = {written(rtol)}; expected a number between {LEAST_RTOL:g} and 1: doubles hold no more than 16 digits"
+            f"rtol = {format_value(rtol)}; expected a number between {MIN_RTOL:g} and 1: doubles hold no more than 16 digits"
         )
     return float(rtol)
 
 
-def absolute(atol: Any, names: Sequence[str]) -> np.ndarray:
+def checked_atol(atol: Any, names: Sequence[str]) -> np.ndarray:
     """Atol (1,) or of each state (n,); UsageError for what is none."""
     try:
         array = np.asarray(0.0 if atol is None else atol, float)
@@ -46,7 +46,7 @@ def absolute(atol: Any, names: Sequence[str]) -> np.ndarray:
     return array
 
 
-def times(given: Any, T: float) -> list[float]:
+def checked_row_times(given: Any, T: float) -> list[float]:
     """The times of the rows after the start; UsageError for what is no increasing list from 0 to T."""
     try:
         found = np.asarray(given, float)

@@ -17,29 +17,29 @@ NARROW = 1e-13  # Two roots that are as near as this are one.
 ITERATIONS, EXACT = 80, 1e-9  # Of Newton's method, and the step after which the next would be rounding.
 
 
-def value(c: list[float], s: float) -> float:
+def poly_value(c: list[float], s: float) -> float:
     """c(s) by Horner's rule."""
-    return _of(len(c), "value")(c, s)
+    return _generated_evaluator(len(c), "value")(c, s)
 
 
-def slope(c: list[float], s: float) -> float:
+def poly_slope(c: list[float], s: float) -> float:
     """c'(s)."""
-    return _of(len(c), "slope")(c, s)
+    return _generated_evaluator(len(c), "slope")(c, s)
 
 
-def values(rows: Sequence[list[float]], s: float) -> list[float]:
+def poly_values(rows: Sequence[list[float]], s: float) -> list[float]:
     """``value`` of each of rows of one length."""
-    of = _of(len(rows[0]), "value") if rows else value
+    of = _generated_evaluator(len(rows[0]), "value") if rows else poly_value
     return [of(c, s) for c in rows]
 
 
-def slopes(rows: Sequence[list[float]], s: float) -> list[float]:
+def poly_slopes(rows: Sequence[list[float]], s: float) -> list[float]:
     """``slope`` of each of rows of one length."""
-    of = _of(len(rows[0]), "slope") if rows else slope
+    of = _generated_evaluator(len(rows[0]), "slope") if rows else poly_slope
     return [of(c, s) for c in rows]
 
 
-def about(c: Sequence[Any], s: Any) -> list[Any]:
+def taylor_shift(c: Sequence[Any], s: Any) -> list[Any]:
     """The coefficients about s (Ruffini and Horner), of numbers or of what adds and multiplies like them."""
     c = list(c)
     for first in range(len(c) - 1):
@@ -53,12 +53,12 @@ def first_root(c: list[float]) -> float:
     if c[0] > sum(map(abs, c[1:])):
         return NONE
     n = len(c) - 1
-    b = _of(n + 1, "bernstein")(c)
-    return NONE if min(b) > 0 else _first(c, b, 0.0, 1.0)
+    b = _generated_evaluator(n + 1, "bernstein")(c)
+    return NONE if min(b) > 0 else _first_root_between(c, b, 0.0, 1.0)
 
 
 @cache
-def _of(count: int, what: str) -> Callable[..., Any]:
+def _generated_evaluator(count: int, what: str) -> Callable[..., Any]:
     """Of so many coefficients, written out: value and slope at s by Horner's rule; b_j = sum_k comb(j, k)/comb(n, k) c_k."""
     n = count - 1
     if what == "bernstein":
@@ -72,7 +72,7 @@ def _of(count: int, what: str) -> Callable[..., Any]:
     return made["of"]
 
 
-def _first(c: list[float], b: list[float], low: float, width: float) -> float:
+def _first_root_between(c: list[float], b: list[float], low: float, width: float) -> float:
     if b[0] <= 0 and low > 0:
         return low
     signs = [v > 0 for v in b if v != 0]
@@ -80,15 +80,15 @@ def _first(c: list[float], b: list[float], low: float, width: float) -> float:
     if not signs or changes == 0:
         return low + width if b[-1] == 0 else NONE
     if changes == 1 and b[0] > 0 and b[-1] <= 0:
-        return low + width if b[-1] == 0 else simple_root(c, low, low + width, low + width * _crossing(b))
+        return low + width if b[-1] == 0 else simple_root(c, low, low + width, low + width * _polygon_crossing(b))
     if width < NARROW:
         return low
-    left, right = _halves(b)
-    s = _first(c, left, low, width / 2)
-    return s if s <= 1 else _first(c, right, low + width / 2, width / 2)
+    left, right = _de_casteljau_halves(b)
+    s = _first_root_between(c, left, low, width / 2)
+    return s if s <= 1 else _first_root_between(c, right, low + width / 2, width / 2)
 
 
-def _halves(b: list[float]) -> tuple[list[float], list[float]]:
+def _de_casteljau_halves(b: list[float]) -> tuple[list[float], list[float]]:
     left, right = [], list(b)
     for j in range(len(b)):
         left.append(right[0])
@@ -97,7 +97,7 @@ def _halves(b: list[float]) -> tuple[list[float], list[float]]:
     return left, right
 
 
-def _crossing(b: list[float]) -> float:
+def _polygon_crossing(b: list[float]) -> float:
     """Where the polygon of the coefficients is 0, the share of their interval: near the root."""
     j = next(j for j, v in enumerate(b) if v < 0)
     return (j - 1 + b[j - 1] / (b[j - 1] - b[j])) / (len(b) - 1)
@@ -106,7 +106,7 @@ def _crossing(b: list[float]) -> float:
 def simple_root(c: list[float], low: float, high: float, s: float) -> float:
     """The root between c(low) > 0 > c(high): Newton's method from s, kept inside by halving."""
     for _ in range(ITERATIONS):
-        v, d = value(c, s), slope(c, s)
+        v, d = poly_value(c, s), poly_slope(c, s)
         if v == 0:
             return s
         low, high = (s, high) if v > 0 else (low, s)

@@ -8,20 +8,28 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.bernstein import about
-from nsmodel.pieces.enclosures import Coefficients, Parts, Series, around, parts_of, powers, series_of
-from nsmodel.pieces.jets import Branch, Jets, jets_of
-from nsmodel.pieces.signs import EPS, least
-from nsmodel.pieces.switches import RANGES
-from nsmodel.proof.interval_arithmetic import up
-from nsmodel.proof.interval_number import ZERO, Interval, exactly
+from nsmodel.pieces.bernstein import taylor_shift
+from nsmodel.pieces.enclosures import (
+    IntervalCoefficients,
+    IntervalSeries,
+    PieceParts,
+    coefficients_over_interval,
+    compute_interval_series,
+    radius_powers,
+    subdivide_pieces,
+)
+from nsmodel.pieces.jets import Branch, TaylorRecurrences, taylor_decompose
+from nsmodel.pieces.signs import EPS, polynomial_lower_bounds
+from nsmodel.pieces.switches import INTEGER_RANGES
+from nsmodel.proof.interval_arithmetic import next_up
+from nsmodel.proof.interval_number import ZERO_INTERVAL, Interval, point_intervals
 from nsmodel.scheme.continuous import ContinuousProblem
 
 DOUBLINGS, SHARE = 4, 0.5  # A piece is cut as long as remainders are more than this share of its bounds, so often at most.
-SEEN = 1e-12  # A depth below this share of a condition is rounding.
+SIGNIFICANT_DEPTH = 1e-12  # A depth below this share of a condition is rounding.
 
 
-class Stored(NamedTuple):
+class StoredPieces(NamedTuple):
     """Pieces as `run.at` evaluates them: [start, end] (K,), unit (K,), x (K, n, p + 1), l, y (K, m, p + 1), codes (K, m)."""
 
     start: np.ndarray
@@ -35,10 +43,10 @@ class Stored(NamedTuple):
     @property
     def lengths(self) -> np.ndarray:
         """Of the pieces, in their units, and not less."""
-        return up(self.end - self.start) / self.unit
+        return next_up(self.end - self.start) / self.unit
 
 
-class Bounds(NamedTuple):
+class PieceBounds(NamedTuple):
     """What is proved of each of K pieces, for all of its times.
 
     Attributes:
@@ -66,7 +74,7 @@ class Bounds(NamedTuple):
         return np.maximum(-self.least.min(axis=1), 0.0)
 
 
-class _Found(NamedTuple):
+class _PartBounds(NamedTuple):
     """The same on B parts, and the largest share of a bound that is remainder (B,)."""
 
     defect: np.ndarray
@@ -79,33 +87,33 @@ class _Found(NamedTuple):
     share: np.ndarray
 
 
-def bounds(problem: ContinuousProblem, stored: Stored) -> Bounds:
+def prove_piece_bounds(problem: ContinuousProblem, stored: StoredPieces) -> PieceBounds:
     """Prove what can be proved; inf where there is no bound.
 
     Raises:
         OpaqueExpression: f, g or h calls a Function that cannot be looked into.
     """
     out = ca.vertcat(problem.f + problem.g, problem.h)
-    jets = jets_of(out, [problem.t, problem.x, problem.l], "f, g or h", rounded=False)
+    recurrences = taylor_decompose(out, [problem.t, problem.x, problem.l], "f, g or h", rounded=False)
     ends = [np.array(ca.DM(end)).ravel() for end in (problem.law.lower, problem.law.upper)]
     counts = np.ones(len(stored.start), int)
-    parts = parts_of(stored.lengths, counts)
+    parts = subdivide_pieces(stored.lengths, counts)
     with np.errstate(all="ignore"):
-        found = _found(jets, stored, parts, ends)
+        found = _bounds_on_parts(recurrences, stored, parts, ends)
         for _ in range(DOUBLINGS):
             coarse = np.zeros(len(counts), bool)
             np.logical_or.at(coarse, parts.piece, found.share > SHARE)
             if not coarse.any():
                 break
-            finer, kept = parts_of(stored.lengths, np.where(coarse, 2 * counts, 0)), ~coarse[parts.piece]
+            finer, kept = subdivide_pieces(stored.lengths, np.where(coarse, 2 * counts, 0)), ~coarse[parts.piece]
             counts = np.where(coarse, 2 * counts, counts)
-            new = _found(jets, stored, finer, ends)
-            parts = Parts(*(np.concatenate([a[kept], b]) for a, b in zip(parts, finer, strict=True)))
-            found = _Found(*(np.concatenate([a[kept], b]) for a, b in zip(found, new, strict=True)))
-    return _gathered(found, parts, stored, counts)
+            new = _bounds_on_parts(recurrences, stored, finer, ends)
+            parts = PieceParts(*(np.concatenate([a[kept], b]) for a, b in zip(parts, finer, strict=True)))
+            found = _PartBounds(*(np.concatenate([a[kept], b]) for a, b in zip(found, new, strict=True)))
+    return _merge_parts(found, parts, stored, counts)
 
 
-def _gathered(found: _Found, parts: Parts, stored: Stored, counts: np.ndarray) -> Bounds:
+def _merge_parts(found: _PartBounds, parts: PieceParts, stored: StoredPieces, counts: np.ndarray) -> PieceBounds:
     """Parts together, as pieces."""
     second = (counts[parts.piece] > 1) & (parts.centre > stored.lengths[parts.piece] / 2)
     first = (counts[parts.piece] > 1) & ~second
@@ -115,136 +123,150 @@ def _gathered(found: _Found, parts: Parts, stored: Stored, counts: np.ndarray) -
         for side, (whole, other) in enumerate([(first, second), (second, first)])
     ]
 
-    def worst(values: np.ndarray) -> np.ndarray:
+    def max_over_parts(values: np.ndarray) -> np.ndarray:
         total = np.full((len(counts), *values.shape[1:]), -np.inf)
         np.maximum.at(total, parts.piece, values)
         return total
 
     integral = np.zeros((len(counts), found.integral.shape[1]))
     np.add.at(integral, parts.piece, found.integral)
-    return Bounds(
-        worst(found.defect), integral * (1 + 64 * EPS), worst(found.rows), worst(found.slopes),
-        -worst(-np.stack(sides, axis=1)), worst(found.reach), found.size.max(axis=0, initial=0.0),
+    return PieceBounds(
+        max_over_parts(found.defect), integral * (1 + 64 * EPS), max_over_parts(found.rows), max_over_parts(found.slopes),
+        -max_over_parts(-np.stack(sides, axis=1)), max_over_parts(found.reach), found.size.max(axis=0, initial=0.0),
     )  # fmt: skip
 
 
-def ranges(stored: Stored, count: int) -> tuple[Interval, Interval]:
+def piece_ranges(stored: StoredPieces, count: int) -> tuple[Interval, Interval]:
     """T (K count,) and x (K count, n) on ``count`` parts of each piece."""
-    parts = parts_of(stored.lengths, np.full(len(stored.start), count))
-    start, unit = exactly(stored.start[parts.piece]), exactly(stored.unit[parts.piece])
-    s = exactly(parts.centre) + Interval(-parts.radius, parts.radius)
-    c = [exactly(np.ascontiguousarray(stored.x[parts.piece, :, k].T)) for k in range(stored.x.shape[2])]
-    local = [a * b for a, b in zip(about(c, exactly(parts.centre)), powers(parts.radius, len(c) - 1), strict=True)]
-    spread = _size([ZERO, *local[1:]])
+    parts = subdivide_pieces(stored.lengths, np.full(len(stored.start), count))
+    start, unit = point_intervals(stored.start[parts.piece]), point_intervals(stored.unit[parts.piece])
+    s = point_intervals(parts.centre) + Interval(-parts.radius, parts.radius)
+    c = [point_intervals(np.ascontiguousarray(stored.x[parts.piece, :, k].T)) for k in range(stored.x.shape[2])]
+    local = [
+        a * b
+        for a, b in zip(taylor_shift(c, point_intervals(parts.centre)), radius_powers(parts.radius, len(c) - 1), strict=True)
+    ]
+    spread = _magnitude_bound([ZERO_INTERVAL, *local[1:]])
     x = local[0] + Interval(-spread, spread)
     return start + unit * s, Interval(x.lo.T, x.hi.T)
 
 
-class _Polynomials(NamedTuple):
+class _PartPolynomials(NamedTuple):
     """Coefficients on parts in u = (s - centre)/radius, the last an interval over the part: x, l, y, x' - f - g, h, branches."""
 
-    x: list[Coefficients]
-    l: list[Coefficients]
-    y: list[Coefficients]
-    defect: list[Coefficients]
-    h: list[Coefficients]
-    branches: list[Coefficients]
+    x: list[IntervalCoefficients]
+    l: list[IntervalCoefficients]
+    y: list[IntervalCoefficients]
+    defect: list[IntervalCoefficients]
+    h: list[IntervalCoefficients]
+    branches: list[IntervalCoefficients]
     choice: list[Any]
 
 
-def _found(jets: Jets, stored: Stored, parts: Parts, ends: list[np.ndarray]) -> _Found:
-    p, codes = _polynomials(jets, stored, parts), stored.codes[parts.piece]
+def _bounds_on_parts(
+    recurrences: TaylorRecurrences, stored: StoredPieces, parts: PieceParts, ends: list[np.ndarray]
+) -> _PartBounds:
+    p, codes = _polynomials_on_parts(recurrences, stored, parts), stored.codes[parts.piece]
     held = codes == 0
-    residual = [_minus(y, h) for y, h in zip(p.y, p.h, strict=True)]
+    residual = [_subtract_series(y, h) for y, h in zip(p.y, p.h, strict=True)]
     at_end = [
-        _size([l[0] - exactly(np.where(code > 0, ends[1][i], ends[0][i])), *l[1:]])
+        _magnitude_bound([l[0] - point_intervals(np.where(code > 0, ends[1][i], ends[0][i])), *l[1:]])
         for i, (l, code) in enumerate(zip(p.l, codes.T, strict=True))
     ]
-    size, moved = _columns([_size(h) for h in p.h], len(held)), [[(k + 1) * a for k, a in enumerate(h[1:])] for h in p.h]
+    size, moved = (
+        _stack_columns([_magnitude_bound(h) for h in p.h], len(held)),
+        [[(k + 1) * a for k, a in enumerate(h[1:])] for h in p.h],
+    )
     rows = np.maximum(
-        _columns([_size(c) for c in residual], len(held)),
-        np.where(held, size, np.where(_columns(at_end, len(held)) > 0, np.inf, 0.0)),
+        _stack_columns([_magnitude_bound(c) for c in residual], len(held)),
+        np.where(held, size, np.where(_stack_columns(at_end, len(held)) > 0, np.inf, 0.0)),
     )
-    slopes = _columns([_size(c) for c in moved], len(held)) / (parts.radius * stored.unit[parts.piece])[:, None]
-    lowest, reach, sizes, loose = _signs(
-        list(_conditions(p, jets.branches, codes, ends)), stored, parts, len(p.h) + len(p.branches)
+    slopes = _stack_columns([_magnitude_bound(c) for c in moved], len(held)) / (parts.radius * stored.unit[parts.piece])[:, None]
+    lowest, reach, sizes, loose = _sign_bounds(
+        list(_sign_polynomials(p, recurrences.branches, codes, ends)), stored, parts, len(p.h) + len(p.branches)
     )
-    remainders = [c[-1].magnitude / np.maximum(_size(c), 1e-300) for c in [*p.defect, *residual]]
+    remainders = [c[-1].magnitude / np.maximum(_magnitude_bound(c), 1e-300) for c in [*p.defect, *residual]]
     share = np.max([loose, *(np.where(np.isnan(one), 1.0, one) for one in remainders)], axis=0)
     width = 2 * parts.radius * stored.unit[parts.piece] * (1 + 4 * EPS)
-    integral = [_size([a / (k + 1) for k, a in enumerate(c)]) * width for c in p.defect]
-    return _Found(
-        _columns([_size(c) for c in p.defect], len(held)), _columns(integral, len(held)), rows,
-        np.where(held, up(slopes * (1 + 4 * EPS)), 0.0), lowest, reach, sizes, share,
+    integral = [_magnitude_bound([a / (k + 1) for k, a in enumerate(c)]) * width for c in p.defect]
+    return _PartBounds(
+        _stack_columns([_magnitude_bound(c) for c in p.defect], len(held)), _stack_columns(integral, len(held)), rows,
+        np.where(held, next_up(slopes * (1 + 4 * EPS)), 0.0), lowest, reach, sizes, share,
     )  # fmt: skip
 
 
-def _columns(arrays: Sequence[np.ndarray], count: int) -> np.ndarray:
+def _stack_columns(arrays: Sequence[np.ndarray], count: int) -> np.ndarray:
     return np.stack([np.broadcast_to(a, count) for a in arrays], axis=1) if arrays else np.zeros((count, 0))
 
 
-def _polynomials(jets: Jets, stored: Stored, parts: Parts) -> _Polynomials:
+def _polynomials_on_parts(recurrences: TaylorRecurrences, stored: StoredPieces, parts: PieceParts) -> _PartPolynomials:
     n, m, N = stored.x.shape[1], stored.l.shape[1], stored.x.shape[2] - 1
     stacked = np.concatenate([stored.x, stored.l, stored.y], axis=1)[parts.piece]
-    c = [exactly(np.ascontiguousarray(stacked[:, :, k].T)) for k in range(N + 1)]
-    local = about(c, exactly(parts.centre))
-    over = around(local, np.broadcast_to(parts.radius, stacked.shape[1::-1]))
+    c = [point_intervals(np.ascontiguousarray(stacked[:, :, k].T)) for k in range(N + 1)]
+    local = taylor_shift(c, point_intervals(parts.centre))
+    over = coefficients_over_interval(local, np.broadcast_to(parts.radius, stacked.shape[1::-1]))
     at, whole = ([[Interval(a.lo[i], a.hi[i]) for a in rows] for i in range(stacked.shape[1])] for rows in (local, over))
-    tau, r = exactly(stored.unit[parts.piece]), powers(parts.radius, N)
-    low, high = _series(jets, stored, parts, (at, whole), n, m)
+    tau, r = point_intervals(stored.unit[parts.piece]), radius_powers(parts.radius, N)
+    low, high = _equation_series(recurrences, stored, parts, (at, whole), n, m)
     f, branches = (
         [[*one[:N], other[N]] for one, other in zip(a, b, strict=True)]
         for a, b in ((low.outputs, high.outputs), (low.branches, high.branches))
     )
-    rates = [[*((k + 1) * a / tau for k, a in enumerate(row[1:])), ZERO] for row in at[:n]]
-    defect = [_minus(rate, own) for rate, own in zip(rates, f[:n], strict=True)]
+    rates = [[*((k + 1) * a / tau for k, a in enumerate(row[1:])), ZERO_INTERVAL] for row in at[:n]]
+    defect = [_subtract_series(rate, own) for rate, own in zip(rates, f[:n], strict=True)]
     lists = (at[:n], at[n : n + m], at[n + m :], defect, f[n:], branches)
     x, l, y, defect, h, branches = ([[a * b for a, b in zip(c, r, strict=True)] for c in one] for one in lists)
-    return _Polynomials(x, l, y, defect, h, branches, low.choice)
+    return _PartPolynomials(x, l, y, defect, h, branches, low.choice)
 
 
-def _series(jets: Jets, stored: Stored, parts: Parts, rows: tuple[list, list], n: int, m: int) -> tuple[Series, Series]:
+def _equation_series(
+    recurrences: TaylorRecurrences, stored: StoredPieces, parts: PieceParts, rows: tuple[list, list], n: int, m: int
+) -> tuple[IntervalSeries, IntervalSeries]:
     """Of f + g and h about the centres, and about all points of parts."""
-    N, tau, start = stored.x.shape[2] - 1, exactly(stored.unit[parts.piece]), exactly(stored.start[parts.piece])
-    off = (tau * exactly(parts.radius)).hi
-    middle = start + tau * exactly(parts.centre)
-    found: list[Series] = []
+    N, tau, start = stored.x.shape[2] - 1, point_intervals(stored.unit[parts.piece]), point_intervals(stored.start[parts.piece])
+    off = (tau * point_intervals(parts.radius)).hi
+    middle = start + tau * point_intervals(parts.centre)
+    found: list[IntervalSeries] = []
     for time, given in zip((middle, middle + Interval(-off, off)), rows, strict=True):
-        t: Coefficients = [time, tau, *[ZERO] * (N - 1)]
+        t: IntervalCoefficients = [time, tau, *[ZERO_INTERVAL] * (N - 1)]
         inputs = {(0, 0): t} | {(1, i): given[i] for i in range(n)} | {(2, i): given[n + i] for i in range(m)}
-        found.append(series_of(jets, inputs, N, found[0].choice if found else None))
+        found.append(compute_interval_series(recurrences, inputs, N, found[0].choice if found else None))
     return found[0], found[1]
 
 
-class _Condition(NamedTuple):
+class _SignPolynomial(NamedTuple):
     """A polynomial that is >= 0 as long as switch ``column`` stays, where ``mask`` holds."""
 
     column: int
     mask: np.ndarray
-    c: Coefficients
+    c: IntervalCoefficients
     size: np.ndarray
 
 
-def _conditions(p: _Polynomials, kinds: Sequence[Branch], codes: np.ndarray, ends: list[np.ndarray]) -> Iterator[_Condition]:
+def _sign_polynomials(
+    p: _PartPolynomials, kinds: Sequence[Branch], codes: np.ndarray, ends: list[np.ndarray]
+) -> Iterator[_SignPolynomial]:
     m = len(p.h)
     for i, (h, l) in enumerate(zip(p.h, p.l, strict=True)):
         code = codes[:, i]
         for sign, end in ((-1, ends[1][i]), (1, ends[0][i])):
-            yield _Condition(i, (code == -sign) & (ends[0][i] < ends[1][i]), _signed(h, sign), _size(h))
+            yield _SignPolynomial(i, (code == -sign) & (ends[0][i] < ends[1][i]), _with_sign(h, sign), _magnitude_bound(h))
             if np.isfinite(end):
-                yield _Condition(i, code == 0, _signed([l[0] - float(end), *l[1:]], sign), _size(l))
+                yield _SignPolynomial(i, code == 0, _with_sign([l[0] - float(end), *l[1:]], sign), _magnitude_bound(l))
     for k, (branch, c, side) in enumerate(zip(kinds, p.branches, p.choice, strict=True)):
         everywhere = np.ones(len(codes), bool)
         if branch.kind in ("side", "equal"):
             for sign in (-1, 1):
-                yield _Condition(m + k, everywhere & ((side == sign) | (side == 0)), _signed(c, sign), _size(c))
+                yield _SignPolynomial(
+                    m + k, everywhere & ((side == sign) | (side == 0)), _with_sign(c, sign), _magnitude_bound(c)
+                )
             continue
-        below, above = RANGES[branch.kind](side.lo)
-        yield _Condition(m + k, everywhere, [c[0] - exactly(below), *c[1:]], _size(c))
-        yield _Condition(m + k, everywhere, _signed([c[0] - exactly(above), *c[1:]], -1), _size(c))
+        below, above = INTEGER_RANGES[branch.kind](side.lo)
+        yield _SignPolynomial(m + k, everywhere, [c[0] - point_intervals(below), *c[1:]], _magnitude_bound(c))
+        yield _SignPolynomial(m + k, everywhere, _with_sign([c[0] - point_intervals(above), *c[1:]], -1), _magnitude_bound(c))
 
 
-def _signs(watched: list[_Condition], stored: Stored, parts: Parts, columns: int) -> tuple[np.ndarray, ...]:
+def _sign_bounds(watched: list[_SignPolynomial], stored: StoredPieces, parts: PieceParts, columns: int) -> tuple[np.ndarray, ...]:
     """How deep below 0, where, and the size of each switch, on parts; and the largest share of a depth that is remainder."""
     B, S, tau = len(parts.piece), stored.lengths[parts.piece], stored.unit[parts.piece]
     lowest, reach, size, loose = np.full((B, 2, columns), np.inf), np.zeros((B, columns)), np.zeros((B, columns)), np.zeros(B)
@@ -255,9 +277,11 @@ def _signs(watched: list[_Condition], stored: Stored, parts: Parts, columns: int
             continue
         c = [Interval(*(np.broadcast_to(limit, B)[rows] for limit in (a.lo, a.hi))) for a in one.c]
         own = np.broadcast_to(one.size, B)[rows]
-        low, far = least(c, len(rows))
+        low, far = polynomial_lower_bounds(c, len(rows))
         deep = -low.min(axis=0)
-        loose[rows] = np.maximum(loose[rows], np.where(deep > SEEN * own, np.nan_to_num(c[-1].magnitude / deep, nan=1.0), 0.0))
+        loose[rows] = np.maximum(
+            loose[rows], np.where(deep > SIGNIFICANT_DEPTH * own, np.nan_to_num(c[-1].magnitude / deep, nan=1.0), 0.0)
+        )
         left, right = far * parts.radius[rows]
         left = np.where(left > 0, np.minimum(begin[rows] + left, S[rows] - begin[rows]), 0.0)
         right = np.where(right > 0, np.minimum(end[rows], S[rows] - end[rows] + right), 0.0)
@@ -267,15 +291,15 @@ def _signs(watched: list[_Condition], stored: Stored, parts: Parts, columns: int
     return lowest, reach, size, loose
 
 
-def _signed(c: Coefficients, sign: int) -> Coefficients:
+def _with_sign(c: IntervalCoefficients, sign: int) -> IntervalCoefficients:
     return c if sign > 0 else [-a for a in c]
 
 
-def _minus(a: Coefficients, b: Coefficients) -> Coefficients:
+def _subtract_series(a: IntervalCoefficients, b: IntervalCoefficients) -> IntervalCoefficients:
     return [one - other for one, other in zip(a, b, strict=True)]
 
 
-def _size(c: Coefficients) -> np.ndarray:
+def _magnitude_bound(c: IntervalCoefficients) -> np.ndarray:
     """A bound of |sum c_k u^k| on [-1, 1]."""
     total = sum((a.magnitude for a in c), np.zeros(1))
     return np.where(np.isnan(total), np.inf, total * (1 + (len(c) + 1) * EPS))

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsmodel.pieces.bounds import Bounds, Stored, bounds
+from nsmodel.pieces.bounds import PieceBounds, StoredPieces, prove_piece_bounds
 from nsmodel.pieces.lengths import MULTIPLIERS
-from nsmodel.proof.interval_number import Interval, exactly
+from nsmodel.proof.interval_number import Interval, point_intervals
 from nsmodel.scheme.continuous import ContinuousProblem
 
-SHOWN = 10  # Failures that are told, of many.
+MAX_REPORTED_FAILURES = 10  # Failures that are told, of many.
 
 
 @dataclass(frozen=True)
-class Allowed:
+class AllowedErrors:
     """What bounds are measured beside, (n,) and (m,): a jump or the integral of a defect, and what is wrong with a row."""
 
     state: np.ndarray
@@ -24,13 +24,13 @@ class Allowed:
     rtol: float
 
     @staticmethod
-    def of(rtol: float, atol: np.ndarray, x: np.ndarray, y: np.ndarray) -> Allowed:
+    def of(rtol: float, atol: np.ndarray, x: np.ndarray, y: np.ndarray) -> AllowedErrors:
         """Rtol of the largest x, and MULTIPLIERS rtol of the largest terms of y."""
-        return Allowed(rtol * x + atol, MULTIPLIERS * rtol * y, rtol)
+        return AllowedErrors(rtol * x + atol, MULTIPLIERS * rtol * y, rtol)
 
 
 @dataclass(frozen=True)
-class Failure:
+class ProofFailure:
     """What is not proved of piece ``piece``, from t to ``until``."""
 
     piece: int
@@ -40,7 +40,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class IntervalProof:
     """Proved bounds of K pieces; see `bounds.Bounds`.
 
     Attributes:
@@ -53,45 +53,50 @@ class Certificate:
         conditions: names of the sign conditions.
     """
 
-    bounds: Bounds
+    bounds: PieceBounds
     jump: np.ndarray
     share: np.ndarray
     proved: np.ndarray
-    failures: tuple[Failure, ...]
+    failures: tuple[ProofFailure, ...]
     conditions: tuple[str, ...]
 
 
-def certify(problem: ContinuousProblem, stored: Stored, x0: np.ndarray, allowed: Allowed) -> Certificate:
+def certify_pieces(problem: ContinuousProblem, stored: StoredPieces, x0: np.ndarray, allowed: AllowedErrors) -> IntervalProof:
     """Prove what can be proved of the pieces as they are stored."""
-    found, jump = bounds(problem, stored), jumps(stored, x0)
+    found, jump = prove_piece_bounds(problem, stored), jump_bounds(stored, x0)
     with np.errstate(all="ignore"):
         share = np.nan_to_num(found.integral / allowed.state, nan=0.0, posinf=np.inf).max(axis=1, initial=0.0)
     conditions = (*problem.rows, *(f"switch {k} of f, g and h" for k in range(found.depth.shape[1] - len(problem.rows))))
-    failures = tuple(_failures(problem, stored, found, jump, allowed, conditions))
+    failures = tuple(_proof_failures(problem, stored, found, jump, allowed, conditions))
     proved = np.ones(len(stored.start), bool)
     proved[[failure.piece for failure in failures]] = False
-    return Certificate(found, jump, share, proved, failures, conditions)
+    return IntervalProof(found, jump, share, proved, failures, conditions)
 
 
-def values(stored: Stored, number: np.ndarray, t: np.ndarray) -> Interval:
+def state_enclosures(stored: StoredPieces, number: np.ndarray, t: np.ndarray) -> Interval:
     """X (k, n) at times t (k,) on the pieces of these numbers."""
-    s = (exactly(t) - exactly(stored.start[number])) / exactly(stored.unit[number])
-    s, x = Interval(s.lo[:, None], s.hi[:, None]), exactly(stored.x[number, :, -1])
+    s = (point_intervals(t) - point_intervals(stored.start[number])) / point_intervals(stored.unit[number])
+    s, x = Interval(s.lo[:, None], s.hi[:, None]), point_intervals(stored.x[number, :, -1])
     for k in reversed(range(stored.x.shape[2] - 1)):
-        x = x * s + exactly(stored.x[number, :, k])
+        x = x * s + point_intervals(stored.x[number, :, k])
     return x
 
 
-def jumps(stored: Stored, x0: np.ndarray) -> np.ndarray:
+def jump_bounds(stored: StoredPieces, x0: np.ndarray) -> np.ndarray:
     """(K, n) bounds of |x at the start of a piece - x at the end of the one before|."""
-    x = values(stored, np.arange(len(stored.start) - 1), stored.end[:-1])
+    x = state_enclosures(stored, np.arange(len(stored.start) - 1), stored.end[:-1])
     before = Interval(np.concatenate([x0[None], x.lo]), np.concatenate([x0[None], x.hi]))
-    return (exactly(stored.x[:, :, 0]) - before).magnitude
+    return (point_intervals(stored.x[:, :, 0]) - before).magnitude
 
 
-def _failures(
-    problem: ContinuousProblem, stored: Stored, found: Bounds, jump: np.ndarray, allowed: Allowed, conditions: tuple[str, ...]
-) -> Iterator[Failure]:
+def _proof_failures(
+    problem: ContinuousProblem,
+    stored: StoredPieces,
+    found: PieceBounds,
+    jump: np.ndarray,
+    allowed: AllowedErrors,
+    conditions: tuple[str, ...],
+) -> Iterator[ProofFailure]:
     """What is beyond what is allowed, in the order of time."""
     low = MULTIPLIERS * allowed.rtol * found.size
     checks = [
@@ -106,6 +111,6 @@ def _failures(
         for k, i in zip(*np.nonzero(~(bound <= limit)), strict=True)
     ]
     for k, i, number in sorted(failed):
-        bound, limit, names, words = checks[number]
-        what = words.format(names[i], bound[k, i]) + f"; allowed: {limit[i]:.3g}"
-        yield Failure(int(k), float(stored.start[k]), float(stored.end[k]), what)
+        bound, limit, names, template = checks[number]
+        what = template.format(names[i], bound[k, i]) + f"; allowed: {limit[i]:.3g}"
+        yield ProofFailure(int(k), float(stored.start[k]), float(stored.end[k]), what)

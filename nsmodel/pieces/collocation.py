@@ -14,7 +14,7 @@ from math import comb
 
 import numpy as np
 
-Polynomial = list[Fraction]  # Coefficients, order 0 first.
+ExactPolynomial = list[Fraction]  # Coefficients, order 0 first.
 
 
 @dataclass(frozen=True)
@@ -72,56 +72,56 @@ class Collocation:
 
 
 @cache
-def collocation(s: int) -> Collocation:
+def radau_collocation(s: int) -> Collocation:
     """Return the matrices of s stages."""
-    nodes = _nodes(s)
+    nodes = _radau_nodes(s)
     basis = [_lagrange(nodes, i) for i in range(s)]
-    M = _product(nodes)
-    inner = np.sort(np.roots([float(v) for v in reversed(_derivative(M))]).real)
+    M = _polynomial_from_roots(nodes)
+    inner = np.sort(np.roots([float(v) for v in reversed(_polynomial_derivative(M))]).real)
     between = [Fraction(0), *(Fraction(float(v)) for v in inner)]
 
-    def table(polynomials: list[Polynomial], at: list[Fraction]) -> np.ndarray:
-        return np.array([[float(_value(p, t)) for p in polynomials] for t in at])
+    def value_table(polynomials: list[ExactPolynomial], at: list[Fraction]) -> np.ndarray:
+        return np.array([[float(_polynomial_value(p, t)) for p in polynomials] for t in at])
 
-    slopes = [_derivative(p) for p in basis]
-    inverse, sizes = table(slopes, nodes), np.abs(table([M], between)[:, 0])
+    slopes = [_polynomial_derivative(p) for p in basis]
+    inverse, sizes = value_table(slopes, nodes), np.abs(value_table([M], between)[:, 0])
     integral = [Fraction(0), *(a / (k + 1) for k, a in enumerate(M))]
     rates, right = np.linalg.eig(inverse)
     left, kept = np.linalg.inv(right), np.flatnonzero(np.imag(rates) >= 0)
     twice = np.where(np.imag(rates[kept]) > 0, 2.0, 1.0)
     return Collocation(
         np.array([float(c) for c in nodes]), inverse, rates[kept], left[kept], right[:, kept] * twice,
-        np.array([[float(p[k]) for p in basis] for k in range(1, s + 1)]), _about(Fraction(1, 2), basis),
+        np.array([[float(p[k]) for p in basis] for k in range(1, s + 1)]), _shifted_coefficients(Fraction(1, 2), basis),
         np.array([float(v) for v in between]),
-        table(basis, between), table(slopes, between), sizes[0] / sizes,
-        float(np.abs(table([integral], nodes)).max() / sizes[0]),
+        value_table(basis, between), value_table(slopes, between), sizes[0] / sizes,
+        float(np.abs(value_table([integral], nodes)).max() / sizes[0]),
     )  # fmt: skip
 
 
-def _nodes(s: int) -> list[Fraction]:
+def _radau_nodes(s: int) -> list[Fraction]:
     """The zeros of (P_s - P_(s-1))(2 c - 1), as the doubles that are nearest."""
     legendre = [[Fraction((-1) ** (n + k) * comb(n, k) * comb(n + k, k)) for k in range(n + 1)] for n in (s, s - 1)]
     p = [a - b for a, b in zip(legendre[0], [*legendre[1], Fraction(0)], strict=True)]
     nodes = [Fraction(float(c)) for c in np.sort(np.roots([float(a) for a in reversed(p)]).real)]
     for _ in range(3):  # Newton's method, exactly.
-        nodes = [Fraction(float(c - _value(p, c) / _value(_derivative(p), c))) for c in nodes]
+        nodes = [Fraction(float(c - _polynomial_value(p, c) / _polynomial_value(_polynomial_derivative(p), c))) for c in nodes]
     return nodes
 
 
-def _product(roots: list[Fraction]) -> Polynomial:
+def _polynomial_from_roots(roots: list[Fraction]) -> ExactPolynomial:
     p = [Fraction(1)]
     for root in roots:
         p = [a - root * b for a, b in zip([Fraction(0), *p], [*p, Fraction(0)], strict=True)]
     return p
 
 
-def _lagrange(nodes: list[Fraction], i: int) -> Polynomial:
+def _lagrange(nodes: list[Fraction], i: int) -> ExactPolynomial:
     """1 at node i, 0 at the others and at 0."""
-    p = _product([Fraction(0), *nodes[:i], *nodes[i + 1 :]])
-    return [a / _value(p, nodes[i]) for a in p]
+    p = _polynomial_from_roots([Fraction(0), *nodes[:i], *nodes[i + 1 :]])
+    return [a / _polynomial_value(p, nodes[i]) for a in p]
 
 
-def _about(centre: Fraction, of: list[Polynomial]) -> np.ndarray:
+def _shifted_coefficients(centre: Fraction, of: list[ExactPolynomial]) -> np.ndarray:
     """A column a polynomial: its coefficients about another centre."""
     return np.array(
         [
@@ -131,11 +131,11 @@ def _about(centre: Fraction, of: list[Polynomial]) -> np.ndarray:
     )
 
 
-def _derivative(p: Polynomial) -> Polynomial:
+def _polynomial_derivative(p: ExactPolynomial) -> ExactPolynomial:
     return [k * a for k, a in enumerate(p)][1:]
 
 
-def _value(p: Polynomial, t: Fraction) -> Fraction:
+def _polynomial_value(p: ExactPolynomial, t: Fraction) -> Fraction:
     total = Fraction(0)
     for a in reversed(p):
         total = total * t + a

@@ -19,12 +19,12 @@ import numpy as np
 
 from nsmodel.pieces.collocation import Collocation
 from nsmodel.pieces.disc_equations import EquationsOnDisc
-from nsmodel.pieces.discs import Form
+from nsmodel.pieces.discs import TaylorForm
 
 SMALLEST, COVER_RADIUS, COVER_DEGREE = 2.0**-6, 1.5, 10
 
 
-class Scales(NamedTuple):
+class PieceTolerances(NamedTuple):
     """What a piece may err by, and what of it is rounding.
 
     ``size``: of x; ``x``, ``l``, ``y``, ``watched``: what is allowed, of held rows l, of the others y. ``rounding``: that of
@@ -42,7 +42,7 @@ class Scales(NamedTuple):
     rounding_watched: np.ndarray
 
 
-class Polynomials(NamedTuple):
+class PiecePolynomials(NamedTuple):
     """Those of a piece about its middle, (s + 1, q), in its own length; where it begins, its length, and the rows it holds."""
 
     t: float
@@ -54,11 +54,11 @@ class Polynomials(NamedTuple):
     watched: np.ndarray
 
 
-def bound(on: EquationsOnDisc, of: Polynomials, scales: Scales) -> float:
+def piece_error_bound(on: EquationsOnDisc, of: PiecePolynomials, scales: PieceTolerances) -> float:
     """The largest bound in units of what is allowed; more than 1 where discs as small as SMALLEST of the piece prove no less."""
     worst, at, width = 0.0, 0.0, 1.0
     while at < 1:
-        here = _on_part(on, of, scales, at + width / 2, width / 2)
+        here = _bound_on_part(on, of, scales, at + width / 2, width / 2)
         if here <= 1:
             worst, at = max(worst, here), at + width
             while width < 1 and at % (2 * width) == 0:  # The other half of the next wider one is done.
@@ -70,37 +70,39 @@ def bound(on: EquationsOnDisc, of: Polynomials, scales: Scales) -> float:
     return worst
 
 
-def _on_part(on: EquationsOnDisc, of: Polynomials, scales: Scales, centre: float, half: float) -> float:
+def _bound_on_part(on: EquationsOnDisc, of: PiecePolynomials, scales: PieceTolerances, centre: float, half: float) -> float:
     degree, R = max(COVER_DEGREE, len(of.x) - 1), COVER_RADIUS * half
-    about, powers = _about(degree, len(of.x) - 1, centre, R), _powers(degree + 2)
+    about, powers = _recentring_matrix(degree, len(of.x) - 1, centre, R), _cover_radius_powers(degree + 2)
     x, l, y, watched = (about @ c for c in (of.x, of.l, of.y, of.watched))
     t = np.zeros(degree + 1)
     t[:2] = of.t + of.h * centre, of.h * R
-    found = on(Form(t), _forms(x), _forms(l))
+    found = on(TaylorForm(t), _column_forms(x), _column_forms(l))
     orders = np.arange(1, degree + 1)[:, None] / R
     moved = np.vstack([x[1:] * orders, np.zeros((1, x.shape[1]))])
-    missed = [_less(one * of.h, c) for one, c in zip(found.rate, moved.T, strict=True)]
-    missed += [_less(found.y[i] * -1.0, np.zeros(degree + 1)) for i in of.held]
+    missed = [_subtract_polynomial(one * of.h, c) for one, c in zip(found.rate, moved.T, strict=True)]
+    missed += [_subtract_polynomial(found.y[i] * -1.0, np.zeros(degree + 1)) for i in of.held]
     coefficients, rests = np.array([c for c, _ in missed]), np.array([r for _, r in missed])
     if not np.isfinite(rests).all():
         return math.inf
     off = np.abs(scales.inverse @ coefficients) @ powers[:-1] + np.abs(scales.inverse) @ rests * powers[-1] - scales.rounding
     n = len(found.rate)
-    worst = max(largest_share(off[:n], scales.x), largest_share(off[n:], scales.l[of.held]))
+    worst = max(max_error_ratio(off[:n], scales.x), max_error_ratio(off[n:], scales.l[of.held]))
     free = [i for i in range(len(found.y)) if i not in of.held]
-    off_y = np.array([_on_piece(*_less(found.y[i], y[:, i])) for i in free])
-    off_watched = np.array([_on_piece(*_less(one, c)) for one, c in zip(found.looked, watched.T, strict=True)])
-    worst = max(worst, largest_share(off_y - scales.rounding_y[free], scales.y[free]))
-    return max(worst, largest_share(off_watched - scales.rounding_watched, scales.watched))
+    off_y = np.array([_max_on_real_part(*_subtract_polynomial(found.y[i], y[:, i])) for i in free])
+    off_watched = np.array(
+        [_max_on_real_part(*_subtract_polynomial(one, c)) for one, c in zip(found.looked, watched.T, strict=True)]
+    )
+    worst = max(worst, max_error_ratio(off_y - scales.rounding_y[free], scales.y[free]))
+    return max(worst, max_error_ratio(off_watched - scales.rounding_watched, scales.watched))
 
 
 @cache
-def _powers(count: int) -> np.ndarray:
+def _cover_radius_powers(count: int) -> np.ndarray:
     return COVER_RADIUS ** -np.arange(float(count))
 
 
 @cache
-def _about(rows: int, degree: int, centre: float, R: float) -> np.ndarray:
+def _recentring_matrix(rows: int, degree: int, centre: float, R: float) -> np.ndarray:
     """(rows + 1, degree + 1) coefficients of (z - centre)/R from those about 1/2."""
     out, by = np.zeros((rows + 1, degree + 1)), centre - 0.5
     for m in range(degree + 1):
@@ -109,34 +111,34 @@ def _about(rows: int, degree: int, centre: float, R: float) -> np.ndarray:
     return out
 
 
-def _forms(c: np.ndarray) -> list[Form]:
-    return [Form(column) for column in c.T]
+def _column_forms(c: np.ndarray) -> list[TaylorForm]:
+    return [TaylorForm(column) for column in c.T]
 
 
-def _less(of: Form | float, c: np.ndarray) -> tuple[np.ndarray, float]:
+def _subtract_polynomial(of: TaylorForm | float, c: np.ndarray) -> tuple[np.ndarray, float]:
     """Coefficients and rest of what it is beside a polynomial."""
-    if isinstance(of, Form):
+    if isinstance(of, TaylorForm):
         return of.c - c, of.r
     out = -c
     out[0] += of
     return out, 0.0 if of == of else math.inf
 
 
-def _on_piece(c: np.ndarray, r: float) -> float:
+def _max_on_real_part(c: np.ndarray, r: float) -> float:
     """The largest value on the real part of the disc."""
-    powers = _powers(len(c) + 1)
+    powers = _cover_radius_powers(len(c) + 1)
     return float(np.abs(c) @ powers[:-1] + r * powers[-1])
 
 
-def largest_share(off: np.ndarray, allowed: np.ndarray) -> float:
+def max_error_ratio(off: np.ndarray, allowed: np.ndarray) -> float:
     """The largest of errors, 0 or less where they are rounding, in units of what is allowed; inf where it is no number."""
     with np.errstate(all="ignore"):
         shares = np.where(off <= 0, 0.0, off / allowed)
     return float(np.where(np.isnan(shares), np.inf, shares).max(initial=0.0))
 
 
-def polynomials(
+def piece_polynomials(
     table: Collocation, t: float, h: float, held: list[int], start: Sequence[np.ndarray], values: Sequence[np.ndarray]
-) -> Polynomials:
+) -> PiecePolynomials:
     """Of x, l, y and what is watched: values at 0 and at the nodes."""
-    return Polynomials(t, h, held, *(table.about_middle(v, at_0) for v, at_0 in zip(values, start, strict=True)))
+    return PiecePolynomials(t, h, held, *(table.about_middle(v, at_0) for v, at_0 in zip(values, start, strict=True)))

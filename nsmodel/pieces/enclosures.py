@@ -16,58 +16,60 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.pieces import series
-from nsmodel.pieces.bernstein import about
-from nsmodel.pieces.expansion import compiled
-from nsmodel.pieces.jets import Jets
-from nsmodel.pieces.printed import PYTHON
-from nsmodel.proof.interval_arithmetic import down, up
-from nsmodel.proof.interval_number import ZERO, Interval, exactly, function, of, where
+from nsmodel.pieces.bernstein import taylor_shift
+from nsmodel.pieces.expansion import compile_recurrences
+from nsmodel.pieces.jets import TaylorRecurrences
+from nsmodel.pieces.printed import PYTHON_DIALECT
+from nsmodel.proof.interval_arithmetic import next_down, next_up
+from nsmodel.proof.interval_number import ZERO_INTERVAL, Interval, as_interval, interval_function, interval_where, point_intervals
 
-Coefficients = list[Interval]  # Of a power series, order 0 first; each an array of intervals.
+IntervalCoefficients = list[Interval]  # Of a power series, order 0 first; each an array of intervals.
 
 
-class Parts(NamedTuple):
+class PieceParts(NamedTuple):
     """Parts of pieces, centre +- radius in the pieces' own s; ``piece``: the number of the piece (B,)."""
 
     piece: np.ndarray
     centre: np.ndarray
     radius: np.ndarray
 
-    def of(self, chosen: np.ndarray) -> Parts:
+    def of(self, chosen: np.ndarray) -> PieceParts:
         """Those of a mask."""
-        return Parts(*(array[chosen] for array in self))
+        return PieceParts(*(array[chosen] for array in self))
 
 
-def parts_of(lengths: np.ndarray, counts: np.ndarray) -> Parts:
+def subdivide_pieces(lengths: np.ndarray, counts: np.ndarray) -> PieceParts:
     """[0, lengths] (K,), each in ``counts`` parts of one length."""
     piece = np.repeat(np.arange(len(lengths)), counts)
     place = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
     begin, end = (lengths[piece] * k / counts[piece] for k in (place, place + 1))
     end = np.where(place + 1 == counts[piece], lengths[piece], end)
     centre = begin + (end - begin) / 2
-    return Parts(piece, centre, up(np.maximum(end - centre, centre - begin)))
+    return PieceParts(piece, centre, next_up(np.maximum(end - centre, centre - begin)))
 
 
-def number(value: float) -> Interval:
+def number_interval(value: float) -> Interval:
     """A number of a recurrence; 2/sqrt(pi) lies between two doubles."""
     if value == series.TWO_OVER_ROOT_PI:
-        return Interval(down(np.array([value])), up(np.array([value])))
-    return of(value)
+        return Interval(next_down(np.array([value])), next_up(np.array([value])))
+    return as_interval(value)
 
 
-def _whole(rounding: Any):
-    return lambda row: of(row) if not isinstance(row, Interval) else exactly(rounding(row.middle))
+def _integer_choice(rounding: Any):
+    return lambda row: as_interval(row) if not isinstance(row, Interval) else point_intervals(rounding(row.middle))
 
 
-_WHOLE = {"floor": np.floor, "ceil": np.ceil, "trunc": np.trunc, "rint": np.rint}
-_CHOOSE = {
-    "side": lambda row: np.where(of(row).middle < 0, -1.0, 1.0),
-    "equal": lambda row: np.where(of(row) == 0, 0.0, np.where(of(row).middle < 0, -1.0, 1.0)),
-    **{f"whole_{name}": _whole(rounding) for name, rounding in _WHOLE.items()},
+_ROUNDING_FUNCTIONS = {"floor": np.floor, "ceil": np.ceil, "trunc": np.trunc, "rint": np.rint}
+_CHOICE_FUNCTIONS = {
+    "side": lambda row: np.where(as_interval(row).middle < 0, -1.0, 1.0),
+    "equal": lambda row: np.where(as_interval(row) == 0, 0.0, np.where(as_interval(row).middle < 0, -1.0, 1.0)),
+    **{f"whole_{name}": _integer_choice(rounding) for name, rounding in _ROUNDING_FUNCTIONS.items()},
 }  # fmt: skip
-_KNOWN = series.RECURRENCES | {name: function(name) for name in series.STARTS} | _CHOOSE
-_KNOWN |= {"number": number, "where": where, "of": of}
-INTERVALS = PYTHON._replace(
+_INTERVAL_FUNCTIONS = (
+    series.RECURRENCES | {name: interval_function(name) for name in series.ORDER_0_FUNCTIONS} | _CHOICE_FUNCTIONS
+)
+_INTERVAL_FUNCTIONS |= {"number": number_interval, "where": interval_where, "of": as_interval}
+INTERVAL_DIALECT = PYTHON_DIALECT._replace(
     number=lambda value: f"number(float('{value!r}'))",
     either="where({0}, {1}, {2})".format,
     both="({0} != 0.0) & ({1} != 0.0)",
@@ -81,39 +83,46 @@ INTERVALS = PYTHON._replace(
 )  # fmt: skip
 
 
-class Series(NamedTuple):
+class IntervalSeries(NamedTuple):
     """Coefficients of the outputs and of the rows that branches look at, with the sides that these are on."""
 
-    outputs: list[Coefficients]
-    branches: list[Coefficients]
+    outputs: list[IntervalCoefficients]
+    branches: list[IntervalCoefficients]
     choice: list[Any]
 
 
-def series_of(jets: Jets, inputs: dict[tuple[int, int], Coefficients], orders: int, choice: list[Any] | None = None) -> Series:
+def compute_interval_series(
+    recurrences: TaylorRecurrences,
+    inputs: dict[tuple[int, int], IntervalCoefficients],
+    orders: int,
+    choice: list[Any] | None = None,
+) -> IntervalSeries:
     """Orders 0, ..., ``orders`` from those of the inputs; ``choice``: of the branches, where it is made."""
-    rows: list[Coefficients] = [[ZERO] * (orders + 1) for _ in range(jets.count)]
-    for place, row in jets.inputs.items():
+    rows: list[IntervalCoefficients] = [[ZERO_INTERVAL] * (orders + 1) for _ in range(recurrences.count)]
+    for place, row in recurrences.inputs.items():
         rows[row] = inputs[place]
-    for row, value in jets.numbers.items():
-        rows[row][0] = of(value)
-    choice = [None] * len(jets.branches) if choice is None else choice
-    start, later = compiled(jets, rows, choice, INTERVALS, _KNOWN)
+    for row, value in recurrences.numbers.items():
+        rows[row][0] = as_interval(value)
+    choice = [None] * len(recurrences.branches) if choice is None else choice
+    start, compute_order = compile_recurrences(recurrences, rows, choice, INTERVAL_DIALECT, _INTERVAL_FUNCTIONS)
     start()
     for k in range(1, orders + 1):
-        later(k)
-    return Series([rows[row] for row in jets.outputs], [rows[branch.row] for branch in jets.branches], choice)
+        compute_order(k)
+    return IntervalSeries(
+        [rows[row] for row in recurrences.outputs], [rows[branch.row] for branch in recurrences.branches], choice
+    )
 
 
-def around(c: Sequence[Interval], radius: np.ndarray) -> Coefficients:
+def coefficients_over_interval(c: Sequence[Interval], radius: np.ndarray) -> IntervalCoefficients:
     """The coefficients about all points of [-r, r], r = radius: c_k +- sum_(j > k) comb(j, k) |c_j| r^(j - k)."""
-    sizes = [exactly(a.magnitude) for a in c]
-    moved = [(m - a).magnitude for m, a in zip(about(sizes, exactly(radius)), sizes, strict=True)]
+    sizes = [point_intervals(a.magnitude) for a in c]
+    moved = [(m - a).magnitude for m, a in zip(taylor_shift(sizes, point_intervals(radius)), sizes, strict=True)]
     return [a + Interval(-m, m) for a, m in zip(c, moved, strict=True)]
 
 
-def powers(radius: np.ndarray, orders: int) -> list[Interval]:
+def radius_powers(radius: np.ndarray, orders: int) -> list[Interval]:
     """Radius^0, ..., radius^orders."""
-    found, r = [of(1.0)], exactly(radius)
+    found, r = [as_interval(1.0)], point_intervals(radius)
     for _ in range(orders):
         found.append(found[-1] * r)
     return found

@@ -13,37 +13,59 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import FinalError, StepError
+from nsmodel.errors import StepError, UnrecoverableStepError
 from nsmodel.pieces import lines
-from nsmodel.pieces.accumulation import Accumulation
-from nsmodel.pieces.bernstein import value, values
-from nsmodel.pieces.defect import Equations
-from nsmodel.pieces.ending import ending
-from nsmodel.pieces.known import Known, reaches
-from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
-from nsmodel.pieces.modes import LATER, ORDERS, ULP, Place, creep, crept, jump, select, take_sides, turn, uniqueness
-from nsmodel.pieces.moves import coast, project, stick
-from nsmodel.pieces.multipliers import Solve
-from nsmodel.pieces.names import UNDECIDED, few, name
-from nsmodel.pieces.piece import Begin, Piece
-from nsmodel.pieces.roots import NEAR, Isolated, Roots
-from nsmodel.pieces.schwarz import MOST_STILL, Schwarz
+from nsmodel.pieces.accumulation import ZenoDetector
+from nsmodel.pieces.bernstein import poly_value, poly_values
+from nsmodel.pieces.defect import ModelEquations
+from nsmodel.pieces.ending import piece_end
+from nsmodel.pieces.known import SwitchTimes, reaches_time
+from nsmodel.pieces.lengths import LOCAL, ROUGHEST, initial_time_unit, power_of_two_unit, step_size, taylor_order
+from nsmodel.pieces.modes import (
+    MAX_NUDGES,
+    ORDERS,
+    ULP,
+    PieceStart,
+    extrapolate_start,
+    jump_impulse,
+    nudge_start,
+    select_mode,
+    set_initial_codes,
+    set_switch,
+    uniqueness_verdict,
+)
+from nsmodel.pieces.moves import coast_to_stop, project_to_held_rows, stick_released_blocks
+from nsmodel.pieces.multipliers import MultiplierSolver
+from nsmodel.pieces.names import UNDECIDED_FIELDS, list_switch_names, switch_name
+from nsmodel.pieces.piece import Piece, StartEvent
+from nsmodel.pieces.roots import NEAR, EventLocator, IsolatedRoot
+from nsmodel.pieces.schwarz import MAX_STILL_PIECES, SchwarzBound
 from nsmodel.pieces.sliding import STOPS
-from nsmodel.pieces.stiff import Stiff
-from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, grow, same, size, switches
-from nsmodel.pieces.system import System
-from nsmodel.pieces.updates import AROUND, begin_anew, forget_branches, update
-from nsmodel.proof.sure import sure
+from nsmodel.pieces.stiff import StiffIntegrator
+from nsmodel.pieces.switches import (
+    ROW,
+    TIE,
+    Switch,
+    SwitchCondition,
+    all_switches,
+    condition_scale,
+    is_same_condition,
+    mode_conditions,
+    update_scales,
+)
+from nsmodel.pieces.system import ModeSystem
+from nsmodel.pieces.updates import AROUND, reinitialise, reset_branch_choices, update_blocks
+from nsmodel.proof.sure import not_none
 from nsmodel.scheme.continuous import ContinuousProblem
 
-LEAST_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
-NONE = Known()
+MIN_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
+NO_SWITCH_TIMES = SwitchTimes()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
 HARDLY, STILL = 2.0**-50, 16  # Of the time: a piece that hardly moves it; so many, after which a state may have come to rest.
 AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
-TOLD = 10.0  # In rtol: by how much an event whose time is not known may move a state.
+MAX_UNDECIDED_MOTION = 10.0  # In rtol: by how much an event whose time is not known may move a state.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
 
@@ -58,31 +80,33 @@ class Integrator:
     """
 
     def __init__(
-        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known: Known = NONE,
+        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known: SwitchTimes = NO_SWITCH_TIMES,
         *, residuals: bool = False,
     ) -> None:  # fmt: skip
         """See `Integrator`."""
         self.problem, self.rtol, self.known = problem, LOCAL * min(rtol, ROUGHEST), known
-        self.order = order_of(rtol)
-        self.system = System(problem, self.order, self.rtol)
+        self.order = taylor_order(rtol)
+        self.system = ModeSystem(problem, self.order, self.rtol)
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
-        self.place, self.sizes = Place(0.0, x0, 1.0, [0] * system.m), system.sizes
-        self.bound = Schwarz(system, Equations(problem))
-        self.roots = Roots(system, self.bound.on)
-        self.stiff = Stiff(system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
-        self.accumulation = Accumulation()
+        self.place, self.sizes = PieceStart(0.0, x0, 1.0, [0] * system.m), system.sizes
+        self.bound = SchwarzBound(system, ModelEquations(problem))
+        self.roots = EventLocator(system, self.bound.on)
+        self.stiff = StiffIntegrator(
+            system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals
+        )
+        self.accumulation = ZenoDetector()
         self._still = 0  # Pieces, one after the other, that hardly moved time.
-        self._begun: Begin | None = None  # The event that the next piece begins with.
-        self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
+        self._pending_event: StartEvent | None = None  # The event that the next piece begins with.
+        self._selected_solver: MultiplierSolver | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
-        self._final: FinalError | None = None  # Where steps cannot go on from here either.
+        self._final: UnrecoverableStepError | None = None  # Where steps cannot go on from here either.
         self.unique: Counter[str] = Counter()
         self.touches = self.redundant = 0
-        self.undecided = [0.0] * len(UNDECIDED)
+        self.undecided = [0.0] * len(UNDECIDED_FIELDS)
         with np.errstate(all="ignore"):
             try:
-                self._start()
+                self._choose_initial_mode()
             except StepError as error:
                 self.stopped = str(error)
 
@@ -98,135 +122,140 @@ class Integrator:
             StepError: no mode is valid, or pieces become too short.
         """
         if self.stopped is not None:
-            raise self.final or StepError(self.stopped)
-        if self._still >= STILL and self._comes_to_rest():
+            raise self.final_error or StepError(self.stopped)
+        if self._still >= STILL and self._try_rest_at_zero():
             self._still = 0
-        if self._still >= MOST_STILL:
-            raise self.bound.refused(self.place)
+        if self._still >= MAX_STILL_PIECES:
+            raise self.bound.singularity_error(self.place)
         try:
-            how = self._series()
+            how = self._compute_series()
         except StepError:
-            if self._comes_to_rest():
+            if self._try_rest_at_zero():
                 return self.advance()
-            if (piece := self._line()) is None:
+            if (piece := self._straight_piece()) is None:
                 raise
             return piece
         system, place = self.system, self.place
-        s = self._length(how)
+        s = self._series_length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
-            how, s = self._in_longer_unit(how, s)
+            how, s = self._rescale_to_longer_unit(how, s)
         longest, known = s * place.tau, self.known.next(place.t, place.x)
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
             s = min(s, (known - place.t) / place.tau)
-            hit, s, error, proved = ending(self.bound, self.roots, place, how, self.order, s, self.rtol, self.atol)
-            tau, last, until = place.tau, values(system.x, s), min(place.t + place.tau * proved, known)
+            hit, s, error, proved = piece_end(self.bound, self.roots, place, how, self.order, s, self.rtol, self.atol)
+            tau, last, until = place.tau, poly_values(system.x, s), min(place.t + place.tau * proved, known)
         else:
-            place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
+            place.tau = power_of_two_unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
             tau, s, error, last, hit = found
             until = min(place.t + tau * s + longest, known)
         series, n, m = np.array([*system.x, *system.l, *system.y]), system.n, system.n + system.m
-        piece = Piece(place.t, tau, s, series[:n], series[n:m], series[m:], tuple(place.codes), error, last, self._begun)
-        self._begun = self._begun if s == 0 else None
+        piece = Piece(place.t, tau, s, series[:n], series[n:m], series[m:], tuple(place.codes), error, last, self._pending_event)
+        self._pending_event = self._pending_event if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
-        grow(system, s, min(longest, tau * s))
+        update_scales(system, s, min(longest, tau * s))
         self._still = self._still + 1 if 0 < tau * s <= HARDLY * abs(place.t) else 0
         place.t, place.x, place.open, place.crossed = place.t + tau * s, last, set(), set()
-        if hit is None and not reaches(place.t, known):
-            self._hold(how)
-            place.tau = place.tau if found else unit(ROOM * (tau * s))
+        if hit is None and not reaches_time(place.t, known):
+            self._correct_drift(how)
+            place.tau = place.tau if found else power_of_two_unit(ROOM * (tau * s))
             return piece
         # In a unit that is longer than a mode's own time coefficients grow.
-        place.tau = unit(longest if s <= STUMP else min(longest, LONGER * (tau * s)))
+        place.tau = power_of_two_unit(longest if s <= STUMP else min(longest, LONGER * (tau * s)))
         self.stiff.restart()
         try:
             if hit is None:
-                self._cross(known)
-            elif self.accumulation.shrinks(tau * s, place.t, place.tau):
-                raise self._accumulates(hit)
+                self._pass_switch_time(known)
+            elif self.accumulation.pieces_vanish(tau * s, place.t, place.tau):
+                raise self._accumulation_error(hit)
             else:
-                self._event(hit, known, until)
+                self._handle_event(hit, known, until)
         except StepError as why:
-            self.stopped, self._final = str(why), why if isinstance(why, FinalError) else None
-        off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
+            self.stopped, self._final = str(why), why if isinstance(why, UnrecoverableStepError) else None
+        off = STOPS * LOCAL if hit is not None and hit.ends_at_stop else 0.0
         return piece.moved(place.t, place.x, max(error, off))
 
-    def _series(self) -> Solve:
+    def _compute_series(self) -> MultiplierSolver:
         """All orders at the place; where they have no number, on the side of switches that rounding has passed."""
         place, tau = self.place, self.place.tau
         try:
-            return self._orders()
+            return self._compute_orders()
         except StepError:
             place.tau = tau
-            if not self._past_switches():
+            if not self._correct_passed_switches():
                 raise
-        return self._orders()
+        return self._compute_orders()
 
-    def _orders(self) -> Solve:
+    def _compute_orders(self) -> MultiplierSolver:
         """All orders at the place, of which the mode's choice has left some."""
-        how, self._left = self._left, None
+        how, self._selected_solver = self._selected_solver, None
         if how is not None and self.system.extend(how, self.place.codes, ORDERS, self.order):
             if all(math.isfinite(row[self.order]) for row in self.system.x):
                 return how
         return self._expand(self.order)
 
-    def _in_longer_unit(self, how: Solve, s: float) -> tuple[Solve, float]:
+    def _rescale_to_longer_unit(self, how: MultiplierSolver, s: float) -> tuple[MultiplierSolver, float]:
         """The series of a piece of length s > 1 in the unit in which it is at most 1: scaled, or anew where blocks slip."""
-        system, place, times = self.system, self.place, unit(s * self.place.tau) / self.place.tau
+        system, place, times = self.system, self.place, power_of_two_unit(s * self.place.tau) / self.place.tau
         place.tau *= times
         if system.blocks.all:
             how = self._expand(self.order)
-            return how, min(self._length(how), 1.0)
+            return how, min(self._series_length(how), 1.0)
         system.scale(times)
         return how, min(s / times, 1.0)
 
-    def _length(self, how: Solve) -> float:
-        return length(self.system, self.place.codes, how, self.order, self.rtol, self.atol)
+    def _series_length(self, how: MultiplierSolver) -> float:
+        return step_size(self.system, self.place.codes, how, self.order, self.rtol, self.atol)
 
     def take_up(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> None:
         """Go on from a state that other means have come to; StepError where no mode does."""
         system = self.system
-        self.place = Place(t, list(x), unit(tau), list(codes), switches(system))
-        self.accumulation, self.stopped, self._begun, self._left = Accumulation(), None, self._no_jump, None
+        self.place = PieceStart(t, list(x), power_of_two_unit(tau), list(codes), all_switches(system))
+        self.accumulation, self.stopped, self._pending_event, self._selected_solver = (
+            ZenoDetector(),
+            None,
+            self._event_without_jump,
+            None,
+        )
         self.stiff.restart()
         for row, guess in zip(system.l, l, strict=True):
             row[0] = guess
-        forget_branches(system)
-        if (how := select(system, self.place)) is None:
-            raise self._stuck("here")
-        if project(system, self.place, how.active):
+        reset_branch_choices(system)
+        if (how := select_mode(system, self.place)) is None:
+            raise self._no_mode_error("here")
+        if project_to_held_rows(system, self.place, how.active):
             self._expand(ORDERS)
-        self._refuse_rivals()
+        self._check_uniqueness()
 
-    def _start(self) -> None:
+    def _choose_initial_mode(self) -> None:
         system, place = self.system, self.place
         self.sizes.x[:] = [abs(x) for x in place.x]
         for row, middle in zip(system.l, system.middle, strict=True):
             row[0] = middle
-        place.tau = first_unit(system, place.t, place.x, place.tau)
+        place.tau = initial_time_unit(system, place.t, place.x, place.tau)
         place.tau = self.bound.unit(place.t, place.x, [row[0] for row in system.parts["f"].outputs], place.tau)
         for _ in range(STARTS):
-            place.open = switches(system)
-            take_sides(system, place)
-            found = select(system, place)
+            place.open = all_switches(system)
+            set_initial_codes(system, place)
+            found = select_mode(system, place)
             how = system.expand(place.t, place.x, place.codes, place.tau, self.order)
-            s = self._length(how) if how is not None else 1.0
+            s = self._series_length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
-                grow(system, 0.0, 0.0)
-                if update(system, place):
-                    self._go_on("at the start")
-                    self._begun = None
+                update_scales(system, 0.0, 0.0)
+                if update_blocks(system, place):
+                    self._select_next_mode("at the start")
+                    self._pending_event = None
                     return
-                self._refuse_rivals()
+                self._check_uniqueness()
                 return
-            if found is None and (p := jump(system, place)) is not None:
-                self._push(p)
+            if found is None and (p := jump_impulse(system, place)) is not None:
+                self._apply_impulse(p)
                 continue
-            place.tau = unit(min(s, TOO_SHORT) * place.tau)
+            place.tau = power_of_two_unit(min(s, TOO_SHORT) * place.tau)
         if self._has_series():
-            raise self._stuck("at the start")
+            raise self._no_mode_error("at the start")
 
-    def _comes_to_rest(self) -> bool:
+    def _try_rest_at_zero(self) -> bool:
         """Whether states next to 0 were put to 0, where they rest: their rate is 0 there, and leads back from both sides.
 
         So x' = -sgn(x) sqrt|x| comes to 0 in finite time, where it has no series.
@@ -246,31 +275,31 @@ class Integrator:
             if any(rate > 0 for rate in off) or not any(rate < 0 for rate in off):
                 return False
         rests = moved and not any(map(rates(at).__getitem__, moved))
-        begun = self._begun
-        if not (rests and self._goes_on_from(place.t, at, place.tau)):
+        pending = self._pending_event
+        if not (rests and self._try_restart_from(place.t, at, place.tau)):
             return False
-        self._begun = begun or self._begun
+        self._pending_event = pending or self._pending_event
         return True
 
-    def _line(self) -> Piece | None:
+    def _straight_piece(self) -> Piece | None:
         """A straight line past a point without a series, as short as one with a series follows; None where none does."""
-        system, place, begun, known = self.system, self.place, self._begun, self.known.next(self.place.t, self.place.x)
+        system, place, pending, known = self.system, self.place, self._pending_event, self.known.next(self.place.t, self.place.x)
         if self._has_series():
             return None
         l = [row[0] for row in system.push]
-        for h, octaves in lines.lengths(place.t):
-            found = lines.line(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
+        for h, octaves in lines.trial_lengths(place.t):
+            found = lines.straight_line(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
             if found is None or h > known - place.t:
                 continue
             v = found.v if place.t or not system.m else 0 * found.v  # At the start l is not known yet.
             last = (np.array(place.x) + h * v).tolist()
-            before = self.standing()
-            if not self._goes_on_from(place.t + h, last, h):
+            before = self.checkpoint()
+            if not self._try_restart_from(place.t + h, last, h):
                 place = self.place
                 continue
             off = h * np.array([row[1] / self.place.tau - rate for row, rate in zip(system.x, v, strict=True)])
             if not (np.abs(off) <= found.allowed).all():  # l is another than on the line.
-                self.stand(before)
+                self.restore(before)
                 place = self.place
                 continue
             series = np.zeros((system.n + 2 * system.m, self.order + 1))
@@ -278,19 +307,19 @@ class Integrator:
             series[: system.n, 1] = h * v
             n, m = system.n, system.n + system.m
             codes = tuple(self.place.codes if not place.t else place.codes)
-            return Piece(place.t, h, 1.0, series[:n], series[n:m], series[m:], codes, 1.0, last, begun)
+            return Piece(place.t, h, 1.0, series[:n], series[n:m], series[m:], codes, 1.0, last, pending)
         return None
 
-    def _goes_on_from(self, t: float, x: list[float], tau: float) -> bool:
+    def _try_restart_from(self, t: float, x: list[float], tau: float) -> bool:
         """Whether a mode with a series goes on from there, which is an event where it is another; where none does all stays."""
-        place, before = self.place, self.standing()
+        place, before = self.place, self.checkpoint()
         try:
             self.take_up(t, x, [row[0] for row in self.system.l], place.codes, tau)
-            self._series()
+            self._compute_series()
         except StepError:
-            self.stand(before)
+            self.restore(before)
             return False
-        self._begun = self._no_jump if place.t and self.place.codes != place.codes else None
+        self._pending_event = self._event_without_jump if place.t and self.place.codes != place.codes else None
         return True
 
     def _has_series(self) -> bool:
@@ -298,79 +327,79 @@ class Integrator:
         how = self.system.expand(place.t, place.x, place.codes, place.tau, self.order)
         return how is None or all(math.isfinite(v) for row in self.system.x for v in row[: self.order + 1])
 
-    def _push(self, p: np.ndarray) -> None:
+    def _apply_impulse(self, p: np.ndarray) -> None:
         """x+ = x + g_l p, at one time."""
         system, place = self.system, self.place
-        place.x = [float(x + d) for x, d in zip(place.x, sure(system.B) @ p, strict=True)]
+        place.x = [float(x + d) for x, d in zip(place.x, not_none(system.B) @ p, strict=True)]
         self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
-        before = self._begun or self._no_jump
-        self._begun = before._replace(impulse=tuple(float(a + b) for a, b in zip(before.impulse, p, strict=True)))
+        before = self._pending_event or self._event_without_jump
+        self._pending_event = before._replace(impulse=tuple(float(a + b) for a, b in zip(before.impulse, p, strict=True)))
 
-    def _expand(self, orders: int) -> Solve:
+    def _expand(self, orders: int) -> MultiplierSolver:
         """The coefficients at the place, in a unit of time in which they are of one size."""
         system, place = self.system, self.place
         for _ in range(UNITS):
             how = system.expand(place.t, place.x, place.codes, place.tau, orders)
             if how is None:
-                raise self._stuck("any more")
+                raise self._no_mode_error("any more")
             if all(map(math.isfinite, [row[orders] for row in system.x])):
                 return how
             place.tau = math.ldexp(place.tau, -OCTAVES)
         raise (
-            self.final
-            or self.bound.pole(place)
+            self.final_error
+            or self.bound.pole_error(place)
             or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
         )
 
-    def _past_switches(self) -> bool:
+    def _correct_passed_switches(self) -> bool:
         """Turn the switches that rounding has left on the wrong side, where their side has no number; whether there are any."""
-        system, place, turned = self.system, self.place, False
+        system, place, switched = self.system, self.place, False
         system.expand(place.t, place.x, place.codes, place.tau, 0)
         for part, i in system.branches:
             branch, choice = system.jets[part].branches[i], system.parts[part].choice[i]
             if branch.kind == "side" and choice * system.parts[part].rows[branch.row][0] < 0:
                 place.open.add((part, i))
-                turn(system, place, (part, i), -choice)
-                turned = True
-        if turned:
-            self._go_on("after a switch")
-        return turned
+                set_switch(system, place, (part, i), -choice)
+                switched = True
+        if switched:
+            self._select_next_mode("after a switch")
+        return switched
 
     # -- events
 
     @property
-    def _no_jump(self) -> Begin:
-        return Begin((0.0,) * self.system.m)
+    def _event_without_jump(self) -> StartEvent:
+        return StartEvent((0.0,) * self.system.m)
 
-    def _arrive(self) -> Solve:
+    def _expand_at_event(self) -> MultiplierSolver:
         """The expansion at an event; where the mode before has no number there, as near before it as time is known."""
         place, tau, t, x = self.place, self.place.tau, self.place.t, self.place.x
-        for k in range(LATER):
+        for k in range(MAX_NUDGES):
             try:
                 how = self._expand(AROUND)
             except StepError:
                 place.tau = tau
-                creep(self.system, place, -(2.0**k))
+                nudge_start(self.system, place, -(2.0**k))
                 continue
             if place.t == t:
                 return how
-            crept(self.system, place, t, x)
+            extrapolate_start(self.system, place, t, x)
             break
         return self._expand(AROUND)
 
-    def _approach(self, hit: Condition, until: float) -> tuple[Isolated, float, float]:
+    def _locate_event(self, hit: SwitchCondition, until: float) -> tuple[IsolatedRoot, float, float]:
         """Go to the event to round-off, or over what is none; how far a block that stops has to coast; the unit of time."""
         system, place = self.system, self.place
-        how, tau = self._arrive(), place.tau
-        if project(system, place, how.active):  # Afterwards it would move the root that is polished.
+        how, tau = self._expand_at_event(), place.tau
+        if project_to_held_rows(system, place, how.active):  # Afterwards it would move the root that is polished.
             how, tau = self._expand(AROUND), place.tau
-        if not hit.stops:
-            return self.roots.polish(place, hit, AROUND, how, self._expand, self.order, until, self.rtol / LOCAL), 0.0, tau
+        if not hit.ends_at_stop:
+            return self.roots.polish_event(place, hit, AROUND, how, self._expand, self.order, until, self.rtol / LOCAL), 0.0, tau
         self._expand(1)  # No matter of digits; in a longer unit of time coefficients are beyond measure.
-        place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
-        return Isolated(self._expand(AROUND), None, 0.0, 0, True, place.t), left, tau
+        place.tau = power_of_two_unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
+        return IsolatedRoot(self._expand(AROUND), None, 0.0, 0, True, place.t), left, tau
 
-    def _event(self, hit: Condition, known: float, until: float) -> None:
+    def _handle_event(self, hit: SwitchCondition, known: float, until: float) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it; or over what is none.
 
         ``until``: the time up to which the piece that has ended goes on.
@@ -378,49 +407,49 @@ class Integrator:
         system, place = self.system, self.place
         before = place.t, list(place.x), place.tau
         try:
-            found, left, tau = self._approach(hit, until)
+            found, left, tau = self._locate_event(hit, until)
         except StepError:
             place.t, place.x, place.tau = before
-            if not self._past_switches():
+            if not self._correct_passed_switches():
                 raise
             return
         how, self.touches = found.how, self.touches + found.touches
         rates = [row[1] / place.tau for row in system.x]
-        if reaches(place.t, known):
+        if reaches_time(place.t, known):
             to_known = (known - place.t) / place.tau
-            place.x = [value(row[: AROUND + 1], to_known) for row in system.x]
-            self._cross(known)
-        if not found.crosses or reaches(place.t, known):
-            self._begun = None if not found.crosses and place.t > before[0] else self._begun
-            self._note(hit, found, [])
+            place.x = [poly_value(row[: AROUND + 1], to_known) for row in system.x]
+            self._pass_switch_time(known)
+        if not found.crosses or reaches_time(place.t, known):
+            self._pending_event = None if not found.crosses and place.t > before[0] else self._pending_event
+            self._record_undecided(hit, found, [])
             return
-        if self._is_free(hit.of):
+        if self._is_free_of_multipliers(hit.of):
             place.crossed.add(hit.of)
-        turned: list[Condition] = []
-        for condition in conditions(system, place.codes, how, AROUND):
-            c, ends = condition.coefficients(), same(condition, hit)
-            moves, least = max(map(abs, c[1:]), default=0.0), TIE * size(system, condition)
+        switched: list[SwitchCondition] = []
+        for condition in mode_conditions(system, place.codes, how, AROUND):
+            c, ends = condition.coefficients(), is_same_condition(condition, hit)
+            moves, least = max(map(abs, c[1:]), default=0.0), TIE * condition_scale(system, condition)
             if condition.of not in place.open and (ends or abs(c[0]) <= max(least, TIE * moves)):
                 place.open.add(condition.of)
-                turned += [condition] if ends or moves > least else []
-        if hit.stops:
-            coast(system, place, min(left * tau if left <= NEAR else 0.0, known - place.t))
+                switched += [condition] if ends or moves > least else []
+        if hit.ends_at_stop:
+            coast_to_stop(system, place, min(left * tau if left <= NEAR else 0.0, known - place.t))
             place.tau = tau
         opened = (row for kind, i in place.open if kind == ROW for row in system.blocks.rows_of(i))
-        project(system, place, tuple(sorted({*how.active, *opened})))
-        stick(system, place)
-        for condition in turned:  # On another branch y may be another.
+        project_to_held_rows(system, place, tuple(sorted({*how.active, *opened})))
+        stick_released_blocks(system, place)
+        for condition in switched:  # On another branch y may be another.
             crossed = condition.of in place.crossed and condition.of[0] == ROW
-            turn(system, place, condition.of, -place.codes[hit.of[1]] if crossed else condition.after)
-        if reaches(place.t, known):
-            self._cross(known)
+            set_switch(system, place, condition.of, -place.codes[hit.of[1]] if crossed else condition.after)
+        if reaches_time(place.t, known):
+            self._pass_switch_time(known)
             return
-        self._go_on("after " + name(hit.of, self.problem.rows))
-        self._note(hit, found, rates)
-        if self.accumulation.grows(place.t):
-            raise self._accumulates(hit)
+        self._select_next_mode("after " + switch_name(hit.of, self.problem.rows))
+        self._record_undecided(hit, found, rates)
+        if self.accumulation.event_rate_grows(place.t):
+            raise self._accumulation_error(hit)
 
-    def _is_free(self, switch: Switch) -> bool:
+    def _is_free_of_multipliers(self, switch: Switch) -> bool:
         """Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""
         kind, i = switch
         if kind != ROW:
@@ -430,16 +459,18 @@ class Integrator:
             return False
         return math.isfinite(self.system.lower[i] + self.system.upper[i]) and not (D[i].any() or (C[i] @ B).any())
 
-    def _note(self, hit: Condition, found: Isolated, before: list[float]) -> None:
+    def _record_undecided(self, hit: SwitchCondition, found: IsolatedRoot, before: list[float]) -> None:
         """Keep what is not decided, where it matters at rtol: by the rates ``before``; of a dip by its length alone."""
         place, rtol = self.place, self.rtol / LOCAL
         rows = zip(before, self.system.x, self.sizes.x, strict=False)
         moved = [abs(row[1] / place.tau - rate) * found.width / size for rate, row, size in rows if size]
         if found.crosses:
-            self._begun = self._begun and self._begun._replace(width=max(self._begun.width, found.width))
-            matters = max(moved, default=0.0) > TOLD * rtol
+            self._pending_event = self._pending_event and self._pending_event._replace(
+                width=max(self._pending_event.width, found.width)
+            )
+            matters = max(moved, default=0.0) > MAX_UNDECIDED_MOTION * rtol
         else:
-            matters = found.touches > 0 and found.width > TOLD * rtol * abs(place.t)
+            matters = found.touches > 0 and found.width > MAX_UNDECIDED_MOTION * rtol * abs(place.t)
         if matters and not self.undecided[0]:
             system = self.system
             of = hit.of[1] if hit.of[0] == ROW else system.m + system.branches.index(hit.of)
@@ -447,39 +478,39 @@ class Integrator:
         else:
             self.undecided[0] += matters
 
-    def _cross(self, known: float) -> None:
+    def _pass_switch_time(self, known: float) -> None:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
         system, place = self.system, self.place
         place.t = known
         place.x = self.known.after(known, place.x)
-        begin_anew(system, place)
-        self._go_on("at a known time")
+        reinitialise(system, place)
+        self._select_next_mode("at a known time")
 
-    def _go_on(self, when: str) -> None:
+    def _select_next_mode(self, when: str) -> None:
         """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
         system, place = self.system, self.place
         for _ in range(JUMPS + UPDATES * bool(self.problem.updated)):
             before = list(place.codes)
-            if (how := select(system, place)) is not None:
-                if update(system, place):
+            if (how := select_mode(system, place)) is not None:
+                if update_blocks(system, place):
                     place.crossed = set()
                     continue
-                self._refuse_rivals()
-                self._left = how if system.linear_in_l and not system.blocks.all else None
-                self._begun = self._begun or self._no_jump
+                self._check_uniqueness()
+                self._selected_solver = how if system.linear_in_l and not system.blocks.all else None
+                self._pending_event = self._pending_event or self._event_without_jump
                 return
             place.codes[:] = before
-            if (p := jump(system, place)) is None:
+            if (p := jump_impulse(system, place)) is None:
                 break
-            self._push(p)
-            place.open, place.crossed = switches(system), set()
-        raise self._stuck(when)
+            self._apply_impulse(p)
+            place.open, place.crossed = all_switches(system), set()
+        raise self._no_mode_error(when)
 
-    def _accumulates(self, hit: Condition) -> StepError:
-        words = f"the switches of {name(hit.of, self.problem.rows)} accumulate; time steps go over them"
-        return StepError(f"t = {self.place.t:.10g}: {words}: method='auto' or 'time-stepping' (--method auto)")
+    def _accumulation_error(self, hit: SwitchCondition) -> StepError:
+        reason = f"the switches of {switch_name(hit.of, self.problem.rows)} accumulate; time steps go over them"
+        return StepError(f"t = {self.place.t:.10g}: {reason}: method='auto' or 'time-stepping' (--method auto)")
 
-    def _hold(self, how: Solve) -> None:
+    def _correct_drift(self, how: MultiplierSolver) -> None:
         """Move x back to y = 0 in rows that only y' holds, once their drift is seen: each piece leaves its share of rtol."""
         system, place = self.system, self.place
         if how.through is None:
@@ -488,50 +519,51 @@ class Integrator:
         off = [i for i in how.active if abs(y[i]) > self.rtol * self.sizes.y[i] and not system.feedthrough[i]]
         if any(abs(y[i]) > self.rtol * system.size_y(i) for i in off):
             self._expand(1)
-            project(system, place, how.active)
+            project_to_held_rows(system, place, how.active)
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What the next pieces depend on, as lists and numbers."""
-        place, system, sizes, begun = self.place, self.system, self.sizes, self._begun
+        place, system, sizes, pending = self.place, self.system, self.sizes, self._pending_event
         return {
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
             "sizes": {name: list(size) for name, size in vars(sizes).items()},
-            "begun": begun and [list(begun.impulse), begun.width],
-            "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
-            "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.standing(),
+            "begun": pending and [list(pending.impulse), pending.width],
+            "accumulation": self.accumulation.checkpoint(), "unique": dict(self.unique), "touches": self.touches,
+            "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.checkpoint(),
             "undecided": list(self.undecided), "still": self._still,
         }  # fmt: skip
 
-    def stand(self, saved: dict[str, Any]) -> None:
+    def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        system, self._left = self.system, None
+        system, self._selected_solver = self.system, None
         opened = {(str(kind), int(i)) for kind, i in saved["open"]}
-        self.place = Place(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
+        self.place = PieceStart(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
         for part, choice in saved["choice"].items():
             system.parts[part].choice[:] = choice
         for row, l in zip(system.l, saved["l"], strict=True):
             row[0] = l
         for of, sizes in saved["sizes"].items():
             getattr(self.sizes, of)[:] = sizes
-        self._begun = None if saved["begun"] is None else Begin(tuple(saved["begun"][0]), saved["begun"][1])
-        self.accumulation.stand(saved["accumulation"])
+        self._pending_event = None if saved["begun"] is None else StartEvent(tuple(saved["begun"][0]), saved["begun"][1])
+        self.accumulation.restore(saved["accumulation"])
         self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
         self.stopped, self.undecided, self._still = saved["stopped"], list(saved["undecided"]), saved["still"]
-        self.stiff.stand(saved["stiff"])
+        self.stiff.restore(saved["stiff"])
 
-    def _refuse_rivals(self) -> None:
-        if name := self._may_leave_0():
+    def _check_uniqueness(self) -> None:
+        if name := self._state_leaving_zero():
             rests = f"{name} may stay 0, or leave it, where f grows faster than {name}"
             raise StepError(f"t = {self.place.t:.10g}: the solution may not be unique: {rests}")
-        verdict, words = uniqueness(self.system, self.place)
+        verdict, modes = uniqueness_verdict(self.system, self.place)
         self.unique[verdict] += 1
-        if words:
+        if modes:
             raise StepError(
-                f"t = {self.place.t:.10g}: the solution is not unique: {self._open}modes {words} are valid, and go apart"
+                f"t = {self.place.t:.10g}: the solution is not unique: {self._open_switches_text}modes {modes} are valid, and go "
+                "apart"
             )
 
-    def _may_leave_0(self) -> str | None:
+    def _state_leaving_zero(self) -> str | None:
         """A state on which no l acts, and which rests at 0 but may leave it."""
         place, system = self.place, self.system
         resting = [i for i, row in enumerate(system.x) if row[0] == row[1] == 0]
@@ -542,18 +574,18 @@ class Integrator:
         return next((system.problem.names[i] for i in leaves), None)
 
     @property
-    def _open(self) -> str:
+    def _open_switches_text(self) -> str:
         """The open switches, as "of these "; "" where there is none."""
-        names = few(self.place.open, self.problem.rows)
+        names = list_switch_names(self.place.open, self.problem.rows)
         return f"of {names} " if names else ""
 
-    def _stuck(self, when: str) -> StepError:
-        why = f"t = {self.place.t:.10g}: no mode {self._open}is valid {when}: no smooth piece goes on from here"
+    def _no_mode_error(self, when: str) -> StepError:
+        why = f"t = {self.place.t:.10g}: no mode {self._open_switches_text}is valid {when}: no smooth piece goes on from here"
         if not self.system.m and not self.system.branches:
             why = f"t = {self.place.t:.10g}: f has no number, or no Taylor series, {when}: no smooth piece goes on from here"
-        return self.final or StepError(why)
+        return self.final_error or StepError(why)
 
     @property
-    def final(self) -> FinalError | None:
+    def final_error(self) -> UnrecoverableStepError | None:
         """Why steps cannot go on from here either: a block, or a law that moves and holds no value; None where they may."""
         return self._final or self.problem.empty(self.place.t, self.place.x, self.place.tau * AFTER)

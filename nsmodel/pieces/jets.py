@@ -15,13 +15,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.pieces import series
-from nsmodel.proof.graph import OpaqueExpression, applied, fold, operations
+from nsmodel.proof.graph import OpaqueExpression, apply_operation, fold_graph, operation_codes
 
-LEAST = math.ulp(0.0)  # The least positive double.
+SMALLEST_DOUBLE = math.ulp(0.0)  # The least positive double.
 INTEGER_POWERS = 16  # Larger whole exponents are powers of a base that is not 0.
 
 
-class Line(NamedTuple):
+class Recurrence(NamedTuple):
     """Row ``y`` by a recurrence of rows ``args``: a function of `series`, or one of those in `expansion`.
 
     ``start`` is the function that gives order 0, of the rows ``of``; none where the recurrence gives that too.
@@ -44,7 +44,7 @@ class Branch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Jets:
+class TaylorRecurrences:
     """Recurrences of an expression.
 
     Attributes:
@@ -59,21 +59,21 @@ class Jets:
     count: int
     inputs: dict[tuple[int, int], int]
     numbers: dict[int, float]
-    lines: tuple[Line, ...]
+    lines: tuple[Recurrence, ...]
     branches: tuple[Branch, ...]
     outputs: tuple[int, ...]
 
 
-def plain(jets: Jets) -> list[bool]:
+def independent_branches(recurrences: TaylorRecurrences) -> list[bool]:
     """Of each branch whether what it looks at is the same on all sides of the others, and moves with no l."""
-    moved = {row for (which, _), row in jets.inputs.items() if which == 2}
-    for line in jets.lines:
+    moved = {row for (which, _), row in recurrences.inputs.items() if which == 2}
+    for line in recurrences.lines:
         if line.branch >= 0 or any(row in moved for row in (*line.args, *line.of)):
             moved.add(line.y)
-    return [branch.row not in moved for branch in jets.branches]
+    return [branch.row not in moved for branch in recurrences.branches]
 
 
-def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str, *, rounded: bool = True) -> Jets:
+def taylor_decompose(expr: ca.SX, inputs: Sequence[ca.SX], label: str, *, rounded: bool = True) -> TaylorRecurrences:
     """Return the recurrences of an expression in the entries of ``inputs``; ``rounded``: operations on numbers become numbers.
 
     Raises:
@@ -83,19 +83,19 @@ def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str, *, rounded: bool =
     place = {
         s.element_hash(): (which, i) for which, given in enumerate(inputs) for i, s in enumerate(ca.vertsplit(ca.vec(given)))
     }
-    tape = _Tape(label, rounded)
-    outputs = fold(ca.cse(ca.SX(expr)), lambda s: tape.input(*place[s.element_hash()]), tape.constant, tape.operation)
-    return Jets(tape.count, tape.inputs, tape.numbers, tuple(tape.lines), tuple(tape.branches), tuple(outputs))
+    tape = _RecurrenceTape(label, rounded)
+    outputs = fold_graph(ca.cse(ca.SX(expr)), lambda s: tape.input(*place[s.element_hash()]), tape.constant, tape.operation)
+    return TaylorRecurrences(tape.count, tape.inputs, tape.numbers, tuple(tape.lines), tuple(tape.branches), tuple(outputs))
 
 
-class _Tape:
+class _RecurrenceTape:
     """Rows as they are written down."""
 
     def __init__(self, label: str, rounded: bool) -> None:
         self.label, self.rounded, self.count = label, rounded, 0
         self.inputs: dict[tuple[int, int], int] = {}
         self.numbers: dict[int, float] = {}
-        self.lines: list[Line] = []
+        self.lines: list[Recurrence] = []
         self.branches: list[Branch] = []
         self._known: dict[float, int] = {}
         self._truths: set[int] = set()
@@ -103,28 +103,28 @@ class _Tape:
 
     def input(self, which: int, entry: int) -> int:
         if (which, entry) not in self.inputs:
-            self.inputs[which, entry] = self._row()
+            self.inputs[which, entry] = self._new_row()
         return self.inputs[which, entry]
 
     def constant(self, value: float) -> int:
         if value not in self._known:
-            self._known[value] = self._row()
+            self._known[value] = self._new_row()
             self.numbers[self._known[value]] = float(value)
         return self._known[value]
 
     def operation(self, op: int, args: list[int]) -> int:
         if op == ca.OP_ASSIGN:
             return args[0]
-        if op == ca.OP_CALL or (op not in UNARY and op not in BINARY):
+        if op == ca.OP_CALL or (op not in UNARY_RECURRENCES and op not in BINARY_RECURRENCES):
             name = next((name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op), str(op))
             raise OpaqueExpression(
                 f"{self.label} holds {name.removeprefix('OP_').lower()}, of which no Taylor series is known here"
             )
         if self.rounded and all(row in self.numbers for row in args):
-            return self.constant(float(applied(op, [ca.SX(self.numbers[row]) for row in args])))
-        return UNARY[op](self, *args) if op in UNARY else BINARY[op](self, *args)
+            return self.constant(float(apply_operation(op, [ca.SX(self.numbers[row]) for row in args])))
+        return UNARY_RECURRENCES[op](self, *args) if op in UNARY_RECURRENCES else BINARY_RECURRENCES[op](self, *args)
 
-    def _row(self) -> int:
+    def _new_row(self) -> int:
         self.count += 1
         return self.count - 1
 
@@ -132,8 +132,8 @@ class _Tape:
         self, kind: str, *args: int, number: float = 1.0, start: str = "", of: tuple[int, ...] = (), branch: int = -1
     ) -> int:
         """A new row by a recurrence; -1 among ``args`` stands for the row itself."""
-        y = self._row()
-        self.lines.append(Line(kind, y, tuple(y if row < 0 else row for row in args), number, start, of, branch))
+        y = self._new_row()
+        self.lines.append(Recurrence(kind, y, tuple(y if row < 0 else row for row in args), number, start, of, branch))
         return y
 
     def sum(self, a: int, b: int) -> int:
@@ -180,18 +180,18 @@ class _Tape:
     def pair(self, a: int, first: str, second: str, sign: float) -> tuple[int, int]:
         """Sin and cos, sinh and cosh: each is the other's derivative, but for the sign of the second's."""
         if (first, a) not in self._pairs:
-            one, two = self._pairs[first, a] = self._row(), self._row()
-            self.lines.append(Line("along", one, (two, a), 1.0, first, (a,)))
-            self.lines.append(Line("along", two, (one, a), sign, second, (a,)))
+            one, two = self._pairs[first, a] = self._new_row(), self._new_row()
+            self.lines.append(Recurrence("along", one, (two, a), 1.0, first, (a,)))
+            self.lines.append(Recurrence("along", two, (one, a), sign, second, (a,)))
         return self._pairs[first, a]
 
     def tangent(self, a: int, name: str, sign: float) -> int:
         """Tan and tanh: D y = (1 + sign y^2) D a."""
-        y, squared, factor = self._row(), self._row(), self._row()
-        self.lines.append(Line("along", y, (factor, a), 1.0, name, (a,)))
-        self.lines.append(Line("square", squared, (y,)))
+        y, squared, factor = self._new_row(), self._new_row(), self._new_row()
+        self.lines.append(Recurrence("along", y, (factor, a), 1.0, name, (a,)))
+        self.lines.append(Recurrence("square", squared, (y,)))
         scaled = squared if sign > 0 else self.minus(squared)
-        self.lines.append(Line("shifted", factor, (scaled,), 1.0))
+        self.lines.append(Recurrence("shifted", factor, (scaled,), 1.0))
         return y
 
     def inverse(self, a: int, name: str, of_square: float, constant: float, *, rooted: bool, sign: float = 1.0) -> int:
@@ -210,14 +210,14 @@ class _Tape:
             return self.line("along", -1, self.product(b, log), start="pow", of=(a, b))
         p = self.numbers[b]
         if p == int(p) and abs(p) <= INTEGER_POWERS:
-            y = self.whole_power(a, int(abs(p)))
+            y = self.integer_power(a, int(abs(p)))
             return y if p >= 0 else self.quotient(self.constant(1.0), y)
         return self.root(a) if p == 0.5 else self.line("power", a, number=p, start="pow", of=(a, b))
 
-    def whole_power(self, a: int, p: int) -> int:
+    def integer_power(self, a: int, p: int) -> int:
         if p < 2:
             return a if p else self.constant(1.0)
-        half = self.square(self.whole_power(a, p // 2))
+        half = self.square(self.integer_power(a, p // 2))
         return self.product(half, a) if p % 2 else half
 
     # Switches.
@@ -236,15 +236,15 @@ class _Tape:
         u = self.line("chosen", a, self.minus(a), branch=behind)
         v = self.line("chosen", b, self.minus(b), branch=behind)
         half = self.side(a, self.constant(math.pi), self.constant(-math.pi))
-        turned = self.line("chosen", self.constant(0.0), half, branch=behind)
-        return self.sum(turned, self.line("angle", u, v, self.sum(self.square(a), self.square(b)), start="atan2", of=(u, v)))
+        rotation = self.line("chosen", self.constant(0.0), half, branch=behind)
+        return self.sum(rotation, self.line("angle", u, v, self.sum(self.square(a), self.square(b)), start="atan2", of=(u, v)))
 
     def absolute(self, a: int) -> int:
         return self.side(a, a, self.minus(a))
 
     def is_at_most(self, a: int, b: int) -> int:
         """1 where a <= b, else 0; LEAST <= b is what is written, and no switch (see `exponentials`)."""
-        if self.numbers.get(a) == LEAST:
+        if self.numbers.get(a) == SMALLEST_DOUBLE:
             return self.true(self.line("positive", b))
         return self.true(self.side(self.difference(b, a), self.constant(1.0), self.constant(0.0)))
 
@@ -274,19 +274,19 @@ class _Tape:
     def remainder(self, a: int, b: int, kind: str) -> int:
         return self.difference(a, self.product(self.whole(self.quotient(a, b), kind), b))
 
-    def where_true(self, condition: int, a: int) -> int:
+    def if_else_zero(self, condition: int, a: int) -> int:
         """``a`` where the condition is not 0, else 0, whatever ``a`` is."""
         return self.line("guarded", self.truth(condition), a)
 
 
-UNARY: dict[int, Callable[[_Tape, int], int]] = {
-    ca.OP_NEG: _Tape.minus,
+UNARY_RECURRENCES: dict[int, Callable[[_RecurrenceTape, int], int]] = {
+    ca.OP_NEG: _RecurrenceTape.minus,
     ca.OP_TWICE: lambda t, a: t.scaled(a, 2.0),
-    ca.OP_SQ: _Tape.square,
+    ca.OP_SQ: _RecurrenceTape.square,
     ca.OP_INV: lambda t, a: t.quotient(t.constant(1.0), a),
-    ca.OP_SQRT: _Tape.root,
-    ca.OP_EXP: _Tape.exp,
-    ca.OP_LOG: _Tape.log,
+    ca.OP_SQRT: _RecurrenceTape.root,
+    ca.OP_EXP: _RecurrenceTape.exp,
+    ca.OP_LOG: _RecurrenceTape.log,
     ca.OP_EXPM1: lambda t, a: t.line("along", t.exp(a), a, start="expm1", of=(a,)),
     ca.OP_LOG1P: lambda t, a: t.line("against", t.shifted(a, 1.0), a, start="log1p", of=(a,)),
     ca.OP_SIN: lambda t, a: t.pair(a, "sin", "cos", -1.0)[0],
@@ -301,34 +301,34 @@ UNARY: dict[int, Callable[[_Tape, int], int]] = {
     ca.OP_ASINH: lambda t, a: t.inverse(a, "asinh", 1.0, 1.0, rooted=True),
     ca.OP_ACOSH: lambda t, a: t.inverse(a, "acosh", 1.0, -1.0, rooted=True),
     ca.OP_ATANH: lambda t, a: t.inverse(a, "atanh", -1.0, 1.0, rooted=False),
-    ca.OP_ERF: _Tape.error_function,
-    ca.OP_FABS: _Tape.absolute,
+    ca.OP_ERF: _RecurrenceTape.error_function,
+    ca.OP_FABS: _RecurrenceTape.absolute,
     ca.OP_SIGN: lambda t, a: t.side(a, t.constant(1.0), t.constant(-1.0)),
     ca.OP_FLOOR: lambda t, a: t.whole(a, "floor"),
     ca.OP_CEIL: lambda t, a: t.whole(a, "ceil"),
     ca.OP_NOT: lambda t, a: t.logic("not", a),
 }
-BINARY: dict[int, Callable[[_Tape, int, int], int]] = {
-    ca.OP_ADD: _Tape.sum,
-    ca.OP_SUB: _Tape.difference,
-    ca.OP_MUL: _Tape.product,
-    ca.OP_DIV: _Tape.quotient,
-    ca.OP_POW: _Tape.power,
-    ca.OP_CONSTPOW: _Tape.power,
+BINARY_RECURRENCES: dict[int, Callable[[_RecurrenceTape, int, int], int]] = {
+    ca.OP_ADD: _RecurrenceTape.sum,
+    ca.OP_SUB: _RecurrenceTape.difference,
+    ca.OP_MUL: _RecurrenceTape.product,
+    ca.OP_DIV: _RecurrenceTape.quotient,
+    ca.OP_POW: _RecurrenceTape.power,
+    ca.OP_CONSTPOW: _RecurrenceTape.power,
     ca.OP_HYPOT: lambda t, a, b: t.line("root", t.sum(t.square(a), t.square(b)), start="hypot", of=(a, b)),
-    ca.OP_ATAN2: _Tape.angle,
+    ca.OP_ATAN2: _RecurrenceTape.angle,
     ca.OP_FMAX: lambda t, a, b: t.side(t.difference(a, b), a, b),
     ca.OP_FMIN: lambda t, a, b: t.side(t.difference(b, a), a, b),
     ca.OP_COPYSIGN: lambda t, a, b: t.side(b, t.absolute(a), t.minus(t.absolute(a))),
     ca.OP_FMOD: lambda t, a, b: t.remainder(a, b, "toward zero"),
     ca.OP_REMAINDER: lambda t, a, b: t.remainder(a, b, "nearest"),
     ca.OP_LT: lambda t, a, b: t.logic("not", t.is_at_most(b, a)),
-    ca.OP_LE: _Tape.is_at_most,
-    ca.OP_EQ: _Tape.is_equal,
+    ca.OP_LE: _RecurrenceTape.is_at_most,
+    ca.OP_EQ: _RecurrenceTape.is_equal,
     ca.OP_NE: lambda t, a, b: t.logic("not", t.is_equal(a, b)),
     ca.OP_AND: lambda t, a, b: t.logic("both", a, b),
     ca.OP_OR: lambda t, a, b: t.logic("either", a, b),
-    ca.OP_IF_ELSE_ZERO: _Tape.where_true,
+    ca.OP_IF_ELSE_ZERO: _RecurrenceTape.if_else_zero,
 }
 SWITCHING = frozenset(
     getattr(ca, f"OP_{name}")
@@ -338,9 +338,9 @@ SWITCHING = frozenset(
 
 def is_switched(expr: ca.SX) -> bool:
     """Whether an expression holds operations that are not analytic, or what no Taylor series is known of."""
-    if not operations(expr) & SWITCHING:
+    if not operation_codes(expr) & SWITCHING:
         return False
     try:
-        return bool(jets_of(expr, ca.symvar(expr), "").branches)
+        return bool(taylor_decompose(expr, ca.symvar(expr), "").branches)
     except OpaqueExpression:
         return True

@@ -13,7 +13,7 @@ SAME_TIME = 4 * float(np.finfo(float).eps)  # Of a known time: an event that is 
 
 
 @dataclass(frozen=True)
-class Known:
+class SwitchTimes:
     """Times, increasing.
 
     ``data``: what the held states of the problem are just after one of them, of the state there; None where none is held.
@@ -45,6 +45,6 @@ class Known:
         return np.array(times), np.array([[] if self.data is None else self.data(t, None) for t in times])
 
 
-def reaches(t: float, known: float) -> bool:
+def reaches_time(t: float, known: float) -> bool:
     """Whether t is at a known time, to rounding, or beyond."""
     return known < math.inf and t >= known * (1 - SAME_TIME)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nsmodel.pieces.multipliers import Solve, solve_of
+from nsmodel.pieces.multipliers import MultiplierSolver, multiplier_solver
 from nsmodel.pieces.sizes import ROUNDING
-from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size, tie
-from nsmodel.pieces.system import System
+from nsmodel.pieces.switches import ROW, TIE, Switch, SwitchCondition, condition_scale, condition_uncertainty, mode_conditions
+from nsmodel.pieces.system import ModeSystem
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 
@@ -25,17 +25,17 @@ ORDERS, HALF = 6, 3  # Of a germ, and the first ones, which the others are not t
 PACES, HALVED = 8, 0.5  # Iterations of their unit of time, until it is no more than halved.
 PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wrong rows at once.
 PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
-APART = 1e-7  # Of their size: coefficients of two modes that differ.
+GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ.
 INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
 CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
-LATER = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
-MOST_CREEP = 2.0**12  # Roundings of the time, that a state may need to be another double.
+MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
+MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double.
 ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
 
 
 @dataclass
-class Place:
+class PieceStart:
     """Where a piece starts: time, state, unit of time, mode; ``open``: the switches that germs decide.
 
     ``crossed``: switches on which no l acts, and that are proved to be on another side, whatever their first coefficients are.
@@ -49,80 +49,82 @@ class Place:
     crossed: set[Switch] = field(default_factory=set)
 
 
-def select(system: System, place: Place) -> Solve | None:
+def select_mode(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:
     """Bring ``place.codes`` and the choices of branches to a mode in which all germs are valid; None: there is none.
 
     Where the mode that is taken up has no number at the place (exp(-1/u), where rounding has left u < 0), it is looked for a
     little later, as well as time is known.
     """
-    before, t, x = _state(system, place), place.t, list(place.x)
-    for k in range(LATER):
-        if (how := _selected(system, place)) is not None:
+    before, t, x = _mode_state(system, place), place.t, list(place.x)
+    for k in range(MAX_NUDGES):
+        if (how := _find_valid_mode(system, place)) is not None:
             if place.t == t:
                 return how
-            crept(system, place, t, x)
-            return _expand(system, place)
-        _restore(system, place, before)
-        if not system.branches or _expand(system, place) is not None:
+            extrapolate_start(system, place, t, x)
+            return _expand_germs(system, place)
+        _restore_mode(system, place, before)
+        if not system.branches or _expand_germs(system, place) is not None:
             break
-        creep(system, place, 2.0**k)
+        nudge_start(system, place, 2.0**k)
     place.t, place.x = t, x
     return None
 
 
-def creep(system: System, place: Place, times: float) -> None:
+def nudge_start(system: ModeSystem, place: PieceStart, times: float) -> None:
     """Move the place, back where ``times`` < 0, by so many times what rounding leaves open of time, or of the fastest state."""
     rates = [row[1] / place.tau if math.isfinite(row[1]) else 0.0 for row in system.x]
     fastest = min((abs(x / rate) for x, rate in zip(place.x, rates, strict=True) if x and rate), default=0.0)
-    time = times * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MOST_CREEP) if place.t else 0.0
+    time = times * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MAX_NUDGE) if place.t else 0.0
     place.t += time
     place.x = [x + rate * time for x, rate in zip(place.x, rates, strict=True)]
 
 
-def crept(system: System, place: Place, t: float, x: list[float]) -> None:
+def extrapolate_start(system: ModeSystem, place: PieceStart, t: float, x: list[float]) -> None:
     """Move x from (t, x) to the time of the place at the rates there, which stand: some may not have been known before."""
     place.x = [a + row[1] / place.tau * (place.t - t) for a, row in zip(x, system.x, strict=True)]
 
 
-def _selected(system: System, place: Place) -> Solve | None:
-    before = _state(system, place)
-    for begin in itertools.chain([None], _guesses(system, place)):
-        _restore(system, place, before)
+def _find_valid_mode(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:
+    before = _mode_state(system, place)
+    for begin in itertools.chain([None], _guess_modes(system, place)):
+        _restore_mode(system, place, before)
         if begin is not None:
             place.open |= {(ROW, i) for i, code in enumerate(begin) if code != place.codes[i]}
             place.codes[:] = begin
-        if (how := _pivot(system, place)) is not None:
+        if (how := _pivot_to_valid_mode(system, place)) is not None:
             return how
-    return next((how for how, *_ in valid(system, place, before)), None)
+    return next((how for how, *_ in valid_modes(system, place, before)), None)
 
 
-def take_sides(system: System, place: Place) -> None:
+def set_initial_codes(system: ModeSystem, place: PieceStart) -> None:
     """Codes to begin with: the end that the sign of y asks for, where no l acts on it and it is clear; else y = 0."""
     system.outputs(place.t, place.x)
     for i in range(system.m):
-        codes = _possible(system, (ROW, i))
+        codes = _possible_codes(system, (ROW, i))
         place.codes[i] = int(codes[0]) if len(codes) == 1 and i not in system.blocks.of else 0
 
 
-def valid(
-    system: System, place: Place, before: tuple, own: list[float] | None = None
-) -> Iterator[tuple[Solve, list[list[float]], list[float], float]]:
+def valid_modes(
+    system: ModeSystem, place: PieceStart, before: tuple, own: list[float] | None = None
+) -> Iterator[tuple[MultiplierSolver, list[list[float]], list[float], float]]:
     """All modes of the open switches but ``own``, where these are few, that all germs allow: x, how l pushes it, `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
-    possible = [[_code(system, place, one)] if one in place.crossed else _possible(system, one) for one in opened]
+    possible = [[_switch_code(system, place, one)] if one in place.crossed else _possible_codes(system, one) for one in opened]
     for codes in itertools.product(*possible):
         if list(codes) == own:
             continue
-        _restore(system, place, before)
+        _restore_mode(system, place, before)
         for switch, code in zip(opened, codes, strict=True):
-            turn(system, place, switch, code)
-        if (how := _expand(system, place)) is not None and not (system.apart(how) or list(_wrong(system, place, how))):
-            yield how, [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system)
+            set_switch(system, place, switch, code)
+        if (how := _expand_germs(system, place)) is not None and not (
+            system.rows_off_zero(how) or list(_violated_conditions(system, place, how))
+        ):
+            yield how, [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system)
 
 
-def jump(system: System, place: Place) -> np.ndarray | None:
+def jump_impulse(system: ModeSystem, place: PieceStart) -> np.ndarray | None:
     """The impulse p (m,) after which x + g_l p can go on; None where there is none, or g_l or h_l, h_x move.
 
     x+ - x = g_l p, y+ = h(t, x+) with -y+ in the normal cone at p of what K recedes to: a step of length 0. The index set is that
@@ -138,13 +140,13 @@ def jump(system: System, place: Place) -> np.ndarray | None:
     lower, upper = (np.where(np.isinf(end) & box, end, 0.0) for end in (law.lower, law.upper))
     cone = NumericLaw(lower, upper, ())
     W, start = D / (INSTANT * place.tau) + C @ B, np.zeros(system.m)
-    found = mlcp.solve(
+    found = mlcp.solve_mlcp(
         W, y, cone, start, np.array(place.codes, np.int8), (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION), False, 1e-6
     )
     if not np.isfinite(found.residual):
         return None
     active = [i for i in range(system.m) if found.index[i] == 0 and cone.lower[i] < cone.upper[i]]
-    through = solve_of(tuple(active), B, D, C).through
+    through = multiplier_solver(tuple(active), B, D, C).through
     p = np.zeros(system.m)
     if through is not None:
         p[active] = -np.array(through) @ y[active]
@@ -155,7 +157,7 @@ def jump(system: System, place: Place) -> np.ndarray | None:
     )
 
 
-def uniqueness(system: System, place: Place) -> tuple[str, str]:
+def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]:
     """(PROVED, AGREE, UNDECIDED or SPLIT, words for two valid modes that go apart).
 
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
@@ -170,25 +172,25 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
         return PROVED, ""
     if len(place.open) > FEW:
         return UNDECIDED, ""
-    before, codes = _state(system, place), [_code(system, place, switch) for switch in sorted(place.open)]
-    own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system), ""
-    for _, x, push, its in valid(system, place, before, codes):
+    before, codes = _mode_state(system, place), [_switch_code(system, place, switch) for switch in sorted(place.open)]
+    own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system), ""
+    for _, x, push, its in valid_modes(system, place, before, codes):
         rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, push, system.sizes.x, strict=True)]
-        if any(_apart(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
+        if any(_germs_differ(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
             split = f"{before[0]} and {place.codes}"
             break
-    _restore(system, place, before)
-    _expand(system, place)
+    _restore_mode(system, place, before)
+    _expand_germs(system, place)
     return (SPLIT, split) if split else (AGREE, "")
 
 
-def _apart(a: list[float], b: list[float], share: float, least: float) -> bool:
+def _germs_differ(a: list[float], b: list[float], share: float, least: float) -> bool:
     """Whether two germs are not the same, in a share of the unit of time."""
     a, b = ([v * share**k for k, v in enumerate(row)] for row in (a, b))
-    return max(abs(p - q) for p, q in zip(a, b, strict=True)) > APART * max(map(abs, a + b)) + least
+    return max(abs(p - q) for p, q in zip(a, b, strict=True)) > GERM_DIFFERENCE * max(map(abs, a + b)) + least
 
 
-def pace(system: System) -> float:
+def germ_time_share(system: ModeSystem) -> float:
     """The share of the unit of time in which coefficients of x, l and l'S l do not grow from order to order: that of germs.
 
     In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last. Where these are
@@ -205,11 +207,11 @@ def pace(system: System) -> float:
             first = max(so_far, *own[:HALF])
             if (share == 1 and max(own[HALF:]) <= first) or (rows is system.x and first <= ROUNDING * system.pushed()[i]):
                 continue
-            share = _shrunk(row, so_far, share)
+            share = _shrink_time_share(row, so_far, share)
     return share
 
 
-def _shrunk(c: list[float], so_far: float, share: float) -> float:
+def _shrink_time_share(c: list[float], so_far: float, share: float) -> float:
     """A share of the unit of time in which the later half of orders is not larger than the first, or than ``so_far``."""
     for _ in range(PACES):
         own = [abs(a) * share**k for k, a in enumerate(c[1 : ORDERS + 1], 1)]
@@ -221,13 +223,13 @@ def _shrunk(c: list[float], so_far: float, share: float) -> float:
     return share
 
 
-def leading(c: list[float], least: float, share: float) -> int | None:
+def leading_order(c: list[float], least: float, share: float) -> int | None:
     """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are.
 
     ``share``: of the unit of time, see `pace`; where the condition itself needs a shorter one, and is no rounding in it, that.
     """
     if len(c) > HALF + 1 and max(map(abs, c[HALF + 1 : ORDERS + 1])) > max(map(abs, c[: HALF + 1])):
-        own = _shrunk(c, abs(c[0]), share)
+        own = _shrink_time_share(c, abs(c[0]), share)
         if max(abs(a) * own**k for k, a in enumerate(c[: HALF + 1])) > least:
             share = own
     decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
@@ -235,39 +237,39 @@ def leading(c: list[float], least: float, share: float) -> int | None:
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
 
-def lowest(c: list[float], least: float) -> int | None:
+def lowest_order(c: list[float], least: float) -> int | None:
     """The same by rounding alone: the first order above ``least`` in a unit of time in which later ones are no larger."""
     decide = c[: ORDERS + 1]
-    return next((k for k, a in enumerate(decide) if abs(a) * share_of(decide, k) ** k > least), None)
+    return next((k for k, a in enumerate(decide) if abs(a) * dominant_time_share(decide, k) ** k > least), None)
 
 
-def share_of(c: list[float], k: int) -> float:
+def dominant_time_share(c: list[float], k: int) -> float:
     """The share of the unit of time, 1 at most, in which no later coefficient is larger than that of order k."""
     size = abs(c[k])
     return min([(size / abs(b)) ** (1 / (j - k)) for j, b in enumerate(c[k + 1 :], k + 1) if abs(b) > size], default=1.0)
 
 
-def _pivot(system: System, place: Place) -> Solve | None:
+def _pivot_to_valid_mode(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:
     seen, one_at_a_time = set(), False
     for iteration in range(PIVOTS):
-        how = _expand(system, place)
+        how = _expand_germs(system, place)
         if how is None:
-            if not _let_go(system, place):
+            if not _leave_singular_mode(system, place):
                 return None
             continue
-        apart = system.apart(how)
-        for i in apart:
+        off_zero = system.rows_off_zero(how)
+        for i in off_zero:
             own = system.blocks.rows_of(i)
             place.open.add((ROW, own[0]))
             if len(own) > 1:
-                turn(system, place, (ROW, own[0]), 1)
+                set_switch(system, place, (ROW, own[0]), 1)
                 continue
             place.codes[i] = -1 if system.y[i][0] > 0 else 1
             if not np.isfinite(system.lower[i] if place.codes[i] < 0 else system.upper[i]):
                 return None
-        if apart:
+        if off_zero:
             continue
-        wrong = list(_wrong(system, place, how))
+        wrong = list(_violated_conditions(system, place, how))
         if not wrong:
             return how
         mode = (tuple(place.codes), *(tuple(part.choice) for part in system.parts.values()))
@@ -275,46 +277,46 @@ def _pivot(system: System, place: Place) -> Solve | None:
         seen.add(mode)
         for condition in wrong[:1] if one_at_a_time else wrong:
             place.open.add(condition.of)
-            turn(system, place, condition.of, condition.after)
+            set_switch(system, place, condition.of, condition.after)
     return None
 
 
-def _expand(system: System, place: Place) -> Solve | None:
+def _expand_germs(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:
     how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
     return None if how is None or any(any(map(math.isnan, row[: ORDERS + 1])) for row in system.x) else how
 
 
-def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
+def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierSolver) -> Iterator[SwitchCondition]:
     """The conditions that do not hold just after the start: of those that are open or whose multipliers may have moved.
 
     Where l or what a branch chooses jumps, y and arguments may jump too: of the others those that are clearly broken.
     """
-    share = pace(system)
-    for condition in conditions(system, place.codes, how, ORDERS):
+    share = germ_time_share(system)
+    for condition in mode_conditions(system, place.codes, how, ORDERS):
         if condition.of in place.crossed:
             continue
         if condition.of in place.open or condition.acts in ("l", "inside"):
             c = condition.coefficients()
-            first = leading(c, TIE * size(system, condition), share)
+            first = leading_order(c, TIE * condition_scale(system, condition), share)
             if first != 1 and condition.acts not in ("l", "inside"):
-                first = leading(c, tie(system, condition), share)
+                first = leading_order(c, condition_uncertainty(system, condition), share)
             if first is not None and c[first] < 0:
                 yield condition
-        elif condition.sign * condition.row[0] + condition.shift < -TIE * size(system, condition):
+        elif condition.sign * condition.row[0] + condition.shift < -TIE * condition_scale(system, condition):
             yield condition
 
 
-def _let_go(system: System, place: Place) -> bool:
+def _leave_singular_mode(system: ModeSystem, place: PieceStart) -> bool:
     """Leave a singular mode: one of its open rows goes to an end, the one that its rate leads to."""
     for kind, i in sorted(place.open):
-        if kind == ROW and place.codes[i] == 0 and len(ends := _codes(system, (ROW, i))[1:]) > 0:
+        if kind == ROW and place.codes[i] == 0 and len(ends := _switch_codes(system, (ROW, i))[1:]) > 0:
             led = -1 if system.y[i][1] > 0 else 1 if system.y[i][1] < 0 else ends[0]
-            turn(system, place, (ROW, i), led if led in ends and not system.blocks.is_curved(i) else ends[0])
+            set_switch(system, place, (ROW, i), led if led in ends and not system.blocks.is_curved(i) else ends[0])
             return True
     return False
 
 
-def _codes(system: System, switch: Switch) -> list[float]:
+def _switch_codes(system: ModeSystem, switch: Switch) -> list[float]:
     kind, i = switch
     if kind == ROW:
         if system.blocks.is_curved(i):
@@ -325,15 +327,15 @@ def _codes(system: System, switch: Switch) -> list[float]:
     return [-1.0, 1.0] if branch.kind in ("side", "equal") else [choice, choice - 1, choice + 1]
 
 
-def _possible(system: System, switch: Switch) -> list[float]:
+def _possible_codes(system: ModeSystem, switch: Switch) -> list[float]:
     """The codes of a switch but those that y_i refuses: where no l acts on it directly, it has its sign in all modes."""
     kind, i = switch
     if kind != ROW or system.feedthrough[i] or abs(system.y[i][0]) <= CLEAR * system.size_y(i):
-        return _codes(system, switch)
-    return [code for code in _codes(system, switch) if code * system.y[i][0] < 0]
+        return _switch_codes(system, switch)
+    return [code for code in _switch_codes(system, switch) if code * system.y[i][0] < 0]
 
 
-def turn(system: System, place: Place, switch: Switch, code: float) -> None:
+def set_switch(system: ModeSystem, place: PieceStart, switch: Switch, code: float) -> None:
     """Give a switch another code."""
     kind, i = switch
     if kind == ROW:
@@ -343,23 +345,23 @@ def turn(system: System, place: Place, switch: Switch, code: float) -> None:
         system.parts[kind].choice[i] = code
 
 
-def _code(system: System, place: Place, switch: Switch) -> float:
+def _switch_code(system: ModeSystem, place: PieceStart, switch: Switch) -> float:
     kind, i = switch
     return place.codes[i] if kind == ROW else system.parts[kind].choice[i]
 
 
-def _state(system: System, place: Place) -> tuple:
+def _mode_state(system: ModeSystem, place: PieceStart) -> tuple:
     return list(place.codes), {name: list(part.choice) for name, part in system.parts.items()}, set(place.open)
 
 
-def _restore(system: System, place: Place, before: tuple) -> None:
+def _restore_mode(system: ModeSystem, place: PieceStart, before: tuple) -> None:
     place.codes[:] = before[0]
     for name, choices in before[1].items():
         system.parts[name].choice[:] = choices
     place.open = set(before[2])
 
 
-def _guesses(system: System, place: Place) -> Iterator[list[int]]:
+def _guess_modes(system: ModeSystem, place: PieceStart) -> Iterator[list[int]]:
     """Index sets of one implicit step, a small one and a smaller one: of the solvers that time stepping has."""
     if not system.m:
         return
@@ -373,6 +375,6 @@ def _guesses(system: System, place: Place) -> Iterator[list[int]]:
         y, rate, l = (np.array([row[k] for row in rows]) for rows, k in ((system.y, 0), (system.y, 1), (system.l, 0)))
         B, D, C = system.slopes()
         W = D + h * (C @ B)
-        found = mlcp.solve(W, y + share * rate - W @ l, law, l, np.array(place.codes, np.int8), chain, False, 1e-9)
+        found = mlcp.solve_mlcp(W, y + share * rate - W @ l, law, l, np.array(place.codes, np.int8), chain, False, 1e-9)
         if np.isfinite(found.residual):
             yield [int(code) for code in found.index]

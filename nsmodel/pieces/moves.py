@@ -6,16 +6,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from nsmodel.pieces.modes import Place, turn
+from nsmodel.pieces.modes import PieceStart, set_switch
 from nsmodel.pieces.multipliers import generalised_inverse, least_motion
 from nsmodel.pieces.sizes import ROUNDING
 from nsmodel.pieces.switches import ROW, TIE
-from nsmodel.pieces.system import System
+from nsmodel.pieces.system import ModeSystem
 
 PROJECTIONS = 3  # Iterations.
 
 
-def project(system: System, place: Place, rows: tuple[int, ...]) -> bool:
+def project_to_held_rows(system: ModeSystem, place: PieceStart, rows: tuple[int, ...]) -> bool:
     """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion; whether it moved.
 
     Where y is rounding x moves by no more: rows that are nearly parallel would move it by many times that. What stands then is
@@ -26,7 +26,7 @@ def project(system: System, place: Place, rows: tuple[int, ...]) -> bool:
         y = [system.y[i][0] for i in a]
         if not any(y):
             return iteration > 0
-        free, slope, terms = system.of_slopes(("held", rows), lambda _, D, C: _held(a, D, C), "DC")
+        free, slope, terms = system.cached_from_slopes(("held", rows), lambda _, D, C: _held_row_matrices(a, D, C), "DC")
         held = free @ y
         if not held.any():
             return iteration > 0
@@ -40,27 +40,27 @@ def project(system: System, place: Place, rows: tuple[int, ...]) -> bool:
     return True
 
 
-def coast(system: System, place: Place, time: float) -> None:
+def coast_to_stop(system: ModeSystem, place: PieceStart, time: float) -> None:
     """Go on to where the speed of a block at its threshold would be 0: nothing but its first term means anything so near."""
     d = time / place.tau
     place.x = [row[0] + d * row[1] for row in system.x]
     place.t += time
 
 
-def stick(system: System, place: Place) -> None:
+def stick_released_blocks(system: ModeSystem, place: PieceStart) -> None:
     """Open the blocks that slip with y = 0, as their rows came to 0 with others, and let them begin with stick."""
-    for block in system.blocks.released:
+    for block in system.blocks.onset_blocks:
         place.open.add((ROW, block.first))
-        turn(system, place, (ROW, block.first), 0)
+        set_switch(system, place, (ROW, block.first), 0)
 
 
-def _held(a: list[int], D: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _held_row_matrices(a: list[int], D: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of rows a: what takes of y what no l acts on directly, by what x moves that, and the sizes that y is the sum of."""
-    free = _free(D[np.ix_(a, a)].tobytes(), len(a)).T
+    free = _left_null_space(D[np.ix_(a, a)].tobytes(), len(a)).T
     return free, free @ C[a], np.abs(np.hstack([C[a], D[a]]))
 
 
 @lru_cache(maxsize=64)
-def _free(D: bytes, rows: int) -> np.ndarray:
+def _left_null_space(D: bytes, rows: int) -> np.ndarray:
     """The left null space of D."""
     return generalised_inverse(np.frombuffer(D).reshape(rows, rows))[1]

@@ -8,16 +8,16 @@ from operator import mul
 
 import numpy as np
 
-Rows = list[list[float]]
+MatrixRows = list[list[float]]
 SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
-MOST_MINORS = 8  # Rows of a matrix whose principal minors are all looked at.
+MAX_MINOR_ROWS = 8  # Rows of a matrix whose principal minors are all looked at.
 BALANCING = 4  # Passes that bring the entries of a matrix near 1.
 NOTHING = 1e-300  # Beside what may be 0, where it divides.
 SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal.
 
 
 @dataclass(frozen=True)
-class Solve:
+class MultiplierSolver:
     """How the multipliers of the rows ``active`` follow, by the matrices ``direct`` (D^+) and ``through`` (N), lists of rows.
 
     ``lift`` is the least motion of x by which what is held through y' moves by 1, where that is asked for.
@@ -25,11 +25,11 @@ class Solve:
     """
 
     active: tuple[int, ...]
-    direct: Rows | None
-    through: Rows | None
+    direct: MatrixRows | None
+    through: MatrixRows | None
     null: np.ndarray | None
     feeds: bool = False  # Whether some y depends directly on an l that ``through`` finds.
-    lift: Rows | None = None
+    lift: MatrixRows | None = None
     entries: tuple[float, ...] = ()  # Of both matrices, as `unrolled` takes them.
 
     @property
@@ -38,39 +38,41 @@ class Solve:
         return 1 if self.through is None else 2
 
 
-def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarray, *, lifts: bool = False) -> Solve:
+def multiplier_solver(
+    active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarray, *, lifts: bool = False
+) -> MultiplierSolver:
     """The matrices of the rows ``active``; ``lifts``: with ``lift``."""
     if not active:
-        return Solve(active, None, None, None)
+        return MultiplierSolver(active, None, None, None)
     if len(active) == 1 and not lifts:
-        return _solve_of_one(active[0], B, D, C)
+        return _single_row_solver(active[0], B, D, C)
     a = list(active)
     D_aa, W_aa = D[np.ix_(a, a)], C[a] @ B[:, a]
     plus, U, V = generalised_inverse(D_aa)
     if not U.shape[1]:
-        return Solve(active, plus.tolist(), None, None)
+        return MultiplierSolver(active, plus.tolist(), None, None)
     inner, left, _ = generalised_inverse(U.T @ W_aa @ V)
     through = V @ inner @ U.T
     lift = np.linalg.pinv(U.T @ C[a]) @ U.T if lifts and np.isfinite(C[a]).all() else None
-    return Solve(
+    return MultiplierSolver(
         active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()),
         None if lift is None else lift.tolist(),
     )  # fmt: skip
 
 
-def _solve_of_one(i: int, B: np.ndarray, D: np.ndarray, C: np.ndarray) -> Solve:
+def _single_row_solver(i: int, B: np.ndarray, D: np.ndarray, C: np.ndarray) -> MultiplierSolver:
     if d := float(D[i, i]):
-        return Solve((i,), [[1 / d]], None, None)
+        return MultiplierSolver((i,), [[1 / d]], None, None)
     w = float(C[i] @ B[:, i])
     null = np.zeros((1, 0)) if w else np.eye(1)
-    return Solve((i,), None, [[1 / w if w else 0.0]], null, bool(D[:, i].any()))
+    return MultiplierSolver((i,), None, [[1 / w if w else 0.0]], null, bool(D[:, i].any()))
 
 
-def clear(how: Solve, x: Rows, y: Rows, k: int) -> None:
+def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) -> None:
     """Take the rounding of held rows out of order k of x: a state that never moves is 0, and not 1e-20 of nothing."""
     off = [y[i][k] for i in how.active]
     if how.lift is not None and any(off):
-        for row, d in zip(x, times(how.lift, off), strict=True):
+        for row, d in zip(x, matrix_times_vector(how.lift, off), strict=True):
             row[k] -= d
 
 
@@ -83,7 +85,7 @@ def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
         return np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0))
     if not np.isfinite(A).all():
         return np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0))
-    r, c = _units(A)
+    r, c = _equilibration_factors(A)
     u, s, vt = np.linalg.svd(A * r[:, None] * c)
     rank = int((s > SINGULAR * s[0]).sum())
     if rank == m:
@@ -99,7 +101,7 @@ def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(slope, held, rcond=None)[0]
 
 
-def _units(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _equilibration_factors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factors of rows and columns that bring the largest entries near 1 (Ruiz)."""
     r, c = np.ones(len(A)), np.ones(A.shape[1])
     for _ in range(BALANCING):
@@ -110,7 +112,7 @@ def _units(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return r, c
 
 
-def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, definite: bool) -> bool:
+def is_p_matrix(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, definite: bool) -> bool:
     """Whether D + a little W has a P-matrix (a ``definite`` one) on rows ``opened``, its Schur complement with the ``held``."""
     d, w = (np.abs(A).max(initial=0.0) for A in (D, W))
     K = D + W * (SHORT * d / w if d and w else 1.0)
@@ -124,7 +126,7 @@ def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, de
         return bool(S[0, 0] > 0)
     if np.linalg.eigvalsh(S + S.T).min(initial=1.0) > SINGULAR * np.abs(S).max(initial=0.0):
         return True
-    if definite or len(opened) > MOST_MINORS:
+    if definite or len(opened) > MAX_MINOR_ROWS:
         return False
     subsets = itertools.chain.from_iterable(itertools.combinations(range(len(opened)), r + 1) for r in range(len(opened)))
     return all(
@@ -133,7 +135,7 @@ def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, de
     )
 
 
-def times(A: Rows, v: list[float]) -> list[float]:
+def matrix_times_vector(A: MatrixRows, v: list[float]) -> list[float]:
     """A v."""
     return [sum(map(mul, row, v)) for row in A]
 
@@ -148,7 +150,7 @@ def is_monotone(B: np.ndarray | None, D: np.ndarray | None, C: np.ndarray | None
 
     if B is None or D is None or C is None or not np.isfinite(np.concatenate([B.ravel(), D.ravel(), C.ravel()])).all():
         return False
-    W = exact.product(C, B)
+    W = exact.matrix_product(C, B)
     rank = exact.rank(B)
     return (
         exact.is_symmetric(W) and exact.is_psd(D) and exact.is_psd(W)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Begin(NamedTuple):
+class StartEvent(NamedTuple):
     """The event that a piece begins after: the impulse p of its jump, 0 where there is none; how well its time is known.
 
     ``width``: the time about it in which the sign of what ends there is not known, 0 of a simple root.
@@ -34,7 +34,7 @@ class Piece(NamedTuple):
     codes: tuple[int, ...]
     defect: float
     last: list[float]
-    event: Begin | None
+    event: StartEvent | None
     residual: float | None = None
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from nsmodel.pieces.jets import Branch, Jets, Line
+from nsmodel.pieces.jets import Branch, Recurrence, TaylorRecurrences
 
 
 class Dialect(NamedTuple):
@@ -28,7 +28,7 @@ class Dialect(NamedTuple):
     choices: dict[str, str]
 
 
-PYTHON = Dialect(
+PYTHON_DIALECT = Dialect(
     row="r{}".format,
     number=lambda value: f"float('{value!r}')" if value != value or value in (float("inf"), -float("inf")) else repr(value),
     either="({1} if {0} else {2})".format,
@@ -49,55 +49,55 @@ PYTHON = Dialect(
     },
 )
 # Of symbols: what they are is known later, and the sides of branches are given.
-SYMBOLS = PYTHON._replace(
+SYMBOL_DIALECT = PYTHON_DIALECT._replace(
     either="where({0}, {1}, {2})".format,
     both="both({0} != 0.0, {1} != 0.0)",
     one="one({0} != 0.0, {1} != 0.0)",
     ratio="{0} / {1}",
     choose="pass",
 )
-_LINEAR = {"sum": "{0} + {1}", "difference": "{0} - {1}", "minus": "-{0}", "scaled": "{number}*{0}", "over": "{0}/{number}"}
+_LINEAR_TEXTS = {"sum": "{0} + {1}", "difference": "{0} - {1}", "minus": "-{0}", "scaled": "{number}*{0}", "over": "{0}/{number}"}
 # What a row is the sum of, in size, where its arguments may cancel.
-_SUMMED = {
+_SUM_TEXTS = {
     "sum": "{0} + {1}", "difference": "{0} + {1}", "shifted": "{0} + {number}", "minus": "{0}", "scaled": "{number}*{0}",
     "over": "{0}/{number}", "product": "{0}*{1}", "square": "{0}*{0}",
 }  # fmt: skip
 
 
-def summed(line: Line, size: Callable[[int], str], language: Dialect) -> str | None:
+def sum_text(line: Recurrence, size: Callable[[int], str], language: Dialect) -> str | None:
     """What order 0 of a line is the sum of, in size; None: itself. ``size``: that of a row."""
-    if line.kind not in _SUMMED:
+    if line.kind not in _SUM_TEXTS:
         return None
-    return _SUMMED[line.kind].format(*map(size, line.args), number=language.number(abs(line.number)))
+    return _SUM_TEXTS[line.kind].format(*map(size, line.args), number=language.number(abs(line.number)))
 
 
-def first(jets: Jets, language: Dialect) -> list[str]:
+def order_0_statements(recurrences: TaylorRecurrences, language: Dialect) -> list[str]:
     """The statements of order 0; a choice that is no number is made here."""
     lines = []
-    for line in jets.lines:
+    for line in recurrences.lines:
         if line.branch >= 0:
-            lines.append(_choice(line.branch, jets.branches[line.branch], language))
+            lines.append(_choice_statement(line.branch, recurrences.branches[line.branch], language))
         at_0 = f"{language.row(line.y)}[0]"
-        value = first_value(line, lambda row: f"{language.row(row)}[0]", f"choice[{line.branch}]", language)
+        value = order_0_text(line, lambda row: f"{language.row(row)}[0]", f"choice[{line.branch}]", language)
         lines.append(f"{at_0} = {language.kept.format(value)}{language.end}")
     return lines
 
 
-def later(jets: Jets, language: Dialect) -> list[str]:
+def higher_order_statements(recurrences: TaylorRecurrences, language: Dialect) -> list[str]:
     """The statements of order k > 0."""
     return [
         f"{language.row(line.y)}[k] = {value}{language.end}"
-        for line in jets.lines
-        if (value := _later(line, language)) is not None
+        for line in recurrences.lines
+        if (value := _higher_order_text(line, language)) is not None
     ]
 
 
-def _choice(i: int, branch: Branch, language: Dialect) -> str:
+def _choice_statement(i: int, branch: Branch, language: Dialect) -> str:
     value = language.choices[branch.kind].format(f"{language.row(branch.row)}[0]")
     return language.choose.format(i=i, value=value)
 
 
-def first_value(line: Line, value: Callable[[int], str], choice: str, language: Dialect) -> str:
+def order_0_text(line: Recurrence, value: Callable[[int], str], choice: str, language: Dialect) -> str:
     """Order 0 of a line; ``value``: of a row, ``choice``: of its branch."""
     at = [value(row) for row in line.args]
     if line.start:
@@ -119,18 +119,18 @@ def first_value(line: Line, value: Callable[[int], str], choice: str, language: 
             return f"{at[0]}*{at[0]}"
         case "quotient":
             return language.ratio.format(*at)
-    return _at_any_order(line, at, at, choice, language)
+    return _any_order_text(line, at, at, choice, language)
 
 
-def _later(line: Line, language: Dialect) -> str | None:
+def _higher_order_text(line: Recurrence, language: Dialect) -> str | None:
     if line.kind in ("both", "either", "not", "positive", "whole"):
         return None  # They stay 0.
     rows = [language.row(row) for row in line.args]
     at_k, at_0 = ([f"{row}[{order}]" for row in rows] for order in ("k", "0"))
     if line.kind == "shifted":
         return at_k[0]
-    if line.kind in _LINEAR or line.kind in ("guarded", "chosen", "equal"):
-        return _at_any_order(line, at_k, at_0, f"choice[{line.branch}]", language)
+    if line.kind in _LINEAR_TEXTS or line.kind in ("guarded", "chosen", "equal"):
+        return _any_order_text(line, at_k, at_0, f"choice[{line.branch}]", language)
     own, factor = language.row(line.y), language.number(line.number)
     given = {
         "product": rows,
@@ -143,9 +143,9 @@ def _later(line: Line, language: Dialect) -> str | None:
     return f"-{value}" if line.kind == "along" and line.number < 0 else value
 
 
-def _at_any_order(line: Line, at: list[str], at_0: list[str], choice: str, language: Dialect) -> str:
+def _any_order_text(line: Recurrence, at: list[str], at_0: list[str], choice: str, language: Dialect) -> str:
     if line.kind == "guarded":
         return language.either(f"{at_0[0]} != 0", at[1], "0.0")
     if line.kind in ("chosen", "equal"):
         return language.either(f"{choice} == 0" if line.kind == "equal" else f"{choice} > 0", at[0], at[1])
-    return _LINEAR[line.kind].format(*at, number=language.number(line.number))
+    return _LINEAR_TEXTS[line.kind].format(*at, number=language.number(line.number))

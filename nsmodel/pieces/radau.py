@@ -29,24 +29,24 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.collocation import Collocation, collocation
-from nsmodel.pieces.cover import Scales, bound, largest_share, polynomials
+from nsmodel.pieces.collocation import Collocation, radau_collocation
+from nsmodel.pieces.cover import PieceTolerances, max_error_ratio, piece_error_bound, piece_polynomials
 from nsmodel.pieces.disc_equations import EquationsOnDisc
-from nsmodel.pieces.lengths import MULTIPLIERS, SMALL, unit
-from nsmodel.pieces.modes import Place
-from nsmodel.pieces.multipliers import NOTHING, Solve
-from nsmodel.pieces.sides import functions_on_sides
-from nsmodel.pieces.system import System
-from nsmodel.proof.buffered import attached
+from nsmodel.pieces.lengths import MULTIPLIERS, SMALL, power_of_two_unit
+from nsmodel.pieces.modes import PieceStart
+from nsmodel.pieces.multipliers import NOTHING, MultiplierSolver
+from nsmodel.pieces.sides import fixed_branch_functions
+from nsmodel.pieces.system import ModeSystem
+from nsmodel.proof.buffered import attach_buffers
 
-STAGE_ITERATIONS, STAGE_SETTLED = 20, 1e-15  # Of Newton's method for the stages: how many, and the next one that is rounding.
+STAGE_ITERATIONS, STAGE_CONVERGED = 20, 1e-15  # Of Newton's method for the stages: how many, and the next one that is rounding.
 ORDERS_OF_TWO = 4  # Of a series, for each two stages beyond the first.
 SLOW = 0.5  # By how much each of them has to come nearer.
 STAGE_NEAR = 0.1  # Of what is allowed: what is as near as rounding lets iterations come has to be nearer.
 STAGE_ROUNDING = 1e-14  # Of a size, or of what the terms of a solution add up to: an error below it is none.
 
 
-class Fit(NamedTuple):
+class CollocationFit(NamedTuple):
     """The polynomials on t + h [0, 1], by their values at 0 and at the nodes, (s, q) and (q,), and what they err by.
 
     ``estimate``: of the largest of what x errs by beside rtol of its size, and of what l and y do beside 100 rtol; ``error``: a
@@ -67,7 +67,7 @@ class Fit(NamedTuple):
         return self.x[-1].tolist()
 
 
-class Start(NamedTuple):
+class CollocationStart(NamedTuple):
     """A place: x, l, y and what branches look at there, the rows that are held, and (f_x, g_l, h_x, h_l)."""
 
     t: float
@@ -80,66 +80,68 @@ class Start(NamedTuple):
     slopes: list[np.ndarray]
 
 
-def stages_of(order: int) -> int:
+def stage_count(order: int) -> int:
     """Half as many as a series has orders, an odd number."""
     return 2 * (order // ORDERS_OF_TWO) + 1
 
 
-class Radau:
+class RadauMethod:
     """Pieces of a system by Radau IIA; ``on``: its equations on discs.
 
     ``residuals``: whether x' - f - g itself is to be within what is allowed, and not only what it does to the state.
     """
 
-    def __init__(self, system: System, on: EquationsOnDisc, order: int, *, residuals: bool) -> None:
-        self.system, self._on, self.stages, self.residuals = system, on, stages_of(order), residuals
+    def __init__(self, system: ModeSystem, on: EquationsOnDisc, order: int, *, residuals: bool) -> None:
+        self.system, self._on, self.stages, self.residuals = system, on, stage_count(order), residuals
 
     @cached_property
     def table(self) -> Collocation:
         """The matrices."""
-        return collocation(self.stages)
+        return radau_collocation(self.stages)
 
     @cached_property
-    def _called(self) -> tuple[Any, Any]:
-        values, slopes = functions_on_sides(self.system)
-        return _Called(values.map(self.stages)), _Called(slopes)
+    def _compiled_functions(self) -> tuple[Any, Any]:
+        values, slopes = fixed_branch_functions(self.system)
+        return _BufferedFunction(values.map(self.stages)), _BufferedFunction(slopes)
 
-    def start(self, place: Place, how: Solve) -> Start:
+    def start(self, place: PieceStart, how: MultiplierSolver) -> CollocationStart:
         """Where a series of the mode has just been made."""
         system = self.system
-        watched = np.array([row[0] for row in self._watched()])
+        watched = np.array([row[0] for row in self._branch_rows()])
         x, l, y = (np.array([row[0] for row in rows]) for rows in (system.x, system.l, system.y))
-        return Start(place.t, x, l, y, watched, self._choices(), list(how.active), [a.copy() for a in self._slopes(place)])
+        return CollocationStart(
+            place.t, x, l, y, watched, self._branch_choices(), list(how.active), [a.copy() for a in self._evaluate_slopes(place)]
+        )
 
-    def _watched(self) -> list[list[float]]:
+    def _branch_rows(self) -> list[list[float]]:
         """The rows that branches look at."""
         return [part.rows[b.row] for part in self.system.parts.values() for b in part.jets.branches]
 
-    def _choices(self) -> np.ndarray:
+    def _branch_choices(self) -> np.ndarray:
         return np.array([side for part in self.system.parts.values() for side in part.choice])
 
-    def _slopes(self, place: Place) -> list[np.ndarray]:
+    def _evaluate_slopes(self, place: PieceStart) -> list[np.ndarray]:
         x, l = (np.array([row[0] for row in rows]) for rows in (self.system.x, self.system.l))
-        return self._called[1](np.full((1, 1), place.t), x[:, None], l[:, None], self._choices()[:, None])
+        return self._compiled_functions[1](np.full((1, 1), place.t), x[:, None], l[:, None], self._branch_choices()[:, None])
 
-    def fit(self, start: Start, h: float, rtol: float, atol: list[float]) -> Fit | None:
+    def fit(self, start: CollocationStart, h: float, rtol: float, atol: list[float]) -> CollocationFit | None:
         """The piece of length h; None where Newton's method does not settle."""
-        of, held, n, size = self.table, start.held, len(start.x), self._sizes(start, atol)
+        of, held, n, size = self.table, start.held, len(start.x), self._state_scales(start, atol)
         try:
-            inverses = np.linalg.inv(_matrices(start, h, of.rates))
+            inverses = np.linalg.inv(_stage_matrices(start, h, of.rates))
         except np.linalg.LinAlgError:
             return None
         Z, L = np.zeros((of.stages, n)), np.tile(start.l, (of.stages, 1))
         moved = np.full(2, np.inf)  # X beside its size, l beside itself.
         for iteration in range(STAGE_ITERATIONS):
-            rate, y, watched = self._at(start, start.t + h * of.nodes, start.x + Z, L)
+            rate, y, watched = self._evaluate(start, start.t + h * of.nodes, start.x + Z, L)
             missed = np.hstack([h * rate - of.inverse @ Z, -y[:, held]])
             step = (of.right @ np.einsum("kij,kj->ki", inverses, of.left @ missed)).real
             Z, L[:, held] = Z + step[:, :n], L[:, held] + step[:, n:]
             share = np.abs(step) / np.hstack([np.maximum(size, np.abs(Z)), np.abs(L[:, held]) + NOTHING])
             before, moved = moved, np.array([share[:, :n].max(initial=0.0), share[:, n:].max(initial=0.0)])
             foretold = moved * np.minimum(moved / (before + NOTHING), 1.0) if iteration else moved
-            if min(moved[0], foretold.max()) <= STAGE_SETTLED:
+            if min(moved[0], foretold.max()) <= STAGE_CONVERGED:
                 break
             if iteration > 1 and not moved[0] <= SLOW * before[0]:  # The second mends what is rounding of the inverse.
                 if moved[0] <= max(STAGE_NEAR * rtol, STAGE_ROUNDING):
@@ -147,16 +149,16 @@ class Radau:
                 return None
         else:
             return None
-        _, y, watched = (a.copy() for a in self._at(start, start.t + h * of.nodes, start.x + Z, L))
+        _, y, watched = (a.copy() for a in self._evaluate(start, start.t + h * of.nodes, start.x + Z, L))
         y[:, held] = 0.0
-        return self._measured(start, Fit(h, start.x + Z, L, y, watched), rtol, atol)
+        return self._with_error(start, CollocationFit(h, start.x + Z, L, y, watched), rtol, atol)
 
-    def write(self, start: Start, fit: Fit) -> tuple[float, float]:
+    def write(self, start: CollocationStart, fit: CollocationFit) -> tuple[float, float]:
         """Put the polynomials into the rows of the system, and return (tau, s): the unit of time and their length in it."""
-        system, tau = self.system, unit(fit.h)
+        system, tau = self.system, power_of_two_unit(fit.h)
         system.t[:2] = start.t, tau
         scale = (tau / fit.h) ** np.arange(self.stages + 1)
-        lists = (self._watched(), system.y, system.l, system.x)
+        lists = (self._branch_rows(), system.y, system.l, system.x)
         y = np.where(np.isin(np.arange(system.m), start.held), 0.0, start.y)
         given = ((fit.watched, start.watched), (fit.y, y), (fit.l, start.l), (fit.x, start.x))
         for rows, (values, at_0) in zip(lists, given, strict=True):
@@ -164,27 +166,27 @@ class Radau:
                 row[:] = [*c.tolist(), *[0.0] * (len(row) - len(c))]
         return tau, fit.h / tau
 
-    def _at(self, start: Start, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> list[np.ndarray]:
+    def _evaluate(self, start: CollocationStart, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> list[np.ndarray]:
         """F + g, y and what branches look at, a row a point."""
-        return [a.T for a in self._called[0](t[None], x.T, l.T, start.choices[:, None])]
+        return [a.T for a in self._compiled_functions[0](t[None], x.T, l.T, start.choices[:, None])]
 
-    def _sizes(self, start: Start, atol: list[float]) -> np.ndarray:
+    def _state_scales(self, start: CollocationStart, atol: list[float]) -> np.ndarray:
         size = np.maximum(self.system.sizes.x, np.abs(start.x)) + atol
         return np.maximum(size, NOTHING)
 
-    def _measured(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> Fit:
-        scales = self._scales(start, fit, rtol, atol)
+    def _with_error(self, start: CollocationStart, fit: CollocationFit, rtol: float, atol: list[float]) -> CollocationFit:
+        scales = self._piece_tolerances(start, fit, rtol, atol)
         estimate = error = self._estimate(start, fit, scales)
         if estimate <= 1:
             at_0, values = (start.x, start.l, start.y, start.watched), fit[1:5]
-            of = polynomials(self.table, start.t, fit.h, start.held, at_0, values)
-            error = max(estimate, bound(self._on, of, scales))
+            of = piece_polynomials(self.table, start.t, fit.h, start.held, at_0, values)
+            error = max(estimate, piece_error_bound(self._on, of, scales))
         return fit._replace(estimate=estimate, error=error)
 
-    def _scales(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> Scales:
+    def _piece_tolerances(self, start: CollocationStart, fit: CollocationFit, rtol: float, atol: list[float]) -> PieceTolerances:
         """Of y, and of what branches look at, not by what they come to on the piece: that may be beyond where they are 0."""
         sizes, held = self.system.sizes, start.held
-        matrix = _matrices(start, fit.h, np.array([1 / self.table.share]))[0]
+        matrix = _stage_matrices(start, fit.h, np.array([1 / self.table.share]))[0]
         inverse = np.linalg.inv(matrix)
         size, size_l = (
             np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0)) for so_far, values in ((sizes.x, fit.x), (sizes.l, fit.l))
@@ -198,34 +200,34 @@ class Radau:
             own[:] = np.maximum(own, SMALL * own[of].max(initial=0.0))
         allowed = [MULTIPLIERS * rtol * own for own in (size_l, size_y, size_w)]
         of_y, of_watched = STAGE_ROUNDING * size_y, STAGE_ROUNDING * size_w
-        return Scales(inverse, rounding, rtol * size + atol, size, allowed[0], allowed[1], of_y, allowed[2], of_watched)
+        return PieceTolerances(inverse, rounding, rtol * size + atol, size, allowed[0], allowed[1], of_y, allowed[2], of_watched)
 
-    def _estimate(self, start: Start, fit: Fit, scales: Scales) -> float:
+    def _estimate(self, start: CollocationStart, fit: CollocationFit, scales: PieceTolerances) -> float:
         """From what is missed at 0 and between the nodes."""
         of, held, n = self.table, start.held, len(start.x)
         x, l, y, watched = (
             at_0 + of.values @ (values - at_0)
             for values, at_0 in zip(fit[1:5], (start.x, start.l, start.y, start.watched), strict=True)
         )
-        rate, h, looked = self._at(start, start.t + fit.h * of.between, x, l)
+        rate, h, looked = self._evaluate(start, start.t + fit.h * of.between, x, l)
         missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
         off = np.maximum(np.abs(missed @ scales.inverse.T) - scales.rounding, 0.0)
-        errors = [largest_share(off[:, :n] * of.weights[:, None], scales.x), largest_share(off[:, n:], scales.l[held])]
+        errors = [max_error_ratio(off[:, :n] * of.weights[:, None], scales.x), max_error_ratio(off[:, n:], scales.l[held])]
         if self.residuals:
-            errors.append(largest_share(np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * scales.size, scales.x))
+            errors.append(max_error_ratio(np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * scales.size, scales.x))
         free = [i for i in range(len(start.l)) if i not in held]
-        errors.append(largest_share(np.abs(y - h)[:, free] - scales.rounding_y[free], scales.y[free]))
-        errors.append(largest_share(np.abs(watched - looked) - scales.rounding_watched, scales.watched))
+        errors.append(max_error_ratio(np.abs(y - h)[:, free] - scales.rounding_y[free], scales.y[free]))
+        errors.append(max_error_ratio(np.abs(watched - looked) - scales.rounding_watched, scales.watched))
         return max(errors)
 
 
-class _Called:
+class _BufferedFunction:
     """A function of (t, x, l, choices) on arrays with a column a point; its results are overwritten."""
 
     def __init__(self, function: ca.Function) -> None:
         self.inputs = [np.zeros(function.size_in(i), order="F") for i in range(4)]
         self.outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
-        self.buffer, self.call = attached(function, self.inputs, self.outputs)
+        self.buffer, self.call = attach_buffers(function, self.inputs, self.outputs)
 
     def __call__(self, *values: np.ndarray) -> list[np.ndarray]:
         for array, given in zip(self.inputs, values, strict=True):
@@ -234,7 +236,7 @@ class _Called:
         return self.outputs
 
 
-def _matrices(start: Start, h: float, rates: np.ndarray) -> np.ndarray:
+def _stage_matrices(start: CollocationStart, h: float, rates: np.ndarray) -> np.ndarray:
     """(r, n + a, n + a) rate E - h J, of (x, l_a), for each rate."""
     f_x, g_l, h_x, h_l = start.slopes
     n, held = len(start.x), start.held

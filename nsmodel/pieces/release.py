@@ -15,29 +15,29 @@ from __future__ import annotations
 import numpy as np
 
 from nsmodel.pieces.multipliers import generalised_inverse
-from nsmodel.pieces.sliding import Block
+from nsmodel.pieces.sliding import FrictionBlock
 from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.curved import gauss_seidel, semismooth_newton
+from nsmodel.solve.curved import projected_gauss_seidel, semismooth_newton
 
-NEWTON = 20  # Iterations of l and sigma at the first order.
-INSIDE = 1e-6  # Of c: where l'S l is less than c by more, the block does not slip.
-FAR = -1e100  # Sigma_1 of such a block: no rounding.
+ONSET_ITERATIONS = 20  # Iterations of l and sigma at the first order.
+INSIDE_MARGIN = 1e-6  # Of c: where l'S l is less than c by more, the block does not slip.
+NOT_SLIPPING = -1e100  # Sigma_1 of such a block: no rounding.
 
 
-class Release:
+class SlipOnset:
     """Blocks that begin to slip, with the rows ``active`` that are held through y', at the point that order 0 is."""
 
     def __init__(
-        self, active: tuple[int, ...], blocks: list[Block], slopes: tuple[np.ndarray, np.ndarray, np.ndarray], tau: float
+        self, active: tuple[int, ...], blocks: list[FrictionBlock], slopes: tuple[np.ndarray, np.ndarray, np.ndarray], tau: float
     ) -> None:
         B, D, C = slopes
         self.tau, self.held = tau, len(active)
         self.rows = [*active, *(i for block in blocks for i in block.at)]
         _, U, V = generalised_inverse(D[np.ix_(active, active)]) if active else (None, np.zeros((0, 0)), np.zeros((0, 0)))
         self.free = U.shape[1]
-        self.U, self.V = (_beside(basis, len(self.rows) - self.held) for basis in (U, V))
+        self.U, self.V = (_extend_basis(basis, len(self.rows) - self.held) for basis in (U, V))
         self.W = self.U.T @ (C[self.rows] @ B[:, self.rows]) @ self.V
-        self.blocks, self.still, self.at = blocks, list[Block](), dict[Block, slice]()
+        self.blocks, self.still, self.at = blocks, list[FrictionBlock](), dict[FrictionBlock, slice]()
         start = self.free
         for block in blocks:
             self.at[block] = slice(start, start + len(block.at))
@@ -51,20 +51,22 @@ class Release:
         ends = np.full(len(b), np.inf)
         law = NumericLaw(-ends, ends, tuple((self.at[block], block.curved) for block in self.blocks if block.curved))
         guess = semismooth_newton(self.W, b, law, start)
-        if guess is None and (guess := semismooth_newton(self.W, b, law, gauss_seidel(self.W, b, law, start))) is None:
+        if guess is None and (guess := semismooth_newton(self.W, b, law, projected_gauss_seidel(self.W, b, law, start))) is None:
             return None
         z = guess
         for block in self.blocks:
             S, c = block.quadric
             own = z[self.at[block]]
-            if own @ S @ own < c * (1 - INSIDE):
+            if own @ S @ own < c * (1 - INSIDE_MARGIN):
                 self.still.append(block)
-                self.sigma[block][1] = FAR
+                self.sigma[block][1] = NOT_SLIPPING
             else:
                 self.sigma[block][1] = float(max(-own @ (self.W @ z + b)[self.at[block]] / c, 0.0))
         self.blocks = [block for block in self.blocks if block not in self.still]
-        for _ in range(NEWTON):
-            move = self._solved(z, 1.0, self.W @ z + b + self._pulled(z), [self._beyond(z, block) for block in self.blocks])
+        for _ in range(ONSET_ITERATIONS):
+            move = self._solve_linear_system(
+                z, 1.0, self.W @ z + b + self._slip_terms(z), [self._boundary_excess(z, block) for block in self.blocks]
+            )
             z = z + move[: len(z)]
             for block, d in zip(self.blocks, move[len(z) :], strict=True):
                 self.sigma[block][1] += float(d)
@@ -77,7 +79,7 @@ class Release:
             self.sigma[block][1] *= self.tau
             block.size[1] = float(self.sigma[block][1] * np.sqrt(block.quadric[1]))
         for block in self.still:
-            block.size[1] = FAR
+            block.size[1] = NOT_SLIPPING
         return np.where(np.arange(len(l)) < self.held, l, 0.0) + self.V @ z
 
     def step(self, k: int, y: np.ndarray) -> np.ndarray:
@@ -89,13 +91,13 @@ class Release:
             sigma, l = self.sigma[block], np.array([row[:k] for row in block.l])
             rest[self.at[block]] += S @ sum((sigma[k + 1 - i] * l[:, i] for i in range(1, k)), np.zeros(len(block.at)))
             norms.append(sum(float(l[:, i] @ S @ l[:, k - i]) for i in range(1, k)) / 2)
-        found = self._solved(z, self.tau / (k + 1), rest, norms)
+        found = self._solve_linear_system(z, self.tau / (k + 1), rest, norms)
         for block, v in zip(self.blocks, found[len(z) :], strict=True):
             self.sigma[block][k + 1] = float(v)
             block.size[k + 1] = float(v * np.sqrt(block.quadric[1]))
         return self.V @ found[: len(z)]
 
-    def _solved(self, z: np.ndarray, share: float, rest: np.ndarray, norms: list[float]) -> np.ndarray:
+    def _solve_linear_system(self, z: np.ndarray, share: float, rest: np.ndarray, norms: list[float]) -> np.ndarray:
         """The system of order j, share = tau/j."""
         n, count = len(z), len(self.blocks)
         A = np.zeros((n + count, n + count))
@@ -113,18 +115,18 @@ class Release:
                 return np.full(n + count, np.nan)
             return c * np.linalg.lstsq(scaled, right, rcond=1e-13)[0]
 
-    def _pulled(self, z: np.ndarray) -> np.ndarray:
+    def _slip_terms(self, z: np.ndarray) -> np.ndarray:
         total = np.zeros(len(z))
         for block in self.blocks:
             total[self.at[block]] = self.sigma[block][1] * (block.quadric[0] @ z[self.at[block]])
         return total
 
-    def _beyond(self, z: np.ndarray, block: Block) -> float:
+    def _boundary_excess(self, z: np.ndarray, block: FrictionBlock) -> float:
         S, c = block.quadric
         return float(z[self.at[block]] @ S @ z[self.at[block]] - c) / 2
 
 
-def _beside(basis: np.ndarray, more: int) -> np.ndarray:
+def _extend_basis(basis: np.ndarray, more: int) -> np.ndarray:
     """The basis with so many rows and columns of their own."""
     whole = np.zeros((basis.shape[0] + more, basis.shape[1] + more))
     whole[: basis.shape[0], : basis.shape[1]] = basis

@@ -11,44 +11,44 @@ import math
 from collections.abc import Callable
 from operator import mul
 
-Row = list[float]
+SeriesRow = list[float]
 TWO_OVER_ROOT_PI = 2 / math.sqrt(math.pi)
 
 
-def product(a: Row, b: Row, k: int) -> float:
+def product(a: SeriesRow, b: SeriesRow, k: int) -> float:
     """y = a b."""
     return sum(map(mul, a[: k + 1], b[k::-1]))
 
 
-def square(a: Row, k: int) -> float:
+def square(a: SeriesRow, k: int) -> float:
     """y = a^2."""
     return sum(map(mul, a[: k + 1], a[k::-1]))
 
 
-def quotient(y: Row, a: Row, b: Row, k: int) -> float:
+def quotient(y: SeriesRow, a: SeriesRow, b: SeriesRow, k: int) -> float:
     """y = a / b, from y b = a."""
     return (a[k] - sum(map(mul, y[:k], b[k:0:-1]))) / b[0]
 
 
-def _over(above: float, below: float) -> float:
+def _quotient_or_zero(above: float, below: float) -> float:
     """A quotient of rows; 0 over 0 is 0: what is 0 throughout stays so. Of symbols and intervals it is any other."""
     return 0.0 if isinstance(above, float) and above == 0 and isinstance(below, float) and below == 0 else above / below
 
 
-def root(y: Row, a: Row, k: int) -> float:
+def root(y: SeriesRow, a: SeriesRow, k: int) -> float:
     """y = sqrt(a), from y^2 = a; y_0 is given."""
     above = a[k] - sum(map(mul, y[1:k], y[k - 1 : 0 : -1]))
-    return _over(above, 2 * y[0])
+    return _quotient_or_zero(above, 2 * y[0])
 
 
-def power(y: Row, a: Row, p: float, k: int) -> float:
+def power(y: SeriesRow, a: SeriesRow, p: float, k: int) -> float:
     """y = a^p, from a D y = p y D a; y_0 is given."""
     if all(isinstance(v, float) and v == 0 for v in a[: k + 1]) and p > 0:
         return 0.0
     return sum((p * (k - j) - j) * a[k - j] * y[j] for j in range(k)) / (k * a[0])
 
 
-def along(factor: Row, a: Row, k: int) -> float:
+def along(factor: SeriesRow, a: SeriesRow, k: int) -> float:
     """D y = factor D a: exp, sin and cos, sinh and cosh, tan, tanh, erf with their own factors; y_0 is given.
 
     A factor that is 0 in doubles (exp(-1/u) near u = 0) makes 0 of what overflows.
@@ -62,16 +62,16 @@ def along(factor: Row, a: Row, k: int) -> float:
     return total / k
 
 
-def against(y: Row, divisor: Row, sign: float, a: Row, k: int) -> float:
+def against(y: SeriesRow, divisor: SeriesRow, sign: float, a: SeriesRow, k: int) -> float:
     """divisor D y = sign D a: log and the inverse functions; y_0 is given."""
     above = sign * a[k] - sum(j * y[j] * divisor[k - j] for j in range(1, k)) / k
-    return _over(above, divisor[0])
+    return _quotient_or_zero(above, divisor[0])
 
 
-def angle(y: Row, a: Row, b: Row, size: Row, k: int) -> float:
+def angle(y: SeriesRow, a: SeriesRow, b: SeriesRow, size: SeriesRow, k: int) -> float:
     """y = atan2(a, b), from (a^2 + b^2) D y = b D a - a D b; ``size`` is a^2 + b^2, y_0 is given."""
-    turned = sum(j * (a[j] * b[k - j] - b[j] * a[k - j]) for j in range(1, k + 1))
-    return (turned - sum(j * y[j] * size[k - j] for j in range(1, k))) / k / size[0]
+    rotation = sum(j * (a[j] * b[k - j] - b[j] * a[k - j]) for j in range(1, k + 1))
+    return (rotation - sum(j * y[j] * size[k - j] for j in range(1, k))) / k / size[0]
 
 
 def divided(a: float, b: float) -> float:
@@ -82,24 +82,24 @@ def divided(a: float, b: float) -> float:
         return math.copysign(math.inf, a) * math.copysign(1.0, b) if a else math.nan
 
 
-def _number(function: Callable[..., float]) -> Callable[..., float]:
+def _nan_outside_domain(function: Callable[..., float]) -> Callable[..., float]:
     """The function, NaN where it has no value: in a branch that is not taken that is no harm."""
 
-    def at(*args: float) -> float:
+    def evaluate(*args: float) -> float:
         try:
             return function(*args)
         except (ValueError, OverflowError, ZeroDivisionError):
             return math.nan
 
-    return at
+    return evaluate
 
 
 RECURRENCES: dict[str, Callable[..., float]] = {
     **{f.__name__: f for f in (product, square, along)},
-    **{f.__name__: _number(f) for f in (divided, quotient, root, power, against, angle)},
+    **{f.__name__: _nan_outside_domain(f) for f in (divided, quotient, root, power, against, angle)},
 }
 # What a function is at order 0.
-STARTS: dict[str, Callable[..., float]] = {
-    name: _number(getattr(math, name))
+ORDER_0_FUNCTIONS: dict[str, Callable[..., float]] = {
+    name: _nan_outside_domain(getattr(math, name))
     for name in "acos acosh asin asinh atan atan2 atanh cos cosh erf exp expm1 hypot log log1p pow sin sinh sqrt tan tanh".split()
 }

@@ -12,15 +12,15 @@ from math import comb
 
 import numpy as np
 
-from nsmodel.pieces.bernstein import about
-from nsmodel.pieces.enclosures import Coefficients
+from nsmodel.pieces.bernstein import taylor_shift
+from nsmodel.pieces.enclosures import IntervalCoefficients
 from nsmodel.proof.interval_number import Interval
 
 HALVINGS, CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often.
 EPS = np.finfo(float).eps
 
 
-def least(c: Coefficients, count: int) -> tuple[np.ndarray, np.ndarray]:
+def polynomial_lower_bounds(c: IntervalCoefficients, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Lower bounds (2, count) on [-1, 0] and [0, 1], and how far from -1 and from 1 a sign >= 0 is not proved (0: proved)."""
     c = [Interval(*(np.broadcast_to(end, count) for end in (a.lo, a.hi))) for a in c]
     low = (c[0].lo - (1 + len(c) * EPS) * sum((a.magnitude for a in c[1:]), np.zeros(count))) * (1 - EPS)
@@ -30,12 +30,12 @@ def least(c: Coefficients, count: int) -> tuple[np.ndarray, np.ndarray]:
         return low, reach
     c = [Interval(a.lo[rest], a.hi[rest]) for a in c]
     for end in (0, 1):
-        local = about([-a if end and k % 2 else a for k, a in enumerate(c)], -1.0)
-        low[end, rest], reach[end, rest] = _towards_0(local)
+        local = taylor_shift([-a if end and k % 2 else a for k, a in enumerate(c)], -1.0)
+        low[end, rest], reach[end, rest] = _lower_bounds_towards_0(local)
     return low, reach
 
 
-def _towards_0(c: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
+def _lower_bounds_towards_0(c: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
     """The same on [0, 1], with the distance from 0."""
     n = len(c) - 1
     lo, hi = (np.stack([getattr(a, end) for a in c], axis=1) for end in ("lo", "hi"))
@@ -45,7 +45,9 @@ def _towards_0(c: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
     cells = [(2.0**-j, k) for j in range(1, HALVINGS + 1) for k in range(CUTS)] + [(2.0**-HALVINGS, -1)]
     for scale, k in cells:
         matrix = (
-            _bernstein(n, 1 + Fraction(k, CUTS), 1 + Fraction(k + 1, CUTS)) if k >= 0 else _bernstein(n, Fraction(0), Fraction(1))
+            _bernstein_matrix(n, 1 + Fraction(k, CUTS), 1 + Fraction(k + 1, CUTS))
+            if k >= 0
+            else _bernstein_matrix(n, Fraction(0), Fraction(1))
         )
         size = scale ** np.arange(n + 1)
         value, off = (middle * size) @ matrix, (radius * size) @ matrix
@@ -60,7 +62,7 @@ def _towards_0(c: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _bernstein(n: int, low: Fraction, high: Fraction) -> np.ndarray:
+def _bernstein_matrix(n: int, low: Fraction, high: Fraction) -> np.ndarray:
     """(k, j): coefficient j in the Bernstein basis of [low, high] of s^k; none is negative."""
 
     def entry(k: int, j: int) -> Fraction:

@@ -14,11 +14,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nsmodel.laws import Curved, Law, box, product
-from nsmodel.pieces.bernstein import value
-from nsmodel.pieces.expansion import Expansion
-from nsmodel.pieces.jets import jets_of
-from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
+from nsmodel.laws import CurvedSet, Law, box, product
+from nsmodel.pieces.bernstein import poly_value
+from nsmodel.pieces.expansion import TaylorExpansion
+from nsmodel.pieces.jets import taylor_decompose
+from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven, SlipGrowth
 
 STOPS = 10.0  # A block stands as soon as its speed is below this share of rtol of its largest: y is then put to 0.
 REST = 1e-12  # A speed below this share of its size is 0: rounding.
@@ -26,7 +26,7 @@ ABOVE = 4.0  # A slip that becomes slower ends so many times above that.
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class FrictionBlock:
     """The rows ``at`` of a law with what they slip by.
 
     Attributes:
@@ -43,8 +43,8 @@ class Block:
     push: list[list[float]]
     size: list[float]
     inner: list[float]
-    curved: Curved | None
-    growth: Growth | None
+    curved: CurvedSet | None
+    growth: SlipGrowth | None
 
     @property
     def first(self) -> int:
@@ -62,42 +62,42 @@ class Block:
         return 1 / math.sqrt(np.linalg.eigvalsh(self.quadric[0])[0])
 
     @cached_property
-    def is_rough(self) -> bool:
+    def is_singular_at_onset(self) -> bool:
         """Whether the factor has no series where the slip begins."""
-        if self._grown is None:
+        if self._push_expansion is None:
             return False
         orders = len(self.size)
         self.size[:], before = [0.0, 1.0, *[0.0] * (orders - 2)], list(self.size)
-        found = [self._grown.order(k) for k in range(orders)]
+        found = [self._push_expansion.order(k) for k in range(orders)]
         self.size[:] = before
         return not all(math.isfinite(v) for values in found for v in values)
 
     @cached_property
-    def _edge(self) -> Expansion | None:
+    def _slip_expansion(self) -> TaylorExpansion | None:
         """(l, size) of y."""
         if self.curved is None:
             return None
         y = ca.SX.sym("y", len(self.at))
         slip = self.curved.slip(y)
-        jets = jets_of(ca.vertcat(*(slip or ())), [y], "l in slip")
-        return Expansion(jets, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.y)})
+        recurrences = taylor_decompose(ca.vertcat(*(slip or ())), [y], "l in slip")
+        return TaylorExpansion(recurrences, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.y)})
 
     @cached_property
-    def _inside(self) -> Expansion:
+    def _stick_expansion(self) -> TaylorExpansion:
         """l'S l of l."""
         l = ca.SX.sym("l", len(self.at))
-        jets = jets_of(ca.dot(l, ca.DM(self.quadric[0]) @ l), [l], "l'S l")
-        return Expansion(jets, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.l)})
+        recurrences = taylor_decompose(ca.dot(l, ca.DM(self.quadric[0]) @ l), [l], "l'S l")
+        return TaylorExpansion(recurrences, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.l)})
 
     @cached_property
-    def _grown(self) -> Expansion | None:
+    def _push_expansion(self) -> TaylorExpansion | None:
         """factor(size) l."""
         if self.growth is None:
             return None
         l = ca.SX.sym("l", len(self.at))
-        jets = jets_of(self.growth.factor * l, [self.growth.s, l], "the growth of friction")
+        recurrences = taylor_decompose(self.growth.factor * l, [self.growth.s, l], "the growth of friction")
         given = {(0, 0): self.size} | {(1, i): row for i, row in enumerate(self.l)}
-        return Expansion(jets, len(self.size) - 1, given)
+        return TaylorExpansion(recurrences, len(self.size) - 1, given)
 
     @property
     def left(self) -> float:
@@ -108,36 +108,36 @@ class Block:
         """Whether y is 0 at the start of the piece, or below ``least`` of a size."""
         return math.hypot(*(row[0] for row in self.y)) <= least
 
-    def slide(self, code: int, k: int) -> None:
+    def compute_slip_order(self, code: int, k: int) -> None:
         """Order k of l and of |y|, from those of y; y is not 0."""
-        if self._edge is None:
+        if self._slip_expansion is None:
             self.size[k] = -code * self.y[0][k]
         else:
-            *l, self.size[k] = self._edge.order(k)
+            *l, self.size[k] = self._slip_expansion.order(k)
             for row, v in zip(self.l, l, strict=True):
                 row[k] = v
         self.pushed(code, k)
 
     def pushed(self, code: int, k: int) -> None:
         """Order k of what pushes, from those of l and |y|."""
-        if self._grown is not None:
-            smooth = code and (self.size[0] or not (self.is_rough or self.size[1] < 0))
-            for row, v in zip(self.push, self._grown.order(k) if smooth else [row[k] for row in self.l], strict=True):
+        if self._push_expansion is not None:
+            smooth = code and (self.size[0] or not (self.is_singular_at_onset or self.size[1] < 0))
+            for row, v in zip(self.push, self._push_expansion.order(k) if smooth else [row[k] for row in self.l], strict=True):
                 row[k] = v
 
-    def pushing(self, s: float) -> list[float]:
+    def push_at(self, s: float) -> list[float]:
         """What pushes in slip at a point of the piece, with the factor itself."""
-        l, growth = [value(row, s) for row in self.l], self.growth
+        l, growth = [poly_value(row, s) for row in self.l], self.growth
         if growth is None:
             return l
-        factor = float(self._factor(max(value(self.size, s), 0.0)))
+        factor = float(self._factor_function(max(poly_value(self.size, s), 0.0)))
         return [factor * v for v in l]
 
     @cached_property
-    def _factor(self) -> ca.Function:
+    def _factor_function(self) -> ca.Function:
         return ca.Function("factor", [self.growth.s], [self.growth.factor]) if self.growth else ca.Function()
 
-    def missed(self, s: float, y: Sequence[float], rounding: float) -> float:
+    def law_residual(self, s: float, y: Sequence[float], rounding: float) -> float:
         """How far l in slip is from the law at a point of the piece where the model's y (all rows) are these, beside the set.
 
         Less what a ``rounding`` of y moves l by, |dl| <= 2 sqrt(c) |S^-1 dy|/size.
@@ -145,29 +145,29 @@ class Block:
         own = np.array([y[i] for i in self.at])
         if self.curved is None or not own.any():
             return 0.0
-        off = np.array([value(row, s) for row in self.l]) - self.curved.selected(own)
-        return float(np.abs(off).max() / self.curved.radius) - 2 * self.unit * rounding / abs(value(self.size, s))
+        off = np.array([poly_value(row, s) for row in self.l]) - self.curved.support_point(own)
+        return float(np.abs(off).max() / self.curved.radius) - 2 * self.unit * rounding / abs(poly_value(self.size, s))
 
     def watch(self, orders: int) -> None:
         """The coefficients of l'S l up to this order."""
         if self.curved is not None:
             for k in range(orders + 1):
-                self.inner[k] = self._inside.order(k)[0]
+                self.inner[k] = self._stick_expansion.order(k)[0]
 
-    def threshold(self, sizes: Sequence[float], rtol: float) -> float:
+    def stop_threshold(self, sizes: Sequence[float], rtol: float) -> float:
         """The size at which a slip ends: y is then put to 0, which no row feels by more than a share of rtol, or of rounding.
 
         One that begins below it is let grow.
         """
         now = math.hypot(*(row[0] for row in self.y))
-        if not now or (self.curved is None and not self.is_rough):
+        if not now or (self.curved is None and not self.is_singular_at_onset):
             return 0.0
         share = min(sizes[i] / abs(row[0]) for i, row in zip(self.at, self.y, strict=True) if row[0])
         least = max(STOPS * rtol * share, ABOVE * REST * max(sizes[i] for i in self.at) / now)
         return self.size[0] * least if least < 1 or self.size[1] < 0 else 0.0
 
 
-class Blocks:
+class FrictionBlocks:
     """The blocks of a law that are no boxes, or that grow.
 
     Attributes:
@@ -178,8 +178,8 @@ class Blocks:
 
     def __init__(self, problem: ContinuousProblem, l: list[list[float]], y: list[list[float]]) -> None:
         growths, width = {growth.first: growth for growth in problem.growths}, len(l[0]) if l else 0
-        self.all: list[Block] = []
-        self.released: list[Block] = []
+        self.all: list[FrictionBlock] = []
+        self.onset_blocks: list[FrictionBlock] = []
         self.push = list(l)
         for rows, block in problem.law.parts():
             at, curved = tuple(range(rows.start, rows.stop)), block.curved()
@@ -188,7 +188,7 @@ class Blocks:
                 push = [l[i] if growth is None else [0.0] * width for i in own]
                 self.push[own[0] : own[-1] + 1] = push
                 series = [l[i] for i in own], [y[i] for i in own], push
-                self.all.append(Block(own, *series, [0.0] * width, [0.0] * width, curved, growth))
+                self.all.append(FrictionBlock(own, *series, [0.0] * width, [0.0] * width, curved, growth))
         self.of = {i: block for block in self.all for i in block.at}
 
     def rows_of(self, i: int) -> tuple[int, ...]:
@@ -199,29 +199,29 @@ class Blocks:
         """Whether row i is one of a curved block."""
         return i in self.of and self.of[i].curved is not None
 
-    def slipping(self, codes: Sequence[int]) -> list[Block]:
+    def slipping_blocks(self, codes: Sequence[int]) -> list[FrictionBlock]:
         """Those that slip."""
         return [block for block in self.all if codes[block.first]]
 
     def begin(self, codes: Sequence[int], size_y: Callable[[int], float]) -> None:
         """Order 0, with who slips from y = 0."""
-        self.released = []
-        for block in self.slipping(codes):
+        self.onset_blocks = []
+        for block in self.slipping_blocks(codes):
             block.size[:] = [0.0] * len(block.size)
             rests = block.is_at_rest(REST * max(map(size_y, block.at)))
             if rests and block.curved is not None:
-                self.released.append(block)
+                self.onset_blocks.append(block)
                 continue
-            block.slide(codes[block.first], 0)
+            block.compute_slip_order(codes[block.first], 0)
             if rests:
                 block.size[0] = 0.0
         self.pushed(codes, 0)
 
-    def slide(self, codes: Sequence[int], k: int) -> None:
+    def compute_slip_order(self, codes: Sequence[int], k: int) -> None:
         """Order k of what follows from y."""
-        for block in self.slipping(codes):
-            if block not in self.released:
-                block.slide(codes[block.first], k)
+        for block in self.slipping_blocks(codes):
+            if block not in self.onset_blocks:
+                block.compute_slip_order(codes[block.first], k)
         self.pushed(codes, k)
 
     def pushed(self, codes: Sequence[int], k: int) -> None:
@@ -237,7 +237,7 @@ class Blocks:
                 block.watch(orders)
 
 
-def with_modes(problem: ContinuousProblem) -> ContinuousProblem:
+def with_stick_slip_modes(problem: ContinuousProblem) -> ContinuousProblem:
     """Return the problem, where all of its curved blocks have stick and slip as modes; a ball of radius 0 as the box that it is.
 
     Raises:
@@ -261,6 +261,6 @@ def with_modes(problem: ContinuousProblem) -> ContinuousProblem:
         if ca.depends_on(ca.jacobian(problem.g, l), l):
             raise NotEventDriven(f"{name}: x' is not linear in l; that is for time stepping")
     for growth in problem.growths:
-        if jets_of(growth.factor, [growth.s], "friction").branches:
+        if taylor_decompose(growth.factor, [growth.s], "friction").branches:
             raise NotEventDriven(f"{problem.rows[growth.first]}: theta has a kink; that is for time stepping")
     return replace(problem, law=product(*laws))

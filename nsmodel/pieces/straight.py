@@ -7,18 +7,20 @@ from typing import Any
 
 import numpy as np
 
-Rows = Sequence[list[float]]
-Terms = Sequence[Sequence[tuple[int, float]]]  # (j, a_j) of each row.
-MOST = 2000  # Terms and rows of a sum that is written out; longer ones are loops.
+SeriesRows = Sequence[list[float]]
+RowTerms = Sequence[Sequence[tuple[int, float]]]  # (j, a_j) of each row.
+MAX_WRITTEN_TERMS = 2000  # Terms and rows of a sum that is written out; longer ones are loops.
 
 
-def sums(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bool) -> Callable[..., None]:
+def compile_sums(
+    out: SeriesRows, parts: Sequence[SeriesRows], terms: RowTerms, inner: SeriesRows, scaled: bool
+) -> Callable[..., None]:
     """``of(k)``: out_i[k] = parts_i[k] + ... + sum_j a_j inner_j[k]; ``scaled``: ``of(k, c)``: out_i[k + 1] = c times that.
 
     Rows are lists that stay where they are, and hold what order k is made of.
     """
-    if len(out) + sum(map(len, terms)) > MOST:
-        return _loops(out, parts, terms, inner, scaled)
+    if len(out) + sum(map(len, terms)) > MAX_WRITTEN_TERMS:
+        return _loop_sums(out, parts, terms, inner, scaled)
     known = {f"o{i}": row for i, row in enumerate(out)} | {f"n{j}": row for j, row in enumerate(inner)}
     known |= {f"p{which}_{i}": row for which, rows in enumerate(parts) for i, row in enumerate(rows)}
     used = sorted({j for own in terms for j, _ in own})
@@ -33,18 +35,20 @@ def sums(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bo
     return made["make"](**known)
 
 
-def terms_of(matrix: np.ndarray | None, rows: int) -> list[list[tuple[int, float]]]:
+def nonzero_terms(matrix: np.ndarray | None, rows: int) -> list[list[tuple[int, float]]]:
     """Of each row of a matrix, what is not 0; of none nothing."""
     return [[]] * rows if matrix is None else [[(j, a) for j, a in enumerate(row) if a] for row in matrix.tolist()]
 
 
-def _loops(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bool) -> Callable[..., None]:
+def _loop_sums(
+    out: SeriesRows, parts: Sequence[SeriesRows], terms: RowTerms, inner: SeriesRows, scaled: bool
+) -> Callable[..., None]:
     together = list(zip(out, zip(*parts, strict=True), terms, strict=True))
 
-    def of(k: int, c: float = 1.0) -> None:
+    def sum_rows(k: int, c: float = 1.0) -> None:
         for row, own, entries in together:
             total = sum([row[k] for row in own])
             more = [a * inner[j][k] for j, a in entries]
             row[k + scaled] = c * sum(more, total) if scaled else total + sum(more)
 
-    return of
+    return sum_rows

@@ -18,37 +18,43 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import FinalError, StepError
-from nsmodel.laws.moving import Ends
-from nsmodel.pieces.defect import Equations
-from nsmodel.pieces.known import Known
-from nsmodel.pieces.lengths import unit
+from nsmodel.errors import StepError, UnrecoverableStepError
+from nsmodel.laws.moving import LawEnds
+from nsmodel.pieces.defect import ModelEquations
+from nsmodel.pieces.known import SwitchTimes
+from nsmodel.pieces.lengths import power_of_two_unit
 from nsmodel.pieces.piece import Piece
 from nsmodel.scheme.continuous import ContinuousProblem
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.stepper import StepResult, Warm
+from nsmodel.solve.stepper import StepResult, WarmStart
 
-BUDGET = 100_000  # Steps of a run, over all of its stretches.
+STEP_BUDGET = 100_000  # Steps of a run, over all of its stretches.
 STRICT, TENFOLD = 20_000, 5_000  # Steps from which on more error is allowed, and after which it is ten times as much.
 SMOOTH, SWITCH = 0.1, 0.1  # Of rtol: a smooth step may err by this share times h/t, one across a switch by this.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
-FIRST, LEAST, LARGEST = 20, 40, 6  # Steps in 2^-j of the time so far: the first, the least, the largest.
+FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = (
+    20,
+    40,
+    6,
+)  # Steps in 2^-j of the time so far: the first, the least, the largest.
 # In place of LEAST where walls call for impulses: v behind one is known to eps |y|/h, its time to h. Steps cannot err by less.
 IMPACT, REACHED = 22, 5e-7
-ROUNDED = 64 * 2.0**-52  # There v differs from step to step by so much of t/h: that is no error of a step, and does not add up.
-NEGLIGIBLE = 1e-6  # A state below this part of the largest is measured beside that.
-FINEST = 1e-11  # Tolerance of a step's residual, at the least.
+VELOCITY_ROUNDING = (
+    64 * 2.0**-52
+)  # There v differs from step to step by so much of t/h: that is no error of a step, and does not add up.
+NEGLIGIBLE_STATE = 1e-6  # A state below this part of the largest is measured beside that.
+MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
 
 
-def looser(steps: int) -> float:
+def error_relaxation(steps: int) -> float:
     """How many times the error that a step may have grows after so many steps of a run."""
     return 10.0 ** max(0.0, (steps - STRICT) / TENFOLD)
 
 
 @dataclass
-class Stand:
+class FallbackState:
     """Where a stretch stands, as lists and numbers: time, state, multipliers, index set; the next step, and the time so far as a
     power of two; where the stretch began; the rate of x in the last half step; d and h of the last step where it was smooth; the
     steps of the stretch; the sum of the errors of its steps, in units of rtol.
@@ -68,7 +74,7 @@ class Stand:
     error: float = 0.0
 
 
-class Trial(NamedTuple):
+class FallbackTrial(NamedTuple):
     """A step both ways: where it is in the middle and ends, its error in units of rtol, whether it is smooth, d."""
 
     half: StepResult
@@ -80,24 +86,24 @@ class Trial(NamedTuple):
     d: np.ndarray
 
 
-class Stretches:
+class FallbackSteps:
     """The steps of a problem: ``begin`` a stretch, ``advance`` it; ``stand`` is where, None between stretches."""
 
     def __init__(
-        self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: Known,
+        self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: SwitchTimes,
         sizes: list[float], width: int, *, impulsive: bool,
     ) -> None:  # fmt: skip
         """``sizes``: the largest of each x so far, brought up to date; ``width``: coefficients of a row of a piece.
 
         ``impulsive``: whether walls call for impulses.
         """
-        self._least, self._more, self._rounded = LEAST, 1.0, 0.0
+        self._least, self._more, self._rounded = MIN_STEP_OCTAVES, 1.0, 0.0
         if impulsive:
-            self._least, self._more, self._rounded = IMPACT, max(1.0, REACHED / rtol), ROUNDED / rtol
+            self._least, self._more, self._rounded = IMPACT, max(1.0, REACHED / rtol), VELOCITY_ROUNDING / rtol
         self.problem, self.rtol, self.atol, self.known = problem, rtol, np.array(atol), known
-        self.tolerance = max(FINEST, min(tolerance, rtol / 10))
+        self.tolerance = max(MIN_RESIDUAL_TOLERANCE, min(tolerance, rtol / 10))
         self.sizes, self.width, self.steps = sizes, width, 0
-        self.stand: Stand | None = None
+        self.state: FallbackState | None = None
 
     @cached_property
     def _stepper(self) -> Stepper:
@@ -105,80 +111,82 @@ class Stretches:
         return Stepper(backward_euler(self.problem), "auto", self.tolerance, h=PREPARED, state=x0, few_steps=False)
 
     @cached_property
-    def _boxes(self) -> np.ndarray:
+    def _box_rows(self) -> np.ndarray:
         """Which rows are those of boxes (m,)."""
         return np.concatenate(
             [np.zeros(0, bool), *(np.full(block.size, block.separable) for _, block in self.problem.law.parts())]
         )
 
     @cached_property
-    def _equations(self) -> Equations:
-        return Equations(self.problem)
+    def _equations(self) -> ModelEquations:
+        return ModelEquations(self.problem)
 
-    def begin(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> Stand:
+    def begin(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> FallbackState:
         """Begin a stretch at a state."""
-        scale = unit(max(t, tau))
+        scale = power_of_two_unit(max(t, tau))
         inside = np.clip(l, self._stepper.law.lower, self._stepper.law.upper).tolist()
-        self.stand = Stand(t, list(x), inside, list(codes), math.ldexp(scale, -FIRST), scale, t)
-        return self.stand
+        self.state = FallbackState(t, list(x), inside, list(codes), math.ldexp(scale, -FIRST_STEP_OCTAVES), scale, t)
+        return self.state
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What the next steps depend on."""
-        return {"steps": self.steps, "stand": None if self.stand is None else asdict(self.stand)}
+        return {"steps": self.steps, "stand": None if self.state is None else asdict(self.state)}
 
     def take_up(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         self.steps, stand = saved["steps"], saved["stand"]
-        self.stand = None if stand is None else Stand(**stand)
+        self.state = None if stand is None else FallbackState(**stand)
 
-    def advance(self, at: Stand) -> list[Piece]:
+    def advance(self, at: FallbackState) -> list[Piece]:
         """Take one step, as two pieces: a parabola of x where nothing switches, else straight lines; constant l and y.
 
         Raises:
             StepError: a step has no verified answer however short, or the budget is used up.
         """
-        if self.steps >= BUDGET:
-            raise StepError(f"t = {at.t:.10g}: the {BUDGET:,} time steps that a run may take where no mode goes on are used up")
-        coarse, more = None, self._more * looser(self.steps)
+        if self.steps >= STEP_BUDGET:
+            raise StepError(
+                f"t = {at.t:.10g}: the {STEP_BUDGET:,} time steps that a run may take where no mode goes on are used up"
+            )
+        coarse, more = None, self._more * error_relaxation(self.steps)
         while True:
-            h = min(at.h, math.ldexp(at.scale, -LARGEST), self._to_known(at))
+            h = min(at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES), self._time_to_switch(at))
             least = h <= math.ldexp(at.scale, -self._least)
-            trial = self._trial(at, h, coarse, least)
+            trial = self._try_step(at, h, coarse, least)
             smooth = max(SMOOTH * h / (at.t + h), self._rounded * (at.t + h) / h)
             allowed = more * (smooth if trial is not None and trial.smooth else SWITCH)
             if trial is not None and (trial.error <= allowed or least):
-                return self._accepted(at, h, trial, allowed)
+                return self._accept_step(at, h, trial, allowed)
             if least:
                 raise StepError(f"t = {at.t:.10g}: no verified step goes on from here")
-            at.h = unit(h) / 2
+            at.h = power_of_two_unit(h) / 2
             coarse = trial.half if trial is not None and at.h == h / 2 else None
 
-    def _to_known(self, at: Stand) -> float:
+    def _time_to_switch(self, at: FallbackState) -> float:
         return self.known.next(at.t, at.x) - at.t
 
-    def _step(self, t: float, h: float, x: np.ndarray, warm: Warm) -> StepResult:
+    def _solve_step(self, t: float, h: float, x: np.ndarray, warm: WarmStart) -> StepResult:
         with np.errstate(all="ignore"):
             try:
                 return self._stepper(t, h, x, warm)
-            except FinalError:
+            except UnrecoverableStepError:
                 raise
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
                 raise StepError(f"t = {t:.10g}: {error}") from error
 
-    def _trial(self, at: Stand, h: float, coarse: StepResult | None, least: bool) -> Trial | None:
+    def _try_step(self, at: FallbackState, h: float, coarse: StepResult | None, least: bool) -> FallbackTrial | None:
         """The step both ways; None where a step has no answer."""
         state, x = self._stepper.layout.state, np.array(at.x)
-        warm = Warm(np.array(at.l), np.array(at.index, np.int8))
+        warm = WarmStart(np.array(at.l), np.array(at.index, np.int8))
         try:
-            coarse = self._step(at.t, h, x, warm) if coarse is None else coarse
-            half = self._step(at.t, h / 2, x, warm)
-            fine = self._step(at.t + h / 2, h / 2, half.row[state], half.warm)
+            coarse = self._solve_step(at.t, h, x, warm) if coarse is None else coarse
+            half = self._solve_step(at.t, h / 2, x, warm)
+            fine = self._solve_step(at.t + h / 2, h / 2, half.row[state], half.warm)
             smooth = all(np.array_equal(one.warm.index, at.index) for one in (coarse, half, fine)) and at.own > 0
             d = fine.row[state] - coarse.row[state]
             if not smooth and least:
-                d = self._a_step_later(at.t + h, h, coarse, fine)
+                d = self._difference_after_next_step(at.t + h, h, coarse, fine)
         except StepError as error:
-            if least and isinstance(error, FinalError):
+            if least and isinstance(error, UnrecoverableStepError):
                 raise
             return None
         middle, end, off = half.row[state], fine.row[state], np.abs(d)
@@ -191,28 +199,28 @@ class Stretches:
             moved = middle - x
             before = moved if at.rate is None else h / 2 * np.array(at.rate)
             off = np.fmax(off, np.fmax(np.abs(end - x - 2 * moved), np.abs(moved - before)))
-        return Trial(half, fine, middle, end, self._units(off, end), smooth, d)
+        return FallbackTrial(half, fine, middle, end, self._max_error_ratio(off, end), smooth, d)
 
-    def _a_step_later(self, t: float, h: float, coarse: StepResult, fine: StepResult) -> np.ndarray:
+    def _difference_after_next_step(self, t: float, h: float, coarse: StepResult, fine: StepResult) -> np.ndarray:
         """X_fine - x_coarse after one more step."""
         state = self._stepper.layout.state
-        coarse = self._step(t, h, coarse.row[state], coarse.warm)
-        half = self._step(t, h / 2, fine.row[state], fine.warm)
-        return self._step(t + h / 2, h / 2, half.row[state], half.warm).row[state] - coarse.row[state]
+        coarse = self._solve_step(t, h, coarse.row[state], coarse.warm)
+        half = self._solve_step(t, h / 2, fine.row[state], fine.warm)
+        return self._solve_step(t + h / 2, h / 2, half.row[state], half.warm).row[state] - coarse.row[state]
 
     def _extrapolated(self, t: float, x: np.ndarray, fine: StepResult) -> np.ndarray | None:
         """X where every y of a box that is let go keeps its sign."""
         y = self._equations(t, x.tolist(), fine.row[self._stepper.layout.l].tolist())[1]
-        return x if (fine.warm.index * y * self._boxes <= 0).all() else None
+        return x if (fine.warm.index * y * self._box_rows <= 0).all() else None
 
-    def _units(self, off: np.ndarray, x: np.ndarray) -> float:
+    def _max_error_ratio(self, off: np.ndarray, x: np.ndarray) -> float:
         """The largest of the errors in units of what is allowed."""
         size = np.maximum(self.sizes, np.abs(x))
-        allowed = self.rtol * np.maximum(size, NEGLIGIBLE * size.max(initial=0.0)) + self.atol
+        allowed = self.rtol * np.maximum(size, NEGLIGIBLE_STATE * size.max(initial=0.0)) + self.atol
         units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
         return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
 
-    def _accepted(self, at: Stand, h: float, trial: Trial, allowed: float) -> list[Piece]:
+    def _accept_step(self, at: FallbackState, h: float, trial: FallbackTrial, allowed: float) -> list[Piece]:
         """Move on, and the two pieces."""
         middle, x, end = trial.middle, np.array(at.x), at.t + h
         known = self.known.next(at.t, at.x)
@@ -220,8 +228,8 @@ class Stretches:
             end = known
         bend = 2 * (trial.end + x - 2 * middle) if trial.smooth else np.zeros(x.size)  # Of the parabola through all three.
         pieces = [
-            self._piece(at.t, at.t + h / 2, x, middle, bend, trial.half, 0.0),
-            self._piece(at.t + h / 2, end, middle, trial.end, bend, trial.fine, trial.error),
+            self._half_step_piece(at.t, at.t + h / 2, x, middle, bend, trial.half, 0.0),
+            self._half_step_piece(at.t + h / 2, end, middle, trial.end, bend, trial.fine, trial.error),
         ]
         smooth = trial.smooth and end != known
         raw = trial.fine.row[self._stepper.layout.state] - trial.half.row[self._stepper.layout.state]
@@ -230,17 +238,17 @@ class Stretches:
         at.index, at.error, at.own = trial.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
         self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
         self.steps += 1
-        at.scale = max(at.scale, unit(end))
+        at.scale = max(at.scale, power_of_two_unit(end))
         if 8 * trial.error <= GROW * allowed:
-            at.h = min(2 * at.h, math.ldexp(at.scale, -LARGEST))
+            at.h = min(2 * at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES))
         return pieces
 
-    def _piece(
+    def _half_step_piece(
         self, t: float, end: float, x: np.ndarray, z: np.ndarray, bend: np.ndarray, result: StepResult, error: float
     ) -> Piece:  # fmt: skip
         """Half a step: x + (z - x) u + bend (u^2 - u)/4 with u from 0 to 1."""
         layout, row = self._stepper.layout, result.row
-        tau = unit(end - t)
+        tau = power_of_two_unit(end - t)
         s = (end - t) / tau
         line, l, y = (np.zeros((count, self.width)) for count in (x.size, row[layout.l].size, row[layout.y].size))
         line[:, 0], line[:, 1], line[:, 2] = x, (z - x - bend / 4) / s, bend / (4 * s * s)
@@ -253,7 +261,7 @@ def backward_euler(p: ContinuousProblem) -> OneStepProblem:
     """One implicit step of the continuous problem."""
     h, state, x = ca.SX.sym("h"), ca.SX.sym("x_k", p.x.numel()), ca.SX.sym("x", p.x.numel())
     rate, y = ca.substitute([p.rate, p.h], [p.t, p.x], [p.t + h, x])
-    ends = tuple(Ends(end.name, *ca.substitute([end.lower, end.upper], [p.t, p.x], [p.t + h, x])) for end in p.ends)
+    ends = tuple(LawEnds(end.name, *ca.substitute([end.lower, end.upper], [p.t, p.x], [p.t + h, x])) for end in p.ends)
     return OneStepProblem(
         scheme="backward Euler", t=p.t, h=h, state=state, p=p.p, z=x, l=p.l, y=ca.SX.sym("y", p.l.numel()),
         E=x - state - h * rate, Y=y, law=p.law, rows=p.rows, guess=state, next_state=x, ends=ends,

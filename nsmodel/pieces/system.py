@@ -22,60 +22,62 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.pieces.disc_equations import EquationsOnDisc
-from nsmodel.pieces.expansion import scale
-from nsmodel.pieces.jets import jets_of, plain
-from nsmodel.pieces.multipliers import Solve, is_monotone, is_p, solve_of
-from nsmodel.pieces.orders import Orders
-from nsmodel.pieces.release import Release
-from nsmodel.pieces.settled import moved_share, stays
-from nsmodel.pieces.sizes import Negligible, Sizes
-from nsmodel.pieces.slopes import AtPoints, numbers
-from nsmodel.pieces.straight import terms_of
-from nsmodel.pieces.unrolled import Unrolled
+from nsmodel.pieces.expansion import rescale_time
+from nsmodel.pieces.jets import independent_branches, taylor_decompose
+from nsmodel.pieces.multipliers import MultiplierSolver, is_monotone, is_p_matrix, multiplier_solver
+from nsmodel.pieces.orders import ModeSeries
+from nsmodel.pieces.release import SlipOnset
+from nsmodel.pieces.settled import relative_change, remains_zero
+from nsmodel.pieces.sizes import StateScales, ZeroTest
+from nsmodel.pieces.slopes import SlopesAtPoint, constant_matrix
+from nsmodel.pieces.straight import nonzero_terms
+from nsmodel.pieces.unrolled import UnrolledOrders
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
-SETTLED = 1e-14
-KEPT = 1000  # Modes with their slopes whose matrices are kept.
+NEWTON_CONVERGED = 1e-14
+MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 LITTLE = 1e-6  # Of the largest multiplier: a smaller one is measured beside that.
 RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
 
-class System(Orders):
-    """A problem with its numbers; ``rtol``: see `sliding.Block.threshold`."""
+class ModeSystem(ModeSeries):
+    """A problem with its numbers; ``rtol``: see `sliding.Block.stop_threshold`."""
 
     def __init__(self, problem: ContinuousProblem, orders: int, rtol: float = 0.0) -> None:
         self.problem, self.rtol = problem, rtol
         p, inputs = problem, [problem.t, problem.x, problem.l]
         B, D, C = p.slopes
         self.linear_in_l, self.coupled = not ca.depends_on(ca.veccat(B, D), p.l), p.coupled
-        self.B, of_l, self.C = (numbers(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
+        self.B, of_l, self.C = (constant_matrix(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
         self.constant = None if self.B is None or of_l is None or self.C is None else (self.B, of_l, self.C)
         h = p.h if of_l is None else ca.substitute(p.h, p.l, ca.SX.zeros(p.l.shape)) if p.l.numel() else p.h
-        self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
-        self.jets |= {"g": jets_of(p.g, inputs, "g")} if self.B is None else {}
-        self.jets |= {"blocks": jets_of(p.updates, inputs, "the update of a block")} if p.updated else {}
+        self.jets = {"f": taylor_decompose(p.f, inputs, "f"), "h": taylor_decompose(h, inputs, "h")}
+        self.jets |= {"g": taylor_decompose(p.g, inputs, "g")} if self.B is None else {}
+        self.jets |= {"blocks": taylor_decompose(p.updates, inputs, "the update of a block")} if p.updated else {}
         super().__init__(problem, self.jets, self.B, of_l, orders)
         self.lower, self.upper = (
             [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
         )
         widths = [b - a if np.isfinite(b - a) else 0.0 for a, b in zip(self.lower, self.upper, strict=True)]
-        self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, widths, [0.0] * len(self.branches))
-        self.negligible = Negligible(problem)
+        self.sizes = StateScales([0.0] * self.n, [0.0] * self.m, widths, [0.0] * len(self.branches))
+        self.zero_test = ZeroTest(problem)
         self._slopes = ca.Function("slopes", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(e) for e in (B, D, C)])
         self.conditions: dict[tuple, list[Any]] = {}  # Of modes; see `switches.conditions`.
-        self._known: dict[tuple, Solve] = {}
-        self._p: dict[tuple, bool] = {}
+        self._solvers: dict[tuple, MultiplierSolver] = {}
+        self._p_matrices: dict[tuple, bool] = {}
         self._point: list[float] | None = None  # Where the slopes were computed last, and what was made of them there.
-        self._here: dict[Any, Any] = {}
+        self._point_cache: dict[Any, Any] = {}
         always: dict[Any, Any] = {}  # What was made of those that are constant.
         moves = {"B": self.B is None, "D": of_l is None, "C": self.C is None}
-        self._kept = {of: self._here if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")}
-        self._from_rest: Release | None = None
-        self._whole = False  # Whether all orders stand, whatever was asked for.
-        self._unrolled = None if self.blocks.all or self.updates else Unrolled(self)
+        self._slope_caches = {
+            of: self._point_cache if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")
+        }
+        self._slip_onset: SlipOnset | None = None
+        self._has_all_orders = False  # Whether all orders stand, whatever was asked for.
+        self._unrolled = None if self.blocks.all or self.updates else UnrolledOrders(self)
 
     @cached_property
     def middle(self) -> list[float]:
@@ -93,12 +95,14 @@ class System(Orders):
     @cached_property
     def branches(self) -> list[tuple[str, int]]:
         """(part, its branch) of every switch in f, g and h."""
-        return [(name, i) for name, jets in self.jets.items() for i in range(len(jets.branches))]
+        return [(name, i) for name, recurrences in self.jets.items() for i in range(len(recurrences.branches))]
 
     @cached_property
     def plain(self) -> dict[tuple[str, int], bool]:
         """Of each switch in f, g and h whether neither l nor another switch moves what it looks at."""
-        return {(name, i): own for name, jets in self.jets.items() for i, own in enumerate(plain(jets))}
+        return {
+            (name, i): own for name, recurrences in self.jets.items() for i, own in enumerate(independent_branches(recurrences))
+        }
 
     @cached_property
     def feedthrough(self) -> np.ndarray:
@@ -113,41 +117,41 @@ class System(Orders):
         point = [self.t[0], *[row[0] for row in self.x], *[row[0] for row in self.push]]
         if point != self._point:
             self._point = point
-            self._here.clear()
-            self._slopes_at(point)
-        B, D, C = self._slopes_at.out
+            self._point_cache.clear()
+            self._slope_evaluator(point)
+        B, D, C = self._slope_evaluator.out
         return B, D, C
 
     @cached_property
-    def _slopes_at(self) -> AtPoints:
-        return AtPoints(self._slopes)
+    def _slope_evaluator(self) -> SlopesAtPoint:
+        return SlopesAtPoint(self._slopes)
 
-    def of_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
+    def cached_from_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
         """What ``make`` makes of (B, D, C) at order 0, or ``of`` some of them: kept while these stay what they are."""
-        kept = self._kept[of]
-        if kept is self._here:
+        kept = self._slope_caches[of]
+        if kept is self._point_cache:
             self.slopes()
         if what not in kept:
-            if len(kept) >= KEPT:
+            if len(kept) >= MAX_CACHED_MODES:
                 kept.clear()
             kept[what] = make(*self.slopes())
         return kept[what]
 
-    def solve(self, codes: list[int]) -> Solve:
+    def solve(self, codes: list[int]) -> MultiplierSolver:
         """What finds the multipliers of a mode, at the point that order 0 is."""
         active = tuple([i for i, code in enumerate(codes) if code == 0])
-        return self.of_slopes(active, lambda *slopes: self._solve_of(active, slopes))
+        return self.cached_from_slopes(active, lambda *slopes: self._cached_solver(active, slopes))
 
-    def _solve_of(self, active: tuple[int, ...], slopes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Solve:
+    def _cached_solver(self, active: tuple[int, ...], slopes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> MultiplierSolver:
         key = (active, *(() if self.constant else (a.tobytes() for a in slopes)))
-        if key not in self._known:
-            if len(self._known) >= KEPT:
-                self._known.clear()
-            found = solve_of(active, *slopes, lifts=bool(self.blocks.all))
-            self._known[key] = replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
-        return self._known[key]
+        if key not in self._solvers:
+            if len(self._solvers) >= MAX_CACHED_MODES:
+                self._solvers.clear()
+            found = multiplier_solver(active, *slopes, lifts=bool(self.blocks.all))
+            self._solvers[key] = replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
+        return self._solvers[key]
 
-    def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> Solve | None:
+    def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> MultiplierSolver | None:
         """Compute orders 0, ..., ``orders`` of x and y, and of l as far as its index lets; None: the mode has no solution.
 
         ``l`` at order 0 is the first guess of what is not linear in it.
@@ -161,24 +165,26 @@ class System(Orders):
             elif not code and self.linear_in_l:
                 row[0] = 0.0
         linear = self.linear_in_l or 0 not in codes
-        if linear and self._is_whole(how := self.solve(codes)):
-            return how if self._rests(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
+        if linear and self._try_all_orders(how := self.solve(codes)):
+            return how if self._held_rows_rest(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
         for row in self.l:
             row[1:] = [0.0] * self.orders
-        if (how := self._solved(codes)) is None or (self.blocks.released and (how := self._release(how)) is None):
+        if (how := self._solve_order_0(codes)) is None or (
+            self.blocks.onset_blocks and (how := self._solve_slip_onset(how)) is None
+        ):
             return None
-        if not linear and self._is_whole(how):
-            return how if self._rests(how, range(2, min(orders, HELD_ORDERS) + 1)) else None
+        if not linear and self._try_all_orders(how):
+            return how if self._held_rows_rest(how, range(2, min(orders, HELD_ORDERS) + 1)) else None
         return how if self.extend(how, codes, 0, orders) else None
 
     def scale(self, times: float) -> None:
         """Let the unit of time be so many times as long, a power of two, in all rows that stand."""
-        parts = (part for part in self.parts.values() if part.jets.branches or not self._whole)
-        scale([self.t, *self.x, *self.l, *self.y, *(row for part in parts for row in part.rows)], times)
+        parts = (part for part in self.parts.values() if part.jets.branches or not self._has_all_orders)
+        rescale_time([self.t, *self.x, *self.l, *self.y, *(row for part in parts for row in part.rows)], times)
 
-    def _is_whole(self, how: Solve) -> bool:
+    def _try_all_orders(self, how: MultiplierSolver) -> bool:
         """Whether all orders could be computed at once: where no rows are held that nothing acts on, nor sides to be chosen."""
-        self._whole = False
+        self._has_all_orders = False
         if self._unrolled is None or (how.direct is not None and how.null is not None and how.null.size):
             return False
         if self.branches and any(side != side for part in self.parts.values() for side in part.choice):
@@ -188,24 +194,24 @@ class System(Orders):
             for row, l in zip(self.l, start, strict=True):
                 row[:] = [l, *[0.0] * self.orders]
             return False
-        self._whole = True
+        self._has_all_orders = True
         return True
 
-    def _rests(self, how: Solve, orders: Iterable[int]) -> bool:
+    def _held_rows_rest(self, how: MultiplierSolver, orders: Iterable[int]) -> bool:
         """Whether held rows stay at 0; their y is put to 0 then: all orders but the first of one that only y' holds."""
-        if not stays(self, how, orders):
+        if not remains_zero(self, how, orders):
             return False
         first = 1 if how.through is not None else 0
         for i in how.active:
             self.y[i][first:] = [0.0] * (self.orders + 1 - first)
         return True
 
-    def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
+    def extend(self, how: MultiplierSolver, codes: list[int], known: int, orders: int) -> bool:
         """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
-        if known and self._whole:
+        if known and self._has_all_orders:
             return True
-        self.go_on(how, codes, known, orders)
-        if not self._rests(how, () if known else range(2, min(orders, HELD_ORDERS) + 1)):
+        self.compute_orders(how, codes, known, orders)
+        if not self._held_rows_rest(how, () if known else range(2, min(orders, HELD_ORDERS) + 1)):
             return False
         self.blocks.watch(codes, orders if how.index == 1 else orders - 1)
         return True
@@ -215,25 +221,25 @@ class System(Orders):
         self.t[0] = t
         for row, start in zip(self.x, x, strict=True):
             row[0] = start
-        self._put_y(0)
+        self._compute_y(0)
 
-    def _solved(self, codes: list[int]) -> Solve | None:
+    def _solve_order_0(self, codes: list[int]) -> MultiplierSolver | None:
         """What solves order 0, once l has it: from the guess that l is, then from the middle of K; None: l is the guess again."""
         guess = [row[0] for row in self.l]
         middle = [l if code else self.middle[i] for i, (l, code) in enumerate(zip(guess, codes, strict=True))]
         for start in (guess,) if self.linear_in_l else (guess, middle):
             for row, l in zip(self.l, start, strict=True):
                 row[0] = l
-            self._put_y(0)
-            how, self._from_rest = self.solve(codes), None
+            self._compute_y(0)
+            how, self._slip_onset = self.solve(codes), None
             self.blocks.begin(codes, self.size_y)
-            if (settled := self._settle(how, codes)) is not None:
-                return settled
+            if (solved := self._converge_order_0(how, codes)) is not None:
+                return solved
         for row, l in zip(self.l, guess, strict=True):
             row[0] = l
         return None
 
-    def apart(self, how: Solve) -> list[int]:
+    def rows_off_zero(self, how: MultiplierSolver) -> list[int]:
         """The rows that only their rate can hold at 0, and that are not there: beside their size, and how far x moves them."""
         if how.through is None or not any(self.y[i][0] for i in how.active):
             return []
@@ -242,17 +248,17 @@ class System(Orders):
 
     def size_y(self, i: int) -> float:
         """What y_i is measured beside: the largest so far, what it is the sum of, and a part of what l pushes it by."""
-        return max(self.sizes.y[i], self.terms(i) + RESTS * abs(self.t[1]) * self._push_of(i))
+        return max(self.sizes.y[i], self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i))
 
-    def _push_of(self, i: int) -> float:
+    def _push_scale(self, i: int) -> float:
         """|C_i| |B| |l|, with what l moves by in the unit of time."""
-        rows = self.of_slopes("push of y", lambda B, _, C: terms_of(np.abs(C) @ np.abs(B), self.m))
+        rows = self.cached_from_slopes("push of y", lambda B, _, C: nonzero_terms(np.abs(C) @ np.abs(B), self.m))
         return sum([a * (abs(self.push[j][0]) + abs(self.push[j][1])) for j, a in rows[i]])
 
     def pushed(self) -> list[float]:
         """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
         l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
-        of_x = self.of_slopes("push of x", lambda B, _, __: terms_of(np.abs(B), self.n), "B")
+        of_x = self.cached_from_slopes("push of x", lambda B, _, __: nonzero_terms(np.abs(B), self.n), "B")
         return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
 
     def size_l(self, i: int) -> float:
@@ -264,12 +270,12 @@ class System(Orders):
         of_x, of_l = self.sizes.x, self.sizes.l
         if x or l:
             of_x, of_l = (list(map(max, of, map(abs, now))) for of, now in ((of_x, x), (of_l, l)))
-        return self.sum_y(i, of_x, of_l)
+        return self.sum_y_terms(i, of_x, of_l)
 
-    def sum_y(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
+    def sum_y_terms(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
         """|C_i| x + |D_i| l."""
-        by_x = self.of_slopes("y of x", lambda _, __, C: terms_of(np.abs(C), self.m), "C")
-        by_l = self.of_slopes("y of l", lambda _, D, __: terms_of(np.abs(D), self.m), "D")
+        by_x = self.cached_from_slopes("y of x", lambda _, __, C: nonzero_terms(np.abs(C), self.m), "C")
+        by_l = self.cached_from_slopes("y of l", lambda _, D, __: nonzero_terms(np.abs(D), self.m), "D")
         return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in by_l[i]])
 
     @cached_property
@@ -286,17 +292,19 @@ class System(Orders):
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
         if not self.linear_in_l and any(self.coupled[i, j] for i in key[0] + key[1] for j in key[0] + key[1]):
             return False
-        if key not in self._p or self.constant is None:
+        if key not in self._p_matrices or self.constant is None:
             B, D, C = self.slopes()
             W = np.zeros_like(D) if self.D is None else C @ B
-            self._p[key] = is_p(D, W, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
-        return self._p[key]
+            self._p_matrices[key] = is_p_matrix(
+                D, W, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened)
+            )
+        return self._p_matrices[key]
 
-    def _release(self, how: Solve) -> Solve | None:
+    def _solve_slip_onset(self, how: MultiplierSolver) -> MultiplierSolver | None:
         """Order 0 of l, and order 1 of x, where blocks begin to slip."""
         tau, active = self.t[1], how.active if how.through is not None else ()
-        self._from_rest = release = Release(active, self.blocks.released, self.slopes(), tau)
-        self._put_y(1)
+        self._slip_onset = release = SlipOnset(active, self.blocks.onset_blocks, self.slopes(), tau)
+        self._compute_y(1)
         rate, l = (np.array([row[k] for row in (rows[i] for i in release.rows)]) for rows, k in ((self.y, 1), (self.l, 0)))
         found = release.begin(rate / tau, l)
         if found is None:
@@ -305,37 +313,37 @@ class System(Orders):
             self.l[i][0] = float(v)
         self.blocks.pushed([0] * self.m, 0)
         if how.feeds:
-            self._again(0)
+            self._recompute_y(0)
         self.parts["f"].compute(0)
-        self._rate(0)
+        self._compute_rate(0)
         return how if how.through is not None else replace(how, through=[])
 
-    def _found(self, how: Solve, k: int) -> Iterator[tuple[int, float]]:
-        if self._from_rest is None:
-            return super()._found(how, k)
-        rows = self._from_rest.rows
-        return zip(rows, self._from_rest.step(k, np.array([self.y[i][k + 1] for i in rows])).tolist(), strict=True)
+    def _index_2_updates(self, how: MultiplierSolver, k: int) -> Iterator[tuple[int, float]]:
+        if self._slip_onset is None:
+            return super()._index_2_updates(how, k)
+        rows = self._slip_onset.rows
+        return zip(rows, self._slip_onset.step(k, np.array([self.y[i][k + 1] for i in rows])).tolist(), strict=True)
 
-    def _settle(self, how: Solve, codes: list[int]) -> Solve | None:
+    def _converge_order_0(self, how: MultiplierSolver, codes: list[int]) -> MultiplierSolver | None:
         """Order 0 of l, and order 1 of x; Newton's method where f, g or h are not linear in l."""
         self.parts["f"].compute(0)
         for iteration in range(NEWTON):
             direct, through = self.begin(how, codes)
             if self.linear_in_l:
                 return how if self._is_solved(how, sum(through)) else None
-            moved = moved_share(self, how, direct, through)
+            moved = relative_change(self, how, direct, through)
             if not math.isfinite(moved):
                 return None
-            if iteration and moved <= SETTLED * NEWTON:
+            if iteration and moved <= NEWTON_CONVERGED * NEWTON:
                 return self.solve(codes) if self._is_solved(how, moved) else None
             how = self.solve(codes)
-            self._put_y(0)
+            self._compute_y(0)
         return None
 
-    def _is_solved(self, how: Solve, moved: float) -> bool:
+    def _is_solved(self, how: MultiplierSolver, moved: float) -> bool:
         if how.through is not None and not math.isfinite(moved):
             return False
         if how.null is None or not how.null.size:
             return True
-        self._put_y(1)
-        return stays(self, how, (1,))
+        self._compute_y(1)
+        return remains_zero(self, how, (1,))

@@ -5,32 +5,32 @@ from __future__ import annotations
 import math
 
 from nsmodel.errors import StepError
-from nsmodel.pieces.lengths import first_unit
-from nsmodel.pieces.modes import ORDERS, Place
-from nsmodel.pieces.switches import conditions, is_zero, switches
-from nsmodel.pieces.system import System
+from nsmodel.pieces.lengths import initial_time_unit
+from nsmodel.pieces.modes import ORDERS, PieceStart
+from nsmodel.pieces.switches import all_switches, is_condition_zero, mode_conditions
+from nsmodel.pieces.system import ModeSystem
 
 AROUND = 4  # Order of the expansions at an event.
 
 
-def forget_branches(system: System) -> None:
+def reset_branch_choices(system: ModeSystem) -> None:
     """Let the value at order 0 choose the sides of all branches."""
     for part in system.parts.values():
         part.choice[:] = [math.nan] * len(part.choice)
 
 
-def begin_anew(system: System, place: Place) -> None:
+def reinitialise(system: ModeSystem, place: PieceStart) -> None:
     """Open the switches that the data at the place leaves undecided."""
     system.sizes.x[:] = [max(size, abs(x)) for size, x in zip(system.sizes.x, place.x, strict=True)]
-    forget_branches(system)
+    reset_branch_choices(system)
     how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
     if how is None:
-        place.open = switches(system)
+        place.open = all_switches(system)
     else:
-        place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if is_zero(system, c)}
+        place.open = {c.of for c in mode_conditions(system, place.codes, how, AROUND) if is_condition_zero(system, c)}
 
 
-def update(system: System, place: Place) -> bool:
+def update_blocks(system: ModeSystem, place: PieceStart) -> bool:
     """Set what blocks hold to what they set it to in the mode just chosen; whether that was something else.
 
     Raises:
@@ -44,8 +44,8 @@ def update(system: System, place: Place) -> bool:
         place.x[i] = row[0]
     if [place.x[i] for i in p.updated] != before:
         # The unit of the motion before may be so long that beside its coefficients what is far from a switch seems rounding.
-        place.tau = min(place.tau, first_unit(system, place.t, place.x, place.tau))
-        begin_anew(system, place)
+        place.tau = min(place.tau, initial_time_unit(system, place.t, place.x, place.tau))
+        reinitialise(system, place)
         return True
     for k, row in enumerate(updates.outputs):
         if any(row[1 : ORDERS + 1]):

@@ -10,15 +10,15 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.sweep.groups import is_even
-from nsmodel.sweep.variable import DRAWN, FAILED, WORDS, Variable
+from nsmodel.sweep.groups import is_evenly_spaced
+from nsmodel.sweep.variable import CELL_FAILED, DRAWN_DIMS, STATUS_NAMES, Variable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-APART = 10  # So few values, and no nearer than this part of their range, are themselves the ticks.
-DECADES = 1e3  # Positive values whose largest is so many times the smallest have a logarithmic axis.
+MAX_TICK_VALUES = 10  # So few values, and no nearer than this part of their range, are themselves the ticks.
+LOG_SCALE_RATIO = 1e3  # Positive values whose largest is so many times the smallest have a logarithmic axis.
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,52 +36,56 @@ class Coordinate:
     name: str
     order: np.ndarray
     places: np.ndarray
-    words: list[str] | None
+    labels: list[str] | None
     log: bool
 
     def on(self, axis: Any) -> None:
         """Give a matplotlib axis these ticks and this scale."""
-        if self.words is not None:
-            shown = style.spread(len(self.words), 24)
-            axis.set_ticks(self.places[shown], [self.words[k] for k in shown])
+        if self.labels is not None:
+            labelled = style.evenly_spread(len(self.labels), 24)
+            axis.set_ticks(self.places[labelled], [self.labels[k] for k in labelled])
         elif self.log:
             axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-        elif len(self.places) <= APART and np.diff(self.places).min(initial=np.inf) * APART >= np.ptp(self.places):
+        elif len(self.places) <= MAX_TICK_VALUES and np.diff(self.places).min(initial=np.inf) * MAX_TICK_VALUES >= np.ptp(
+            self.places
+        ):
             axis.set_ticks(self.places, [f"{place:.5g}" for place in self.places])
 
 
 def coordinate(variable: Variable, name: str) -> Coordinate:
     """Return the axis of a coordinate: numbers in order, words one after the other, a geometric series on a logarithmic one."""
     values = variable.coords[name]
-    label = name_of(variable, name)
+    label = coordinate_label(variable, name)
     if values.dtype.kind not in "biuf" or not np.isfinite(values).all() or len(np.unique(values)) < len(values):
         places = np.arange(len(values), dtype=float)
-        return Coordinate(label, np.arange(len(values)), places, [style.text(style.short(str(one), 18)) for one in values], False)
+        return Coordinate(
+            label, np.arange(len(values)), places, [style.safe_text(style.shorten(str(one), 18)) for one in values], False
+        )
     order = np.argsort(values, kind="stable")
     places = values[order].astype(float)
     return Coordinate(
-        label, order, places, None, places[0] > 0 and places[-1] > 20 * places[0] and is_even(places, geometric=True)
+        label, order, places, None, places[0] > 0 and places[-1] > 20 * places[0] and is_evenly_spaced(places, geometric=True)
     )
 
 
-def name_of(variable: Variable, name: str) -> str:
+def coordinate_label(variable: Variable, name: str) -> str:
     """A coordinate with its unit."""
-    return style.with_unit(style.short(name, 40), variable.units.get(name, ""))
+    return style.with_unit(style.shorten(name, 40), variable.units.get(name, ""))
 
 
-def quantity(variable: Variable) -> str:
+def quantity_label(variable: Variable) -> str:
     """The quantity with its unit."""
-    return style.with_unit(style.short(variable.title, 48), variable.unit)
+    return style.with_unit(style.shorten(variable.title, 48), variable.unit)
 
 
-def value_of(variable: Variable, name: str, index: int) -> str:
+def coordinate_value_text(variable: Variable, name: str, index: int) -> str:
     """A coordinate as in "k = 5 N/m"; words as they are."""
     value, unit = variable.coords[name][index], variable.units.get(name, "")
-    number = f"{value:.4g}" if variable.coords[name].dtype.kind in "biuf" else style.short(str(value))
-    return f"{style.short(name)} = {number} {unit}".rstrip()
+    number = f"{value:.4g}" if variable.coords[name].dtype.kind in "biuf" else style.shorten(str(value))
+    return f"{style.shorten(name)} = {number} {unit}".rstrip()
 
 
-def needed(variable: Variable, name: str, what: str) -> str:
+def required_dim(variable: Variable, name: str, what: str) -> str:
     """The dim that a coordinate is along; PlotError where there is none of this name."""
     if name in variable.dims:
         return name
@@ -92,44 +96,44 @@ def needed(variable: Variable, name: str, what: str) -> str:
 
 def last_rows(variable: Variable, kept: Sequence[str]) -> tuple[Variable, str]:
     """The variable at the end of those axes within a cell that are not drawn, and words for it."""
-    words = []
+    texts = []
     for dim in variable.dims:
         if dim not in variable.cell_dims and dim not in kept:
-            words += [value_of(variable, dim, -1)] if variable.sizes[dim] > 1 else []
+            texts += [coordinate_value_text(variable, dim, -1)] if variable.sizes[dim] > 1 else []
             variable = variable.take(dim, -1)
-    return variable, f" at {', '.join(words)}" if words else ""
+    return variable, f" at {', '.join(texts)}" if texts else ""
 
 
-def parameters(variable: Variable) -> list[str]:
+def parameter_dims(variable: Variable) -> list[str]:
     """The dims of cells along which values were laid out, the longest first."""
-    laid = [dim for dim in variable.cell_dims if dim not in DRAWN]
+    laid = [dim for dim in variable.cell_dims if dim not in DRAWN_DIMS]
     return sorted(laid, key=lambda dim: -variable.sizes[dim])
 
 
 def spans_decades(values: np.ndarray) -> bool:
     """Whether finite values are all positive and spread over three decades or more."""
     some = values[np.isfinite(values)]
-    return bool(some.size and some.min() > 0 and some.max() >= DECADES * some.min())
+    return bool(some.size and some.min() > 0 and some.max() >= LOG_SCALE_RATIO * some.min())
 
 
-def without_result(variable: Variable) -> str:
+def missing_result_text(variable: Variable) -> str:
     """Such as "3 of 820 cells without a result: 2 failed, 1 not run"; empty where all have one."""
     causes = variable.causes
-    if list(causes) == [WORDS[FAILED]]:
-        return f"{causes[WORDS[FAILED]]} of {variable.status.size} cells failed"
+    if list(causes) == [STATUS_NAMES[CELL_FAILED]]:
+        return f"{causes[STATUS_NAMES[CELL_FAILED]]} of {variable.status.size} cells failed"
     reasons = ", ".join(f"{n} {word}" for word, n in causes.items())
     return f"{sum(causes.values())} of {variable.status.size} cells without a result: {reasons}" if causes else ""
 
 
-def handle_without_result(variable: Variable, *, marker: str = "x") -> list[Line2D]:
-    """Of `without_result` an entry of a legend, or none."""
+def missing_result_handles(variable: Variable, *, marker: str = "x") -> list[Line2D]:
+    """Of `missing_result_text` an entry of a legend, or none."""
     from matplotlib.lines import Line2D
 
-    words = without_result(variable)
-    return [Line2D([], [], color=style.ALERT, marker=marker, linestyle="", markersize=5, label=words)] if words else []
+    label = missing_result_text(variable)
+    return [Line2D([], [], color=style.ALERT, marker=marker, linestyle="", markersize=5, label=label)] if label else []
 
 
-def say(ax: Axes, words: str) -> None:
+def write_note(ax: Axes, note: str) -> None:
     """Write words in the middle of axes on which there is nothing to draw."""
     box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 4}
-    ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", va="center", fontsize=10, color=style.ALERT, bbox=box)
+    ax.text(0.5, 0.5, note, transform=ax.transAxes, ha="center", va="center", fontsize=10, color=style.ALERT, bbox=box)

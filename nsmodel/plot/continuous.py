@@ -19,35 +19,35 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 
-LINES = "on lines between the ends of pieces"  # Of an energy between them, where the model is not at hand.
+ENERGY_ON_LINES = "on lines between the ends of pieces"  # Of an energy between them, where the model is not at hand.
 
 
-def continuous(run: Trajectory, model: Model | None) -> ContinuousProblem | None:
+def continuous_problem_of_run(run: Trajectory, model: Model | None) -> ContinuousProblem | None:
     """The model of a run in continuous time; None where it has no such form, or there is no model."""
     from nsmodel.model.base import Model
-    from nsmodel.run.event_driven import problem_of
+    from nsmodel.run.event_driven import event_driven_problem
 
     if not isinstance(model, Model):
         return None
     with contextlib.suppress(NsmodelError):
         used = run.metadata.get("parameters", {})
-        found = problem_of(model.bind({name: used[name] for name in model.parameters if name in used}))
+        found = event_driven_problem(model.bind({name: used[name] for name in model.parameters if name in used}))
         rows = ca.Function("rows", [found.t, found.x, found.l], [found.rate, found.h], {"allow_free": True})
         return None if rows.get_free() else found
     return None
 
 
-def state(run: Trajectory, problem: ContinuousProblem) -> np.ndarray | None:
+def continuous_states(run: Trajectory, problem: ContinuousProblem) -> np.ndarray | None:
     """The problem's x at all rows (N+1, n), NaN as 0: states, velocities, inputs; None where the run has others."""
     n = problem.states
-    parts = [run.x, *([style.table(run, "v")] if problem.x.numel() - problem.held > n else [])]
-    parts += [style.table(run, "inputs")] if problem.held else []
+    parts = [run.x, *([style.array_columns(run, "v")] if problem.x.numel() - problem.held > n else [])]
+    parts += [style.array_columns(run, "inputs")] if problem.held else []
     if len(state_names(run)) != n or sum(part.shape[1] for part in parts) != problem.x.numel():
         return None
     return np.nan_to_num(np.hstack(parts))
 
 
-def smooth(run: Trajectory, model: Model | None, points: int = 2000) -> tuple[Trajectory, bool]:
+def smooth_with_energy(run: Trajectory, model: Model | None, points: int = 2000) -> tuple[Trajectory, bool]:
     """The run read off its polynomials, see `Trajectory.smooth`; whether its energy is on lines, for want of the ``model``."""
     run = run.smooth(points)
     if not run.is_event_driven or "energy" not in run.arrays:
@@ -58,8 +58,8 @@ def smooth(run: Trajectory, model: Model | None, points: int = 2000) -> tuple[Tr
 
 def _energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
     """The energy at all rows (N+1,), from the states there; None where it is not known."""
-    problem = continuous(run, model)
-    if problem is None or "energy" not in problem.records or (x := state(run, problem)) is None:
+    problem = continuous_problem_of_run(run, model)
+    if problem is None or "energy" not in problem.records or (x := continuous_states(run, problem)) is None:
         return None
     function = ca.Function("energy", [problem.t, problem.x], [problem.records["energy"]], {"allow_free": True})
     if function.get_free():

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from nsmodel.trajectory import Trajectory
 
-PRESSURE = "YlOrBr"
-CALM = "#B9CDE0"  # A disc of a run that knows no pressure.
-DOOR = "#009E73"
-TOP = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
-THICKEST = 4.0  # Line of a contact at the end of the scale, points.
+PRESSURE_COLOURS = "YlOrBr"
+CALM_COLOUR = "#B9CDE0"  # A disc of a run that knows no pressure.
+DOOR_COLOUR = "#009E73"
+PRESSURE_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
+MAX_CONTACT_WIDTH = 4.0  # Line of a contact at the end of the scale, points.
 
 
 # -- one moment --------------------------------------------------------------------------------------------------------
@@ -38,39 +38,44 @@ def frame(run: Trajectory, row: int | None = None, *, scale: float | None = None
     Raises:
         PlotError: a run without radii, or no such row.
     """
-    row = busiest(run) if row is None else row
+    row = row_of_most_pressure(run) if row is None else row
     if not -len(run.t) <= row < len(run.t):
         raise PlotError(f"row {row} does not exist: this run has rows 0 to {len(run.t) - 1}")
     row = range(len(run.t))[row]
-    ax = style.axes(ax, 7, 6.5)
-    people = People(ax, run, scale)
+    ax = style.get_axes(ax, 7, 6.5)
+    people = CrowdArtists(ax, run, scale)
     people.show(row)
     here = int(present(run)[row].sum())
-    style.dress(ax, f"{style.at(run, row)}: {here} {_word(run)}", *axes(run), grid=False)
+    style.dress(ax, f"{style.time_text(run, row)}: {here} {_bodies_noun(run)}", *plane_axis_labels(run), grid=False)
     return ax
 
 
-class People:
+class CrowdArtists:
     """Everything that a frame shows, on axes; ``show`` moves it to a row."""
 
     def __init__(self, ax: Axes, run: Trajectory, scale: float | None) -> None:
         from matplotlib.collections import EllipseCollection, LineCollection
 
-        scene = _scene(run)
+        scene = _run_disc_scene(run)
         self.run, self.q, self.pressure = run, positions(run), run.arrays.get("pressure")
         self.radii, self.walls = np.array(scene["radii"], float), np.reshape(scene.get("walls", []), (-1, 2, 2))
         draw_room(ax, run)
         ax.set(aspect="equal")
-        _fit(ax, run)
+        _fit_limits(ax, run)
         size = 2 * self.radii
-        look = {"edgecolor": style.INK, "linewidth": min(0.7, 10 / np.sqrt(1 + self.radii.size)), "facecolor": CALM, "zorder": 4}
+        look = {
+            "edgecolor": style.INK,
+            "linewidth": min(0.7, 10 / np.sqrt(1 + self.radii.size)),
+            "facecolor": CALM_COLOUR,
+            "zorder": 4,
+        }
         self.discs = EllipseCollection(
             size, size, np.zeros(size.size), units="xy", offsets=self.q[0], offset_transform=ax.transData, **look
         )
         self.lines = LineCollection([], colors=style.INK, zorder=5, capstyle="round")
         self.scale = pressure_scale(run) if scale is None else scale
         if self.pressure is not None:
-            self.discs.set(cmap=PRESSURE, clim=(0, self.scale))
+            self.discs.set(cmap=PRESSURE_COLOURS, clim=(0, self.scale))
             bar = ax.figure.colorbar(self.discs, ax=ax, shrink=0.75, pad=0.02, extend="max")
             bar.set_label(style.with_unit("pressure", _pressure_unit(run)), fontsize=9)
             bar.ax.tick_params(labelsize=8)
@@ -85,11 +90,11 @@ class People:
             return
         self.discs.set_array(np.nan_to_num(self.pressure[row]))
         if "contact_row" in self.run.arrays:
-            lines, reactions = self._network(row)
+            lines, reactions = self._contact_lines(row)
             self.lines.set_segments(list(lines))
-            self.lines.set_linewidth(np.clip(THICKEST * reactions / self.scale, 0.2, THICKEST).tolist())
+            self.lines.set_linewidth(np.clip(MAX_CONTACT_WIDTH * reactions / self.scale, 0.2, MAX_CONTACT_WIDTH).tolist())
 
-    def _network(self, row: int) -> tuple[np.ndarray, np.ndarray]:
+    def _contact_lines(self, row: int) -> tuple[np.ndarray, np.ndarray]:
         """The lines (K, 2, 2) between those that touch: two people, or one and the nearest point of a wall; their reactions."""
         from nsmodel.crowd.geometry import nearest_points
 
@@ -106,7 +111,7 @@ class People:
         return np.stack([q[i], other], axis=1), contacts.reaction
 
 
-def busiest(run: Trajectory) -> int:
+def row_of_most_pressure(run: Trajectory) -> int:
     """The row with most pressure in all; the first one where there is none."""
     pressure = run.arrays.get("pressure")
     return 0 if pressure is None else int(np.nansum(pressure, axis=1).argmax())
@@ -116,15 +121,15 @@ def pressure_scale(run: Trajectory) -> float:
     """The pressure that 99.5 % of those pressed are below, over the whole run; 1 where nobody ever is."""
     pressure = run.arrays.get("pressure")
     pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
-    return float(np.percentile(pressed, TOP)) if pressed.size else 1.0
+    return float(np.percentile(pressed, PRESSURE_PERCENTILE)) if pressed.size else 1.0
 
 
 def draw_room(ax: Axes, run: Trajectory) -> None:
     """Draw the walls and exits that the run knows."""
     from matplotlib.collections import LineCollection
 
-    scene = _scene(run)
-    for key, colour, width, dash in (("walls", style.INK, 2.5, "-"), ("exits", DOOR, 2.0, (0, (2, 1.5)))):
+    scene = _run_disc_scene(run)
+    for key, colour, width, dash in (("walls", style.INK, 2.5, "-"), ("exits", DOOR_COLOUR, 2.0, (0, (2, 1.5)))):
         lines = list(np.reshape(scene.get(key, []), (-1, 2, 2)))
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width, linestyles=[dash], zorder=3))
 
@@ -132,14 +137,14 @@ def draw_room(ax: Axes, run: Trajectory) -> None:
 # -- over time ---------------------------------------------------------------------------------------------------------
 
 
-def _word(run: Trajectory) -> str:
+def _bodies_noun(run: Trajectory) -> str:
     """What the bodies are called: people where the scene has exits."""
     return "people" if "exits" in run.metadata.get("scene", {}) else "bodies"
 
 
 def evacuation(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw how many people are there, and how many have left, over time."""
-    ax = style.axes(ax)
+    ax = style.get_axes(ax)
     here, gone = present(run), np.sort(evacuation_times(run))
     gone = gone[np.isfinite(gone)]
     kept = style.thin(run.t, here.sum(axis=1))
@@ -147,11 +152,11 @@ def evacuation(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     times = np.concatenate([run.t[:1], gone, run.t[-1:]])
     count = np.concatenate([[0], np.arange(1, len(gone) + 1), [len(gone)]])
     lines += ax.step(times, count, where="post", color=style.LINES[1], linewidth=1.6, label="left")
-    words = f"{len(gone)} of {here.shape[1]} {_word(run)} left"
+    title = f"{len(gone)} of {here.shape[1]} {_bodies_noun(run)} left"
     if "window" in run.metadata:  # Who left before is of no interest.
-        words = f"{len(gone)} of {int(here.any(axis=0).sum())} {_word(run)} left after t = {run.t[0]:.4g}"
-    words += f", the last at {gone[-1]:.4g} {style.unit(run, 't')}".rstrip() if len(gone) else ""
-    style.over_time(ax, run, words, _word(run))
+        title = f"{len(gone)} of {int(here.any(axis=0).sum())} {_bodies_noun(run)} left after t = {run.t[0]:.4g}"
+    title += f", the last at {gone[-1]:.4g} {style.quantity_unit(run, 't')}".rstrip() if len(gone) else ""
+    style.dress_over_time(ax, run, title, _bodies_noun(run))
     ax.set_ylim(bottom=0)
     style.legend(ax, lines)
     return ax
@@ -159,14 +164,14 @@ def evacuation(run: Trajectory, *, ax: Axes | None = None) -> Axes:
 
 def pressures(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the largest pressure on anybody, and the mean over all who are there, over time."""
-    ax, pressure = style.axes(ax), style.needed(run, "pressure")
+    ax, pressure = style.get_axes(ax), style.required_array(run, "pressure")
     largest = np.fmax.reduce(pressure, axis=1)
-    there = np.isfinite(pressure).sum(axis=1)
-    mean = np.nansum(pressure, axis=1) / np.where(there, there, np.nan)
+    present_count = np.isfinite(pressure).sum(axis=1)
+    mean = np.nansum(pressure, axis=1) / np.where(present_count, present_count, np.nan)
     kept = style.thin(run.t, np.nan_to_num(largest))
     lines = ax.plot(run.t[kept], largest[kept], color=style.LINES[1], linewidth=0.8, label="largest")
     lines += ax.plot(run.t[kept], mean[kept], color=style.INK, linewidth=1.4, label="mean of all")
-    style.over_time(ax, run, "Pressure", style.with_unit("sum of reactions", _pressure_unit(run)))
+    style.dress_over_time(ax, run, "Pressure", style.with_unit("sum of reactions", _pressure_unit(run)))
     ax.set_ylim(bottom=0)
     style.legend(ax, lines)
     return ax
@@ -174,7 +179,7 @@ def pressures(run: Trajectory, *, ax: Axes | None = None) -> Axes:
 
 def flow(found: Flow, *, unit: str = "s", ax: Axes | None = None) -> Axes:
     """Draw how many people have crossed a segment, in both directions, over time."""
-    ax = style.axes(ax)
+    ax = style.get_axes(ax)
     lines: list[Any] = []
     for forward, colour, word in ((True, style.LINES[0], "forward"), (False, style.LINES[1], "back")):
         times = found.times(forward)
@@ -182,8 +187,8 @@ def flow(found: Flow, *, unit: str = "s", ax: Axes | None = None) -> Axes:
             label = f"{word}: {len(times)}"
             lines += ax.step(times, np.arange(1, len(times) + 1), where="post", color=colour, linewidth=1.6, label=label)
     rate = found.specific()
-    words = "Flow" if np.isnan(rate) else f"Flow: {rate:.3g} people a {unit} and m"
-    style.dress(ax, words, style.with_unit("t", unit), "people")
+    title = "Flow" if np.isnan(rate) else f"Flow: {rate:.3g} people a {unit} and m"
+    style.dress(ax, title, style.with_unit("t", unit), "people")
     ax.set_ylim(bottom=0)
     style.legend(ax, lines)
     return ax
@@ -193,9 +198,9 @@ def paths(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the way of each person, from dark (starts far from its end) to light."""
     from matplotlib.collections import LineCollection
 
-    ax, q = style.axes(ax, 7, 6.5), positions(run)
+    ax, q = style.get_axes(ax, 7, 6.5), positions(run)
     limit = max(20, 10 * style.MAX_POINTS // q.shape[1])
-    rows = style.spread(len(q), limit)
+    rows = style.evenly_spread(len(q), limit)
     length = np.nansum(np.linalg.norm(np.diff(q, axis=0), axis=2), axis=0)
     lines = LineCollection([q[rows, k] for k in range(q.shape[1])], cmap="viridis_r", linewidths=0.7, zorder=2)
     lines.set_array(length)
@@ -204,9 +209,9 @@ def paths(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     bar.set_label("length of the way [m]", fontsize=9)
     bar.ax.tick_params(labelsize=8)
     draw_room(ax, run)
-    _fit(ax, run)
+    _fit_limits(ax, run)
     ax.set(aspect="equal")
-    style.dress(ax, "Ways", *axes(run), grid=False)
+    style.dress(ax, "Ways", *plane_axis_labels(run), grid=False)
     return ax
 
 
@@ -215,7 +220,7 @@ def paths(run: Trajectory, *, ax: Axes | None = None) -> Axes:
 
 def density(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
     """Draw the mean density, with the walls of the run."""
-    return _map(found, found.density, "Mean density", "people a square metre", "viridis", run, ax)
+    return _draw_map(found, found.density, "Mean density", "people a square metre", "viridis", run, ax)
 
 
 def pressure(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
@@ -223,13 +228,13 @@ def pressure(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = No
     if found.pressure is None:
         raise PlotError("these maps have no pressure: their run knows no reactions")
     unit = _pressure_unit(run) if run is not None else ""
-    return _map(found, found.pressure, "Mean pressure", style.with_unit("sum of reactions", unit), PRESSURE, run, ax)
+    return _draw_map(found, found.pressure, "Mean pressure", style.with_unit("sum of reactions", unit), PRESSURE_COLOURS, run, ax)
 
 
 def velocity(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
     """Draw the mean velocity: its size as colour, its direction as arrows, with the walls of the run."""
     size = np.linalg.norm(found.velocity, axis=2)
-    ax = _map(found, size, "Mean velocity", "m/s", "cividis", run, ax)
+    ax = _draw_map(found, size, "Mean velocity", "m/s", "cividis", run, ax)
     every = max(1, max(size.shape) // 30)
     cells = np.s_[every // 2 :: every, every // 2 :: every]
     x, y = np.meshgrid((found.x[:-1] + found.x[1:]) / 2, (found.y[:-1] + found.y[1:]) / 2)
@@ -238,10 +243,10 @@ def velocity(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = No
     return ax
 
 
-def _map(found: Maps, values: np.ndarray, title: str, label: str, colours: str, run: Any, ax: Axes | None) -> Axes:
-    ax = style.axes(ax, 7, 5.5)
+def _draw_map(found: Maps, values: np.ndarray, title: str, label: str, colours: str, run: Any, ax: Axes | None) -> Axes:
+    ax = style.get_axes(ax, 7, 5.5)
     known = values[np.isfinite(values)]
-    top = float(np.percentile(known, TOP)) if known.size and known.max() > 0 else 1.0
+    top = float(np.percentile(known, PRESSURE_PERCENTILE)) if known.size and known.max() > 0 else 1.0
     image = ax.pcolormesh(found.x, found.y, values, cmap=colours, vmin=0, vmax=top or float(known.max()), rasterized=True)
     bar = ax.figure.colorbar(image, ax=ax, shrink=0.85, pad=0.02, extend="max")
     bar.set_label(label, fontsize=9)
@@ -249,28 +254,28 @@ def _map(found: Maps, values: np.ndarray, title: str, label: str, colours: str, 
     ax.set(aspect="equal")
     if run is not None:
         draw_room(ax, run)
-        _fit(ax, run)
-    style.dress(ax, title, *(axes(run) if run is not None else ("x [m]", "y [m]")), grid=False)
+        _fit_limits(ax, run)
+    style.dress(ax, title, *(plane_axis_labels(run) if run is not None else ("x [m]", "y [m]")), grid=False)
     return ax
 
 
 # -- small -------------------------------------------------------------------------------------------------------------
 
 
-def _scene(run: Trajectory) -> dict[str, Any]:
-    return scene_of(run.metadata.get("scene"), run.x.shape[1])
+def _run_disc_scene(run: Trajectory) -> dict[str, Any]:
+    return check_disc_scene(run.metadata.get("scene"), run.x.shape[1])
 
 
-def scene_of(scene: Mapping[str, Any] | None, states: int) -> dict[str, Any]:
+def check_disc_scene(scene: Mapping[str, Any] | None, states: int) -> dict[str, Any]:
     """The scene of discs in the plane; PlotError where it is none, or has not two states for each."""
     if not scene or "radii" not in scene or states != 2 * len(scene["radii"]):
         raise PlotError("people are drawn as discs in the plane: give the model scene={'radii': ..., 'walls': ..., 'exits': ...}")
     return dict(scene)
 
 
-def _fit(ax: Axes, run: Trajectory) -> None:
+def _fit_limits(ax: Axes, run: Trajectory) -> None:
     """Limits that hold walls, exits and starts, and a margin."""
-    scene, q = _scene(run), positions(run)
+    scene, q = _run_disc_scene(run), positions(run)
     fixed = [np.reshape(scene.get(key, []), (-1, 2)) for key in ("walls", "exits")]
     points = np.concatenate([*fixed, q[np.isfinite(q[..., 0]).argmax(axis=0), np.arange(q.shape[1])]])
     points = points[np.isfinite(points[:, 0])]  # Who never came has no start.
@@ -279,13 +284,13 @@ def _fit(ax: Axes, run: Trajectory) -> None:
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
-def axes(run: Trajectory) -> list[str]:
+def plane_axis_labels(run: Trajectory) -> list[str]:
     """The labels of the plane."""
-    unit = style.unit(run, "q") or style.unit(run, "q_0") or "m"
+    unit = style.quantity_unit(run, "q") or style.quantity_unit(run, "q_0") or "m"
     return [style.with_unit(name, unit) for name in "xy"]
 
 
 def _pressure_unit(run: Trajectory) -> str:
     """Reactions m/h have the unit of a velocity."""
-    length, time = style.unit(run, "q") or "m", style.unit(run, "t")
-    return style.unit(run, "pressure") or (f"{length}/{time}" if time else "")
+    length, time = style.quantity_unit(run, "q") or "m", style.quantity_unit(run, "t")
+    return style.quantity_unit(run, "pressure") or (f"{length}/{time}" if time else "")

@@ -12,12 +12,12 @@ import numpy as np
 
 from nsmodel.columns import model_type, output_names
 from nsmodel.plot import crowd, style
-from nsmodel.plot.chain import chains, of_family, of_states
-from nsmodel.plot.plane import phase, plots_of
+from nsmodel.plot.chain import draw_chain, find_chains, state_chains
+from nsmodel.plot.plane import class_plots, phase
 from nsmodel.plot.strip import MAX_ROWS, index_map, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
 from nsmodel.plot.window import Window, window
-from nsmodel.storage import replacing
+from nsmodel.storage import replace_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
     from nsmodel.trajectory import Trajectory
 
-    Panel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
+    FigurePanel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 
-TIME = ("states", "outputs", "inputs", "index_strip", "multipliers", "reactions", "pressures")
-CROWD = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
+TIME_PANELS = ("states", "outputs", "inputs", "index_strip", "multipliers", "reactions", "pressures")
+CROWD_PANELS = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
 # file: (its panels, its width in inches, inches for a unit of height)
 SHEETS = {
     "states": (("states", "index_strip"), 9, 1.2),
@@ -61,31 +61,31 @@ def overview(run: Trajectory, model: Any = None, *, t: Window | None = None) -> 
         PlotError, UsageError: no such window.
     """
     run = window(run, t)
-    figure, run = _titled(run), run.smooth()
+    figure, run = _titled_figure(run), run.smooth()
     panels = _panels(run, model, lines=8, rows=12)
     if "frame" in panels:
-        return _of_crowd(figure, panels)
+        return _crowd_overview(figure, panels)
     along = [name for name in panels if name.startswith("chain")]
     plane = [panels[name] for name in ("configuration", *reversed(along), "phase") if name in panels][:1]
     if len(along) > 1:
         panels["states"] = panels[along[0]]
-    left = [panels[name] for name in TIME if name in panels]
+    left = [panels[name] for name in TIME_PANELS if name in panels]
     checks = [panels[name] for name in ("energy", "residual") if name in panels]
     if plane:
         grid = figure.add_gridspec(1, 2, width_ratios=[1.15, 1])
-        _stack(figure, grid[0], left, shared=True)
-        _stack(figure, grid[1], plane + checks, shared=False)
+        _stack_panels(figure, grid[0], left, shared=True)
+        _stack_panels(figure, grid[1], plane + checks, shared=False)
     else:
-        _stack(figure, figure.add_gridspec(1, 1)[0], left + checks, shared=True)
+        _stack_panels(figure, figure.add_gridspec(1, 1)[0], left + checks, shared=True)
     return figure
 
 
-def small(run: Trajectory) -> Figure:
+def thumbnail(run: Trajectory) -> Figure:
     """A figure of few lines: the states and the index set, or the moment of most pressure of many bodies."""
     panels = _panels(run.smooth(), None, lines=6, rows=4)
     names = ["frame"] if "frame" in panels else [name for name in ("states", "index_strip") if name in panels]
     figure = style.blank(5, 4.2) if "frame" in panels else style.blank(7, 2.4 + 0.8 * (len(names) - 1))
-    _stack(figure, figure.add_gridspec(1, 1)[0], [panels[name] for name in names], shared=True)
+    _stack_panels(figure, figure.add_gridspec(1, 1)[0], [panels[name] for name in names], shared=True)
     return figure
 
 
@@ -113,15 +113,15 @@ def save_all(
     smooth = run.smooth()
     panels = _panels(smooth, model, lines=MAX_LINES, rows=MAX_ROWS)
     draws: dict[str, Callable[[], Figure]] = {
-        name: partial(_sheet, smooth, [panels[part] for part in parts if part in panels], width, scale)
+        name: partial(_single_column_figure, smooth, [panels[part] for part in parts if part in panels], width, scale)
         for name, (parts, width, scale) in SHEETS.items()
-        if parts[0] in panels or (name in TIME and parts[-1] in panels)
+        if parts[0] in panels or (name in TIME_PANELS and parts[-1] in panels)
     }
     if along := [panel for name, panel in panels.items() if name.startswith("chain")]:
-        draws["space_time"] = partial(_sheet, smooth, along, 9, 1.5)
+        draws["space_time"] = partial(_single_column_figure, smooth, along, 9, 1.5)
     draws["overview"] = partial(overview, run, model)
     if "frame" in panels:  # Its maps are made but once.
-        draws["overview"] = lambda: _of_crowd(_titled(run), panels)
+        draws["overview"] = lambda: _crowd_overview(_titled_figure(run), panels)
     paths = []
     for name, draw in draws.items():
         paths.append(directory / f"{prefix}{name}.png")
@@ -131,67 +131,67 @@ def save_all(
 
 def save(figure: Figure, path: Path, dpi: int = 100) -> None:
     """Write a figure as PNG, beside its place and then renamed."""
-    with replacing(path) as part:
+    with replace_atomically(path) as part:
         figure.savefig(part, format="png", dpi=dpi)
 
 
-def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:
+def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, FigurePanel]:
     """What the run can give, with at most so many lines and rows of the index set."""
-    plots = plots_of(run)
+    plots = class_plots(run)
     own = {} if plots is None else plots.panels(run, model)
     if "frame" in own:
         return own
-    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines, model=model)), **own}
+    panels: dict[str, FigurePanel] = {"states": (2.6, partial(states, run, limit=lines, model=model)), **own}
     if "inputs" in run.arrays:
         panels["inputs"] = (1.4, partial(inputs, run, limit=lines))
     if output_names(run):
         panels["outputs"] = (2, partial(outputs, run, limit=lines))
-    if bands := min(rows, style.table(run, "index_set").shape[1]):
+    if bands := min(rows, style.array_columns(run, "index_set").shape[1]):
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
         for name in ("reactions",) if run.is_event_driven and "reactions" in run.arrays else ("multipliers", "reactions"):
             if name in run.arrays:
                 panels[name] = (2, partial(multipliers, run, which=name, limit=lines, model=model))
-                if found := chains(run, name):
+                if found := find_chains(run, name):
                     panels["index_strip"] = (2, partial(index_map, run))
-                    panels[name] = (2, partial(of_family, run, found[0], heading=found[0].stem.capitalize()))
+                    panels[name] = (2, partial(draw_chain, run, found[0], heading=found[0].stem.capitalize()))
     if "pressure" in run.arrays:
         panels["pressures"] = (2, partial(crowd.pressures, run))
     if run.x.shape[1] > 1 or (model_type(run).second_order and "v" in run.arrays):
         panels["phase"] = (2.6, partial(phase, run, model=model))
-    if found := of_states(run):
+    if found := state_chains(run):
         del panels["phase"]
-        panels |= {f"chain {k}": (2.2, partial(of_family, run, one)) for k, one in enumerate(found)}
+        panels |= {f"chain {k}": (2.2, partial(draw_chain, run, one)) for k, one in enumerate(found)}
     for name, draw in (("energy", partial(energy, model=model)), ("residual", residual)):
         if name in run.arrays:
             panels[name] = (1.6, partial(draw, run))
     return panels
 
 
-def _titled(run: Trajectory) -> Figure:
+def _titled_figure(run: Trajectory) -> Figure:
     """An empty overview."""
     figure = style.blank(14, 9)
-    figure.suptitle(_title(run, 110), fontsize=13, fontweight="bold", color=style.INK)
-    figure.supxlabel(style.text(_subtitle(run)), fontsize=9, color="#5B6570")
+    figure.suptitle(_wrapped_title(run, 110), fontsize=13, fontweight="bold", color=style.INK)
+    figure.supxlabel(style.safe_text(_subtitle(run)), fontsize=9, color="#5B6570")
     return figure
 
 
-def _of_crowd(figure: Figure, panels: dict[str, Panel]) -> Figure:
+def _crowd_overview(figure: Figure, panels: dict[str, FigurePanel]) -> Figure:
     """The overview of many bodies in the plane."""
     grid = figure.add_gridspec(1, 2, width_ratios=[1.15, 1])
-    for k, names in enumerate(CROWD):
-        _stack(figure, grid[k], [panels[name] for name in names if name in panels], shared=False)
+    for k, names in enumerate(CROWD_PANELS):
+        _stack_panels(figure, grid[k], [panels[name] for name in names if name in panels], shared=False)
     return figure
 
 
-def _sheet(run: Trajectory, panels: Sequence[Panel], width: float, scale: float) -> Figure:
+def _single_column_figure(run: Trajectory, panels: Sequence[FigurePanel], width: float, scale: float) -> Figure:
     """Build a titled figure of one column."""
     figure = style.blank(width, 1.5 + scale * sum(height for height, _ in panels))
-    figure.suptitle(_title(run, int(8 * width)), fontsize=12, fontweight="bold", color=style.INK)
-    _stack(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
+    figure.suptitle(_wrapped_title(run, int(8 * width)), fontsize=12, fontweight="bold", color=style.INK)
+    _stack_panels(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
     return figure
 
 
-def _stack(figure: Figure, spec: Any, panels: Sequence[Panel], *, shared: bool) -> None:
+def _stack_panels(figure: Figure, spec: Any, panels: Sequence[FigurePanel], *, shared: bool) -> None:
     """Panels below each other; with a shared time axis only the lowest keeps its label."""
     grid = spec.subgridspec(len(panels), 1, height_ratios=[height for height, _ in panels])
     first: Axes | None = None
@@ -203,17 +203,17 @@ def _stack(figure: Figure, spec: Any, panels: Sequence[Panel], *, shared: bool) 
             ax.tick_params(labelbottom=False)
 
 
-def _title(run: Trajectory, width: int) -> str:
+def _wrapped_title(run: Trajectory, width: int) -> str:
     """The title in at most two lines of so many letters."""
-    words = str(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
-    return "\n".join(style.text(line) for line in textwrap.wrap(words, width, max_lines=2, placeholder=" …"))
+    title = str(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
+    return "\n".join(style.safe_text(line) for line in textwrap.wrap(title, width, max_lines=2, placeholder=" …"))
 
 
 def _subtitle(run: Trajectory) -> str:
     """One line: the class, the number of steps or pieces, their lengths and how the run ended."""
     noun = "piece" if run.is_event_driven else "step"
     steps = run.arrays.get("step", np.zeros(0) if run.is_event_driven else np.diff(run.t, prepend=np.nan))
-    steps, unit, size = steps[np.isfinite(steps)], style.unit(run, "t"), ""
+    steps, unit, size = steps[np.isfinite(steps)], style.quantity_unit(run, "t"), ""
     if len(steps):
         low, high = steps.min(), steps.max()
         ends = f"{low:.3g}", f"{high:.3g}"
@@ -223,7 +223,7 @@ def _subtitle(run: Trajectory) -> str:
     every = run.metadata.get("save_every", 1)
     kept = f"rows kept: one in {every}" if every > 1 else ""
     window = "t = {:.6g} to {:.6g}".format(*run.metadata["window"]) if "window" in run.metadata else ""
-    shown = f"shown: {window} {unit}".rstrip() if window else ""
+    window_note = f"shown: {window} {unit}".rstrip() if window else ""
     count = run.metadata.get("steps", len(run))
-    parts = [run.metadata.get("model_class"), f"{count} {noun}{'s' * (count != 1)}", size, kept, shown, status]
+    parts = [run.metadata.get("model_class"), f"{count} {noun}{'s' * (count != 1)}", size, kept, window_note, status]
     return ", ".join(str(part) for part in parts if part)

@@ -14,15 +14,15 @@ import numpy as np
 from nsmodel.crowd.measure import present
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.plot import style
-from nsmodel.proof.sure import sure
-from nsmodel.storage import replacing
+from nsmodel.proof.sure import not_none
+from nsmodel.storage import replace_atomically
 
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
-from nsmodel.plot.crowd import PRESSURE, People, axes
+from nsmodel.plot.crowd import PRESSURE_COLOURS, CrowdArtists, plane_axis_labels
 
-FASTEST = 50  # Frames a second that a GIF is shown with.
-LONGEST = 20.0  # A film left to itself lasts no longer, s.
+MAX_GIF_FPS = 50  # Frames a second that a GIF is shown with.
+MAX_DEFAULT_SECONDS = 20.0  # A film left to itself lasts no longer, s.
 
 
 def animate(
@@ -45,17 +45,19 @@ def animate(
         MissingExtraError: MP4 without ffmpeg.
     """
     path, span = check_film(path), float(run.t[-1] - run.t[0])
-    seconds = min(span, LONGEST) if seconds is None else seconds
+    seconds = min(span, MAX_DEFAULT_SECONDS) if seconds is None else seconds
     for name, value in (("seconds", seconds), ("fps", fps), ("dpi", dpi)):
         if not (np.isfinite(value) and value > 0):
             raise PlotError(f"{name}: {value}; expected a number > 0")
     write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix.lower()]
-    if write is _write_gif and fps > FASTEST:
-        raise PlotError(f"fps: {fps}; a GIF shows at most {FASTEST} frames a second")
+    if write is _write_gif and fps > MAX_GIF_FPS:
+        raise PlotError(f"fps: {fps}; a GIF shows at most {MAX_GIF_FPS} frames a second")
     count = max(2, round(seconds * fps))
     rows = np.searchsorted(run.t, np.linspace(run.t[0], run.t[-1], count) + 1e-9 * span, side="right") - 1
-    pictures = _frames(run, rows, f"   {span / seconds:.3g} times as fast" * (abs(span / seconds - 1) > 0.01), scale, size, dpi)
-    with replacing(path) as part:
+    pictures = _render_frames(
+        run, rows, f"   {span / seconds:.3g} times as fast" * (abs(span / seconds - 1) > 0.01), scale, size, dpi
+    )
+    with replace_atomically(path) as part:
         write(part, pictures, count, fps)
     return path
 
@@ -72,8 +74,8 @@ def check_film(path: str | Path) -> Path:
     return path
 
 
-def _frames(
-    run: Trajectory, rows: np.ndarray, words: str, scale: float | None, size: tuple[float, float], dpi: float
+def _render_frames(
+    run: Trajectory, rows: np.ndarray, suffix: str, scale: float | None, size: tuple[float, float], dpi: float
 ) -> Iterator[np.ndarray]:
     """The pictures (H, W, 3); what never moves is drawn once."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -81,8 +83,8 @@ def _frames(
     figure = style.blank(*size)
     figure.set_dpi(dpi)
     canvas, ax = FigureCanvasAgg(figure), figure.add_subplot()
-    people = People(ax, run, scale)
-    style.dress(ax, " ", *axes(run), grid=False)
+    people = CrowdArtists(ax, run, scale)
+    style.dress(ax, " ", *plane_axis_labels(run), grid=False)
     title = ax.text(0, 1.01, "", transform=ax.transAxes, ha="left", va="bottom", color=style.INK, fontsize=11, fontweight="bold")
     moving = (people.discs, people.lines, title)
     for artist in moving:
@@ -90,12 +92,12 @@ def _frames(
     canvas.draw()
     figure.set_layout_engine("none")
     still = canvas.copy_from_bbox(figure.bbox)
-    here, unit = present(run).sum(axis=1), style.unit(run, "t")
+    here, unit = present(run).sum(axis=1), style.quantity_unit(run, "t")
     digits = max(0, int(np.ceil(-np.log10(max(float(np.diff(run.t[rows]).max()), 1e-12)))))
     for row in rows:
         canvas.restore_region(still)
         people.show(row)
-        title.set_text(f"t = {run.t[row]:.{digits}f} {unit}   {here[row]} people{words}")
+        title.set_text(f"t = {run.t[row]:.{digits}f} {unit}   {here[row]} people{suffix}")
         for artist in moving:
             ax.draw_artist(artist)
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
@@ -108,7 +110,7 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], count: int, fps: floa
 
     start = next(pictures)
     height, width = start.shape[:2]
-    pressures = np.uint8(255 * colormaps[PRESSURE](np.linspace(0, 1, width))[:, :3])
+    pressures = np.uint8(255 * colormaps[PRESSURE_COLOURS](np.linspace(0, 1, width))[:, :3])
     palette = Image.fromarray(np.concatenate([start, np.broadcast_to(pressures, (height, width, 3))])).quantize(96)
     first = Image.fromarray(start)
     coded = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
@@ -130,7 +132,7 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], _: int, fps: float) -
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps}", "-i", "-"]
     command = [program, "-y", "-loglevel", "error", *given, "-pix_fmt", "yuv420p", "-f", "mp4", str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        pipe = sure(process.stdin)
+        pipe = not_none(process.stdin)
         try:
             for picture in chain([first], pictures):
                 pipe.write(np.ascontiguousarray(picture[:height, :width]).tobytes())

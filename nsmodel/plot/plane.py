@@ -11,7 +11,7 @@ from nsmodel.classes.registry import class_named
 from nsmodel.columns import model_type, state_names
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.plot.band import MOST_SWINGS, swings
+from nsmodel.plot.band import MAX_SWINGS, swing_count
 from nsmodel.plot.rounding import is_rounding
 
 if TYPE_CHECKING:
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from nsmodel.model.base import Model
     from nsmodel.trajectory import Trajectory
 
-    Gap = Callable[..., np.ndarray]
+    GapFunction = Callable[..., np.ndarray]
 
-GRID = 240
+PLANE_GRID = 240
 
 
 # -- phase portrait ----------------------------------------------------------------------------------------------------
@@ -46,25 +46,25 @@ def phase(
 
     """
     run = run.smooth()
-    x, (y, up, own) = run.x[:, _checked(run, i)], _second_column(run, i, j)
-    across, still = style.label(run, state_names(run)[i]), is_rounding(run, "x", model)[i]
-    x, across = (0 * x, style.zero(across, True)) if still else (x, across)
+    x, (y, up, own) = run.x[:, _check_state(run, i)], _second_column(run, i, j)
+    across, still = style.label_with_unit(run, state_names(run)[i]), is_rounding(run, "x", model)[i]
+    x, across = (0 * x, style.mark_rounding(across, True)) if still else (x, across)
     if is_rounding(run, own[0], model)[own[1]]:
-        y, up = 0 * y, style.zero(up, True)
-    ax = style.axes(ax, 6, 5)
+        y, up = 0 * y, style.mark_rounding(up, True)
+    ax = style.get_axes(ax, 6, 5)
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))  # a velocity may start a row later
     if not known.size:
         style.dress(ax, "Phase portrait: no row has finite values", across, up)
         return ax
     kept = known[style.thin(x[known], y[known])]
-    crowded = max(swings(x), swings(y)) > MOST_SWINGS
+    crowded = max(swing_count(x), swing_count(y)) > MAX_SWINGS
     ax.plot(x[kept], y[kept], color=style.LINES[0], linewidth=0.4 if crowded else 1.2)
     style.dress(ax, "Phase portrait", across, up)
-    style.steady(ax, y[kept])
-    style.steady(ax, x[kept], axis="x")
+    style.set_steady_limits(ax, y[kept])
+    style.set_steady_limits(ax, x[kept], axis="x")
     if y[kept].min() < 0 < y[kept].max():
         ax.axhline(0, color="#C4C9D0", linewidth=0.8, zorder=1)
-    style.legend(ax, _ends(ax, run, x, y, kept[0], kept[-1]))
+    style.legend(ax, _draw_end_markers(ax, run, x, y, kept[0], kept[-1]))
     return ax
 
 
@@ -72,33 +72,33 @@ def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, 
     """What a phase portrait has upwards, its label, and which column of which array it is."""
     n, names = run.x.shape[1], state_names(run)
     if j is None and model_type(run).second_order and "v" in run.arrays:
-        length, time = style.unit(run, names[i]), style.unit(run, "t")
+        length, time = style.quantity_unit(run, names[i]), style.quantity_unit(run, "t")
         unit = f"{length}/{time}" if length and time else ""
-        return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.short(names[i])}", unit), ("v", i)
+        return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.shorten(names[i])}", unit), ("v", i)
     if n < 2:
         raise PlotError(f"a phase portrait needs two states, or a velocity; this run has the state {names[0]} alone")
     if j is None:
         others = [(i + k) % n for k in range(1, n)]
-        chosen = next((k for k in others if style.unit(run, names[k]) != style.unit(run, names[i])), others[0])
+        chosen = next((k for k in others if style.quantity_unit(run, names[k]) != style.quantity_unit(run, names[i])), others[0])
     else:
-        chosen = _checked(run, j)
-    return run.x[:, chosen], style.label(run, names[chosen]), ("x", chosen)
+        chosen = _check_state(run, j)
+    return run.x[:, chosen], style.label_with_unit(run, names[chosen]), ("x", chosen)
 
 
-def _checked(run: Trajectory, state: int) -> int:
+def _check_state(run: Trajectory, state: int) -> int:
     n = run.x.shape[1]
     if not 0 <= state < n:
         raise PlotError(f"state {state} does not exist: states are numbered 0 to {n - 1}")
     return state
 
 
-def _ends(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray, first: int, last: int) -> list[Any]:
+def _draw_end_markers(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray, first: int, last: int) -> list[Any]:
     """Markers of the start and of the end, with their times."""
     end = "end" if last == len(run.t) - 1 else "now"
     handles: list[Any] = []
     for row, marker, fill, size, word in ((first, "o", "white", 7, "start"), (last, "s", style.INK, 5, end)):
         look = {"markeredgecolor": style.INK, "markerfacecolor": fill, "markersize": size, "zorder": 5, "clip_on": False}
-        handles += ax.plot(x[row], y[row], marker, label=f"{word} ({style.at(run, row)})", **look)
+        handles += ax.plot(x[row], y[row], marker, label=f"{word} ({style.time_text(run, row)})", **look)
     return handles
 
 
@@ -123,54 +123,59 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
         PlotError: another class of model, more than two states and no scene, no model, or no such row.
 
     """
-    own = plots_of(run)
+    own = class_plots(run)
     if own is None:
         kind = run.metadata.get("model_class")
         raise PlotError(f"a configuration is drawn for a SweepingProcess, and this run is of a {kind}")
     return own.configuration(run, model, row, ax)
 
 
-def plots_of(run: Trajectory) -> Any:
+def class_plots(run: Trajectory) -> Any:
     """The pictures that the class of the run's model brings; None where it brings none."""
     found = class_named(run.metadata.get("model_class"))
     return None if found is None else found.optional("plots")
 
 
-def half_plane(ax: Axes, run: Trajectory, gap: Gap, row: int) -> Axes:
+def draw_time_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int) -> Axes:
     """One state: the plane (t, q)."""
-    ((low, high),) = _window(run.x[:, 0], margin=0.25)
-    times, values = np.meshgrid(np.linspace(run.t[0], run.t[-1], GRID), np.linspace(low, high, GRID))
-    shade = _shade(ax, times, values, gap(times, values), "forbidden (g < 0)")
-    path = _path(ax, run, run.t[: row + 1], run.x[: row + 1, 0])
+    ((low, high),) = _margin_limits(run.x[:, 0], margin=0.25)
+    times, values = np.meshgrid(np.linspace(run.t[0], run.t[-1], PLANE_GRID), np.linspace(low, high, PLANE_GRID))
+    shade = _shade_forbidden(ax, times, values, gap(times, values), "forbidden (g < 0)")
+    path = _draw_path(ax, run, run.t[: row + 1], run.x[: row + 1, 0])
     ax.set_ylim(low, high)
-    style.over_time(ax, run, "Configuration", style.label(run, state_names(run)[0]), grid=False)
+    style.dress_over_time(ax, run, "Configuration", style.label_with_unit(run, state_names(run)[0]), grid=False)
     style.legend(ax, [*path, *shade])
     return ax
 
 
-def whole_plane(ax: Axes, run: Trajectory, gap: Gap, row: int, *, moving: bool) -> Axes:
+def draw_state_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int, *, moving: bool) -> Axes:
     """Two states: the plane."""
     for margin in (0.25, 0.5, 1.0):  # far enough to see some of the forbidden set
-        limits = style.filled(ax, *_window(*run.x.T, margin=margin))
+        limits = style.fill_panel(ax, *_margin_limits(*run.x.T, margin=margin))
         if (gap(run.t[row], *np.meshgrid(*(np.linspace(*limit, 40) for limit in limits))) < 0).mean() > 0.05:
             break
-    across, up = np.meshgrid(*(np.linspace(*limit, GRID) for limit in limits))
-    shade = _shade(ax, across, up, gap(run.t[row], across, up), f"forbidden at {style.at(run, row)}")
+    across, up = np.meshgrid(*(np.linspace(*limit, PLANE_GRID) for limit in limits))
+    shade = _shade_forbidden(ax, across, up, gap(run.t[row], across, up), f"forbidden at {style.time_text(run, row)}")
     if moving and row:
-        earlier = style.spread(row + 1, 5)[:-1]
+        earlier = style.evenly_spread(row + 1, 5)[:-1]
         for k in earlier:
-            _edge(ax, across, up, gap(run.t[k], across, up), colors=style.EARLIER, linewidths=0.9, linestyles="--")
+            _draw_edge(ax, across, up, gap(run.t[k], across, up), colors=style.EARLIER, linewidths=0.9, linestyles="--")
         times = ", ".join(f"{run.t[k]:.3g}" for k in earlier)
-        label = f"its edge at t = {times} {style.unit(run, 't')}".rstrip()
+        label = f"its edge at t = {times} {style.quantity_unit(run, 't')}".rstrip()
         shade += ax.plot([], [], "--", color=style.EARLIER, linewidth=0.9, label=label)
-    path = _path(ax, run, *run.x[: row + 1].T)
+    path = _draw_path(ax, run, *run.x[: row + 1].T)
     ax.set(xlim=limits[0], ylim=limits[1], aspect="equal")
-    style.dress(ax, f"Configuration at {style.at(run, row)}", *(style.label(run, name) for name in state_names(run)), grid=False)
+    style.dress(
+        ax,
+        f"Configuration at {style.time_text(run, row)}",
+        *(style.label_with_unit(run, name) for name in state_names(run)),
+        grid=False,
+    )
     style.legend(ax, [*path, *shade])
     return ax
 
 
-def _window(*columns: np.ndarray, margin: float) -> list[tuple[float, float]]:
+def _margin_limits(*columns: np.ndarray, margin: float) -> list[tuple[float, float]]:
     """Limits around each column with a margin on both sides, none far narrower than the widest."""
     low, high = np.nanmin(columns, axis=1), np.nanmax(columns, axis=1)
     widest = (high - low).max() or 1.0
@@ -178,31 +183,31 @@ def _window(*columns: np.ndarray, margin: float) -> list[tuple[float, float]]:
     return [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
 
 
-def _path(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray) -> list[Any]:
+def _draw_path(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray) -> list[Any]:
     """Draw the path so far, coloured by contact, and its two ends."""
     from matplotlib.collections import LineCollection
 
     kept = style.thin(x, y)
-    points, touching = np.stack([x[kept], y[kept]], axis=1), (style.table(run, "index_set")[kept[1:]] == 0).any(axis=1)
+    points, touching = np.stack([x[kept], y[kept]], axis=1), (style.array_columns(run, "index_set")[kept[1:]] == 0).any(axis=1)
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     handles: list[Any] = []
-    for mask, colour, width, words in ((~touching, style.FREE, 1.6, "free"), (touching, style.ZERO, 2.6, "in contact")):
+    for mask, colour, width, label in ((~touching, style.FREE, 1.6, "free"), (touching, style.ZERO, 2.6, "in contact")):
         if mask.any():
-            handles += ax.plot([], [], color=colour, linewidth=width, label=words)
+            handles += ax.plot([], [], color=colour, linewidth=width, label=label)
             ax.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=width, capstyle="round"))
-    return [*handles, *_ends(ax, run, x, y, 0, len(x) - 1)]
+    return [*handles, *_draw_end_markers(ax, run, x, y, 0, len(x) - 1)]
 
 
-def _shade(ax: Axes, across: np.ndarray, up: np.ndarray, gap: np.ndarray, label: str) -> list[Any]:
+def _shade_forbidden(ax: Axes, across: np.ndarray, up: np.ndarray, gap: np.ndarray, label: str) -> list[Any]:
     """Shades gap < 0 and draws its edge; the handle of the legend."""
     from matplotlib.patches import Patch
 
     if (gap < 0).any():
         ax.contourf(across, up, gap, levels=[float(gap.min()) - 1, 0], colors=[style.FORBIDDEN], zorder=0)
-    _edge(ax, across, up, gap, colors=style.EDGE, linewidths=1.4)
+    _draw_edge(ax, across, up, gap, colors=style.EDGE, linewidths=1.4)
     return [Patch(facecolor=style.FORBIDDEN, edgecolor=style.EDGE, label=label)]
 
 
-def _edge(ax: Axes, across: np.ndarray, up: np.ndarray, gap: np.ndarray, **style: Any) -> None:
+def _draw_edge(ax: Axes, across: np.ndarray, up: np.ndarray, gap: np.ndarray, **style: Any) -> None:
     if (gap < 0).any() and (gap > 0).any():
         ax.contour(across, up, gap, levels=[0], zorder=1, **style)

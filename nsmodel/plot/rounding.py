@@ -18,23 +18,23 @@ import numpy as np
 from nsmodel.columns import multiplier_names
 from nsmodel.model.quantity import Quantity
 from nsmodel.plot import style
-from nsmodel.plot.continuous import continuous, state
-from nsmodel.proof.graph import column
-from nsmodel.quantities import Names, quantity_of, values
-from nsmodel.solve.rounding import UNIT, error_bound
+from nsmodel.plot.continuous import continuous_problem_of_run, continuous_states
+from nsmodel.proof.graph import stack_column
+from nsmodel.quantities import ColumnNames, evaluate_quantity, read_quantity
+from nsmodel.solve.rounding import UNIT_ROUND_OFF, rounding_error_bound
 
 if TYPE_CHECKING:
     from nsmodel.model.base import Model
     from nsmodel.scheme.continuous import ContinuousProblem
     from nsmodel.trajectory import Trajectory
 
-BESIDE = 64  # Times UNIT: rounding, and what a run makes of it.
-SAMPLES = 200  # Rows at which rows are evaluated.
-LARGE = 200  # States or multipliers up to which the model is asked.
-RESTLESS, CHANGES = 0.2, 8  # Share of the changes that turn back, of so many at least.
+ROUNDING_FACTOR = 64  # Times UNIT: rounding, and what a run makes of it.
+SAMPLED_ROWS = 200  # Rows at which rows are evaluated.
+MAX_MODEL_SIZE = 200  # States or multipliers up to which the model is asked.
+OSCILLATING_SHARE, MIN_CHANGES = 0.2, 8  # Share of the changes that turn back, of so many at least.
 
 
-class Floors(NamedTuple):
+class RoundingFloors(NamedTuple):
     """What is rounding of each state (n,), velocity (n,) or (0,), and multiplier (m,)."""
 
     states: np.ndarray
@@ -44,66 +44,77 @@ class Floors(NamedTuple):
 
 def is_rounding(run: Trajectory, table: str, model: Model | None = None) -> np.ndarray:
     """Which columns (k,) of "x", "v", "multipliers" or "reactions" are not 0, and rounding in all rows."""
-    found = style.table(run, "reactions" if table == "multipliers" and "reactions" in run.arrays else table)
-    size = style.sizes(found)
-    floors = None if model is None else _floors(run, model)
+    found = style.array_columns(run, "reactions" if table == "multipliers" and "reactions" in run.arrays else table)
+    size = style.largest_magnitudes(found)
+    floors = None if model is None else _rounding_floors(run, model)
     if floors is not None:
         floor = {"x": floors.states, "v": floors.velocities}.get(table, floors.multipliers)
         if floor.shape == size.shape:
             return (size > 0) & (size <= floor)
-    largest = max(abs(end) for one in ("x", "v", "multipliers", "inputs") for end in style.extent(style.table(run, one)))
-    small = (size > 0) & (size <= BESIDE * UNIT * largest)
-    return np.array([own and _restless(column) for own, column in zip(small, found.T, strict=True)], bool)
+    largest = max(abs(end) for one in ("x", "v", "multipliers", "inputs") for end in style.extent(style.array_columns(run, one)))
+    small = (size > 0) & (size <= ROUNDING_FACTOR * UNIT_ROUND_OFF * largest)
+    return np.array([own and _oscillates(column) for own, column in zip(small, found.T, strict=True)], bool)
 
 
 def output_is_rounding(run: Trajectory, name: str, found: np.ndarray) -> np.ndarray:
     """Which entries (k,) of an output, whose values are (K, k), are not 0, and rounding in all rows."""
-    own, label = quantity_of(run, name)
+    own, label = read_quantity(run, name)
     symbols = [ca.SX.sym(one) for one in own.of]
-    expression: Any = ca.Function.deserialize(own.code)(column(symbols))
-    bound = Quantity.made(error_bound(expression, column(symbols)))
-    rows = style.spread(len(run.t), SAMPLES)
+    expression: Any = ca.Function.deserialize(own.code)(stack_column(symbols))
+    bound = Quantity.made(rounding_error_bound(expression, stack_column(symbols)))
+    rows = style.evenly_spread(len(run.t), SAMPLED_ROWS)
     arrays = {key: array[rows] for key, array in run.arrays.items() if len(array) == len(run.t)}
-    size = style.sizes(found)
-    floor = style.sizes(values(bound, Names.of_run(run), arrays, label).reshape(len(rows), -1))
-    return (size > 0) & (size <= BESIDE * UNIT * floor)
+    size = style.largest_magnitudes(found)
+    floor = style.largest_magnitudes(evaluate_quantity(bound, ColumnNames.from_run(run), arrays, label).reshape(len(rows), -1))
+    return (size > 0) & (size <= ROUNDING_FACTOR * UNIT_ROUND_OFF * floor)
 
 
-def _restless(values: np.ndarray) -> bool:
+def _oscillates(values: np.ndarray) -> bool:
     """Whether values go up and down from row to row, as rounding does."""
     changes = np.diff(values[np.isfinite(values)])
     changes = changes[changes != 0]
-    return len(changes) >= CHANGES and float((changes[1:] * np.sign(changes[:-1]) < 0).mean()) >= RESTLESS
+    return len(changes) >= MIN_CHANGES and float((changes[1:] * np.sign(changes[:-1]) < 0).mean()) >= OSCILLATING_SHARE
 
 
-def _floors(run: Trajectory, model: Model) -> Floors | None:
+def _rounding_floors(run: Trajectory, model: Model) -> RoundingFloors | None:
     """From the model in continuous time; None where it has none, where the run has other columns, or where it is large."""
-    problem = continuous(run, model)
-    if problem is None or max(problem.states, problem.l.numel()) > LARGE or (given := _columns(run, problem)) is None:
+    problem = continuous_problem_of_run(run, model)
+    if (
+        problem is None
+        or max(problem.states, problem.l.numel()) > MAX_MODEL_SIZE
+        or (given := _problem_columns(run, problem)) is None
+    ):
         return None
-    state, moved = _evaluated(problem)(*given)
+    state, moved = _floor_function(problem)(*given)
     n, free = problem.states, problem.x.numel() - problem.held
-    felt, moved = BESIDE * UNIT * state.max(axis=0), moved.max(axis=0)
-    own = np.divide(felt[:, None], moved, out=np.full(moved.shape, np.inf), where=moved > 0).min(axis=0, initial=np.inf)
-    added = float(run.t[-1] - run.t[0]) / len(run) ** 0.5 * felt[:free]
-    return Floors(added[:n], added[n:], np.where(np.isfinite(own), own, 0.0))
+    floor, moved = ROUNDING_FACTOR * UNIT_ROUND_OFF * state.max(axis=0), moved.max(axis=0)
+    own = np.divide(floor[:, None], moved, out=np.full(moved.shape, np.inf), where=moved > 0).min(axis=0, initial=np.inf)
+    added = float(run.t[-1] - run.t[0]) / len(run) ** 0.5 * floor[:free]
+    return RoundingFloors(added[:n], added[n:], np.where(np.isfinite(own), own, 0.0))
 
 
-def _columns(run: Trajectory, problem: ContinuousProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _problem_columns(run: Trajectory, problem: ContinuousProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """t, x and l of the problem at some rows; None where the run does not have them."""
     m = len(multiplier_names(run))
-    if problem.multipliers is not None or problem.l.numel() != m or len(run.t) < 2 or (x := state(run, problem)) is None:
+    if (
+        problem.multipliers is not None
+        or problem.l.numel() != m
+        or len(run.t) < 2
+        or (x := continuous_states(run, problem)) is None
+    ):
         return None
-    rows = 1 + style.spread(len(run.t) - 1, SAMPLES)
-    l = style.table(run, "reactions" if problem.impulses else "multipliers")
+    rows = 1 + style.evenly_spread(len(run.t) - 1, SAMPLED_ROWS)
+    l = style.array_columns(run, "reactions" if problem.impulses else "multipliers")
     return run.t[rows], x[rows], np.nan_to_num(l[rows])
 
 
-def _evaluated(problem: ContinuousProblem) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+def _floor_function(problem: ContinuousProblem) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
     """(t, x, l) -> what the rows of f + g and h err by (K, n + m), in units of u; how multipliers move them (K, n + m, m)."""
     rows, unknown = ca.vertcat(problem.rate, problem.h), ca.vertcat(problem.x, problem.l)
     own = (problem.t, problem.x, problem.l)
-    function = ca.Function("floors", own, [error_bound(rows, unknown), ca.densify(ca.fabs(ca.jacobian(rows, problem.l)))])
+    function = ca.Function(
+        "floors", own, [rounding_error_bound(rows, unknown), ca.densify(ca.fabs(ca.jacobian(rows, problem.l)))]
+    )
 
     def evaluated(t: np.ndarray, x: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         bound, moved = function.map(len(t))(t[None], x.T, l.T)

@@ -11,17 +11,17 @@ from typing import Any
 
 from matplotlib import axes, figure
 
-DPI = 100
+PNG_DPI = 100
 
 
-class Figure(figure.Figure):
+class NotebookFigure(figure.Figure):
     """A figure with a picture of its own."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
 
 
-class Axes(axes.Axes):
+class NotebookAxes(axes.Axes):
     """Axes that were made with their figure: they show it."""
 
     def _repr_png_(self) -> bytes:
@@ -38,7 +38,7 @@ def light_png(drawn: Any, dpi: int) -> bytes:
     return stream.getvalue()
 
 
-def png(drawn: Any, dpi: int = DPI) -> bytes:
+def png(drawn: Any, dpi: int = PNG_DPI) -> bytes:
     """A figure, or that of axes, as a PNG file."""
     stream = io.BytesIO()
     (drawn if isinstance(drawn, figure.Figure) else drawn.get_figure(root=True)).savefig(stream, format="png", dpi=dpi)

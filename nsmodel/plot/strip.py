@@ -18,21 +18,23 @@ if TYPE_CHECKING:
 
     from nsmodel.trajectory import Trajectory
 
-    Words = dict[int, tuple[str, str]]  # index-set code: (colour, words)
+    StateLabels = dict[int, tuple[str, str]]  # index-set code: (colour, words)
 
 MAX_ROWS = 30
-COLUMNS, PLACES = 800, 600  # about a pixel each
-UNSEEN = 127  # No code of an index set.
-CHATTER = "split band: changes within a pixel"
+MAX_BUCKETS, MAX_MAP_ROWS = 800, 600  # about a pixel each
+NO_CODE = 127  # No code of an index set.
+CHATTER_LABEL = "split band: changes within a pixel"
 
-COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}
-
-
-def _coloured(words: laws.Words) -> Words:
-    return {code: (COLOURS[role], text) for code, (role, text) in words.items()}
+ROLE_COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}
 
 
-WORDS: dict[str, Words] = {label.removeprefix("second-order "): _coloured(words) for label, words in laws.WORDS.items()}
+def _coloured_labels(labels: laws.StateNames) -> StateLabels:
+    return {code: (ROLE_COLOURS[role], text) for code, (role, text) in labels.items()}
+
+
+STATE_LABELS: dict[str, StateLabels] = {
+    label.removeprefix("second-order "): _coloured_labels(state_labels) for label, state_labels in laws.STATE_NAMES.items()
+}
 
 
 def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = None) -> Axes:
@@ -48,18 +50,20 @@ def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = Non
 
     """
     run = run.smooth()
-    names, laws, codes = _rows(run)
+    names, laws, codes = _index_set_rows(run)
     count = codes.shape[1]
     changes = np.count_nonzero(np.diff(codes[1:], axis=0), axis=0)
-    shown = np.sort(np.argsort(-changes, kind="stable")[:limit])
-    ax = style.axes(ax, 8, 1.3 + 0.22 * len(shown))
-    split = [_band(ax, run.t, codes[:, k], laws[k][1], place) for place, k in enumerate(shown)]
-    style.over_time(ax, run, "Index set" + style.of(len(shown), count, "those that change most"), "", grid=False)
-    size = min(8.0, max(5.0, 55 * style.inches(ax)[1] / len(shown)))
-    ax.set_yticks(range(len(shown)), [style.text(style.short(names[k], 18)) for k in shown], fontsize=size)
-    ax.set_ylim(len(shown) - 0.5, -0.5)
+    drawn = np.sort(np.argsort(-changes, kind="stable")[:limit])
+    ax = style.get_axes(ax, 8, 1.3 + 0.22 * len(drawn))
+    split = [_draw_band(ax, run.t, codes[:, k], laws[k][1], place) for place, k in enumerate(drawn)]
+    style.dress_over_time(
+        ax, run, "Index set" + style.selection_note(len(drawn), count, "those that change most"), "", grid=False
+    )
+    size = min(8.0, max(5.0, 55 * style.size_in_inches(ax)[1] / len(drawn)))
+    ax.set_yticks(range(len(drawn)), [style.safe_text(style.shorten(names[k], 18)) for k in drawn], fontsize=size)
+    ax.set_ylim(len(drawn) - 0.5, -0.5)
     ax.tick_params(axis="y", length=0)
-    _legend(ax, dict(laws[k] for k in shown), chatter=max(split) > 0.05)
+    _law_legend(ax, dict(laws[k] for k in drawn), chatter=max(split) > 0.05)
     return ax
 
 
@@ -78,63 +82,63 @@ def index_map(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     from matplotlib.colors import ListedColormap
 
     run = run.smooth()
-    names, laws, codes = _rows(run)
-    shown = style.spread(len(names), PLACES)
-    codes = codes[:, shown]
-    kinds = dict(laws[k] for k in shown)
-    colours = dict.fromkeys(colour for words in kinds.values() for colour, _ in words.values())
-    ax = style.axes(ax)
+    names, laws, codes = _index_set_rows(run)
+    drawn = style.evenly_spread(len(names), MAX_MAP_ROWS)
+    codes = codes[:, drawn]
+    kinds = dict(laws[k] for k in drawn)
+    colours = dict.fromkeys(colour for labels in kinds.values() for colour, _ in labels.values())
+    ax = style.get_axes(ax)
     if len(run.t) > 1:
         starts = buckets(len(run.t) - 1)
-        counts = np.zeros((len(colours), len(starts), len(shown)))
+        counts = np.zeros((len(colours), len(starts), len(drawn)))
         for number, colour in enumerate(colours):
-            own = np.array([[code for code, (one, _) in laws[k][1].items() if one == colour][:1] or [UNSEEN] for k in shown])
+            own = np.array([[code for code, (one, _) in laws[k][1].items() if one == colour][:1] or [NO_CODE] for k in drawn])
             counts[number] = np.add.reduceat(codes == own.T, starts, axis=0, dtype=float)
-        edges, places = np.append(run.t[starts - 1], run.t[-1]), np.linspace(-0.5, len(names) - 0.5, len(shown) + 1)
+        edges, places = np.append(run.t[starts - 1], run.t[-1]), np.linspace(-0.5, len(names) - 0.5, len(drawn) + 1)
         look: dict[str, Any] = {"cmap": ListedColormap(list(colours)), "vmin": -0.5, "vmax": len(colours) - 0.5}
         ax.pcolormesh(edges, places, counts.argmax(axis=0).T, rasterized=True, **look)
-    ends = f"rows {style.short(names[0], 16)} to {style.short(names[-1], 16)}"
-    style.over_time(ax, run, "Index set" + style.of(len(shown), len(names), "evenly spread"), ends, grid=False)
+    ends = f"rows {style.shorten(names[0], 16)} to {style.shorten(names[-1], 16)}"
+    style.dress_over_time(ax, run, "Index set" + style.selection_note(len(drawn), len(names), "evenly spread"), ends, grid=False)
     ax.set_ylim(-0.5, len(names) - 0.5)
-    _legend(ax, kinds, chatter=False)
+    _law_legend(ax, kinds, chatter=False)
     return ax
 
 
 def buckets(n: int) -> np.ndarray:
     """The first row of each bucket of n steps."""
-    return 1 + np.arange(min(n, COLUMNS)) * n // max(1, min(n, COLUMNS))
+    return 1 + np.arange(min(n, MAX_BUCKETS)) * n // max(1, min(n, MAX_BUCKETS))
 
 
-def _rows(run: Trajectory) -> tuple[list[str], list[tuple[str, Words]], np.ndarray]:
+def _index_set_rows(run: Trajectory) -> tuple[list[str], list[tuple[str, StateLabels]], np.ndarray]:
     """Names, laws and codes of the rows of the index set; PlotError where there are none."""
-    codes = style.table(run, "index_set")
+    codes = style.array_columns(run, "index_set")
     if not codes.shape[1]:
         raise PlotError("this run has no index set: its model has no multipliers")
     names: list[str] = run.metadata.get("index_names") or [f"row {k}" for k in range(codes.shape[1])]
-    return names, _laws(run, names), codes
+    return names, _row_laws(run, names), codes
 
 
-def _laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, Words]]:
+def _row_laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, StateLabels]]:
     """Kind and words of each row."""
     kinds = [kind.removeprefix("second-order ") for kind in run.metadata.get("law_kinds") or ["complementarity"] * len(names)]
-    if len(kinds) != len(names) or set(kinds) - set(WORDS):
-        raise PlotError(f"law_kinds must name one of {', '.join(WORDS)} for each of {len(names)} rows, and is {kinds[:8]}")
-    own = {label: (name, _coloured(words)) for label, (name, words) in model_type(run).words.items()}
+    if len(kinds) != len(names) or set(kinds) - set(STATE_LABELS):
+        raise PlotError(f"law_kinds must name one of {', '.join(STATE_LABELS)} for each of {len(names)} rows, and is {kinds[:8]}")
+    own = {label: (name, _coloured_labels(labels)) for label, (name, labels) in model_type(run).law_descriptions.items()}
     return [
-        own[kind] if kind in own and not name.startswith("potential ") else (kind, WORDS[kind])
+        own[kind] if kind in own and not name.startswith("potential ") else (kind, STATE_LABELS[kind])
         for kind, name in zip(kinds, names, strict=True)
     ]
 
 
-def _band(ax: Axes, t: np.ndarray, column: np.ndarray, words: Words, place: int) -> float:
+def _draw_band(ax: Axes, t: np.ndarray, column: np.ndarray, labels: StateLabels, place: int) -> float:
     """Draw one row of the index set. Returns the share of buckets that are split."""
     from matplotlib.collections import PolyCollection
 
-    starts, shares = _shares(column, list(words))
+    starts, shares = _code_shares(column, list(labels))
     changes = np.flatnonzero(np.r_[True, (shares[:, 1:] != shares[:, :-1]).any(axis=0)][: len(starts)])
     left, right = t[starts[changes] - 1], np.r_[t[starts[changes[1:]] - 1], t[-1:]]
     top = place + 0.38 - 0.76 * np.cumsum(shares[:, changes], axis=0)
-    for k, (colour, _) in enumerate(words.values()):
+    for k, (colour, _) in enumerate(labels.values()):
         keep = shares[k, changes] > 0
         high, low = top[k, keep], top[k, keep] + 0.76 * shares[k, changes[keep]]
         corners = [(left[keep], low), (right[keep], low), (right[keep], high), (left[keep], high)]
@@ -144,7 +148,7 @@ def _band(ax: Axes, t: np.ndarray, column: np.ndarray, words: Words, place: int)
     return float(((shares > 0).sum(axis=0) > 1).mean()) if len(starts) else 0.0
 
 
-def _shares(column: np.ndarray, codes: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def _code_shares(column: np.ndarray, codes: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """First row of each bucket, and the share of each code in it (codes, buckets).
 
     A run has a bucket a row, a long run COLUMNS. There a bucket that the code leaves and enters once shows the code
@@ -155,19 +159,19 @@ def _shares(column: np.ndarray, codes: Sequence[int]) -> tuple[np.ndarray, np.nd
     ends = np.append(starts, n + 1)[1:]
     border = np.flatnonzero(np.r_[True, column[2:] != column[1:-1], True]) + 1  # rows where another code begins
     first, after = np.searchsorted(border, starts), np.searchsorted(border, ends, side="right")
-    shown = column[np.where(after - first == 2, border[first], starts)]
+    single_codes = column[np.where(after - first == 2, border[first], starts)]
     counts = np.array([np.add.reduceat(column == code, starts, dtype=float) for code in codes]) / (ends - starts)
     counts = np.where(counts > 0, np.maximum(np.round(4 * counts), 1) / 4, 0)  # fourths: like neighbours join
-    return starts, np.where(after - first > 2, counts / counts.sum(axis=0).clip(0.25), shown == np.array(codes)[:, None])
+    return starts, np.where(after - first > 2, counts / counts.sum(axis=0).clip(0.25), single_codes == np.array(codes)[:, None])
 
 
-def _legend(ax: Axes, laws: dict[str, Words], *, chatter: bool) -> None:
+def _law_legend(ax: Axes, laws: dict[str, StateLabels], *, chatter: bool) -> None:
     """Put the words of each kind of law in the legend; the kind is named where there are several."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: list[Any] = []
-    for kind, words in laws.items():
+    for kind, labels in laws.items():
         prefix = f"{kind}: " if len(laws) > 1 and kind != "equality" else ""
-        handles += [Patch(color=colour, label=prefix + word) for colour, word in words.values()]
-    style.legend(ax, handles + [Line2D([], [], linestyle="none", label=CHATTER)] * chatter)
+        handles += [Patch(color=colour, label=prefix + word) for colour, word in labels.values()]
+    style.legend(ax, handles + [Line2D([], [], linestyle="none", label=CHATTER_LABEL)] * chatter)

@@ -9,8 +9,8 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.proof.sure import sure
-from nsmodel.study.text import number
+from nsmodel.proof.sure import not_none
+from nsmodel.study.text import short_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from nsmodel.study.result import Study
 
 MARKERS = "osD^vP*X<>hd"
-COLOURS = (*style.LINES, "#A05A2C", "#8A9A00", "#B03A48", "#2E8B8B")
-PALE = "#A9B1BA"
+METHOD_COLOURS = (*style.LINES, "#A05A2C", "#8A9A00", "#B03A48", "#2E8B8B")
+SOLVER_COLOUR = "#A9B1BA"
 
 
 def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
@@ -37,29 +37,29 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
 
     if not any(point.drawn for line in study.lines for point in line.points):
         raise PlotError("this study has no point with an error and a time; run it with a larger budget")
-    ax = style.axes(ax, 9.5, 5.5)
+    ax = style.get_axes(ax, 9.5, 5.5)
     coloured = [line for line in study.lines if line.kind != "solver"]
-    colours = {line.name: COLOURS[k % len(COLOURS)] for k, line in enumerate(coloured)}
+    colours = {line.name: METHOD_COLOURS[k % len(METHOD_COLOURS)] for k, line in enumerate(coloured)}
     handles, failures, labelled = [], 0, []
     for k, line in enumerate(study.lines):
         look: dict[str, Any]
         points, solver = [point for point in line.points if point.drawn], line.kind == "solver"
-        look = {"color": colours.get(line.name, PALE), "linestyle": "--" if line.kind == "peer" else "-"}
+        look = {"color": colours.get(line.name, SOLVER_COLOUR), "linestyle": "--" if line.kind == "peer" else "-"}
         look |= {"linewidth": 0.7 if solver else 1.4, "zorder": 2 if solver else 3}
         mark = {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.5 if solver else 5}
-        ax.plot([point.error for point in points], [sure(point.seconds) for point in points], **look)
+        ax.plot([point.error for point in points], [not_none(point.seconds) for point in points], **look)
         for point in points:
             face = look["color"] if point.resolved else "white"
-            ax.plot(sure(point.error), sure(point.seconds), **look, **mark, markerfacecolor=face)
+            ax.plot(not_none(point.error), not_none(point.seconds), **look, **mark, markerfacecolor=face)
         if not solver:
             labelled += [(point, look["color"]) for point in points]
         count = sum(point.status == "failed" for point in line.points)
         if count:
-            words, place = f"{line.name}: {count} failed ×", (0.995, 0.985 - 0.045 * failures)
-            ax.text(*place, style.text(words), color=look["color"], fontsize=8, ha="right", va="top", transform=ax.transAxes)
+            note, place = f"{line.name}: {count} failed ×", (0.995, 0.985 - 0.045 * failures)
+            ax.text(*place, style.safe_text(note), color=look["color"], fontsize=8, ha="right", va="top", transform=ax.transAxes)
             failures += 1
         if any(point.drawn for point in line.points):
-            handles.append(Line2D([], [], **look, **mark, label=style.text(_words(line))))
+            handles.append(Line2D([], [], **look, **mark, label=style.safe_text(_line_label(line))))
     if missing := len(study.lines) - len(handles):
         handles.append(Line2D([], [], linestyle="", label=f"{missing} more without a point: left out or failed"))
     ax.set_xscale("log")
@@ -69,25 +69,25 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
         ax, study.title, "largest relative error over the grid (at the markers: step, or rtol)", "CPU time of the steps [s]"
     )
     style.legend(ax, handles, column=True)
-    _label(ax, labelled)
+    _annotate_steps(ax, labelled)
     return ax
 
 
-def _label(ax: Axes, points: Sequence[tuple[Point, str]]) -> None:
+def _annotate_steps(ax: Axes, points: Sequence[tuple[Point, str]]) -> None:
     """Write the steps above the points, those left out that would lie over an earlier one."""
-    (left, right), (low, high), (width, height) = np.log(ax.get_xlim()), np.log(ax.get_ylim()), style.inches(ax)
+    (left, right), (low, high), (width, height) = np.log(ax.get_xlim()), np.log(ax.get_ylim()), style.size_in_inches(ax)
     taken: list[tuple[float, float]] = []
     for point, colour in points:
-        x = width * (np.log(sure(point.error)) - left) / (right - left)
-        y = height * (np.log(sure(point.seconds)) - low) / (high - low)
+        x = width * (np.log(not_none(point.error)) - left) / (right - left)
+        y = height * (np.log(not_none(point.seconds)) - low) / (high - low)
         if all(abs(x - u) > 0.35 or abs(y - v) > 0.13 for u, v in taken):
-            words = number(point.step) if point.step else point.label.removeprefix("rtol = ")
+            step_text = short_number(point.step) if point.step else point.label.removeprefix("rtol = ")
             look = {"fontsize": 6.5, "color": colour}
-            ax.annotate(words, (point.error, point.seconds), (4, 3), textcoords="offset points", **look)
+            ax.annotate(step_text, (point.error, point.seconds), (4, 3), textcoords="offset points", **look)
             taken.append((x, y))
 
 
-def _words(line: Line) -> str:
+def _line_label(line: Line) -> str:
     gone = {status: sum(point.status == status for point in line.points) for status in ("failed", "left out")}
     aside = ", ".join(f"{number} {status}" for status, number in gone.items() if number)
     return f"{line.name} ({aside})" if aside else line.name

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.columns import units_of
 from nsmodel.errors import PlotError
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 MAX_POINTS = 20_000
-STEADY = 1e-13  # The part of themselves by which values change that stand still.
+STEADY_TOLERANCE = 1e-13  # The part of themselves by which values change that stand still.
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
 LOWER, ZERO, UPPER, PALE = "#9CC9E3", "#2F5D8A", "#E3A857", "#DDE1E6"
@@ -30,69 +30,69 @@ TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10, "fontweight": "bold", "c
 # -- labels ------------------------------------------------------------------------------------------------------------
 
 
-def text(words: str) -> str:
+def safe_text(label: str) -> str:
     """Make words safe to draw: broken mathtext is shown as typed, a leading underscore does not hide a label."""
     from matplotlib.mathtext import MathTextParser
 
-    words = f" {words}" if words.startswith("_") else words
+    label = f" {label}" if label.startswith("_") else label
     try:
-        MathTextParser("path").parse(words)
+        MathTextParser("path").parse(label)
     except ValueError:
-        return words.replace("$", r"\$")
-    return words
+        return label.replace("$", r"\$")
+    return label
 
 
-def short(name: str, width: int = 22) -> str:
+def shorten(name: str, width: int = 22) -> str:
     """Cut the middle out of a long name."""
     return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-(width // 2) :]}"
 
 
-def unit(run: Trajectory, name: str) -> str:
+def quantity_unit(run: Trajectory, name: str) -> str:
     """Return the unit of a state, multiplier or array; empty where there is none."""
     return units_of(run).get(name, "")
 
 
 def with_unit(name: str, unit: str) -> str:
     """Return "name [unit]"."""
-    return f"{name} [{short(unit)}]" if unit else name
+    return f"{name} [{shorten(unit)}]" if unit else name
 
 
-def zero(name: str, rounding: bool) -> str:
+def mark_rounding(name: str, rounding: bool) -> str:
     """Return the name, and of what is rounding that it is 0."""
     return f"{name} = 0 to rounding" if rounding else name
 
 
-def label(run: Trajectory, name: str) -> str:
+def label_with_unit(run: Trajectory, name: str) -> str:
     """Return "name [unit]" of a state, an array or the time."""
-    return with_unit(short(name, 40), unit(run, name))
+    return with_unit(shorten(name, 40), quantity_unit(run, name))
 
 
-def at(run: Trajectory, row: int) -> str:
+def time_text(run: Trajectory, row: int) -> str:
     """Return "t = ..." of a row, with its unit."""
-    return text(f"t = {run.t[row]:.4g} {unit(run, 't')}".rstrip())
+    return safe_text(f"t = {run.t[row]:.4g} {quantity_unit(run, 't')}".rstrip())
 
 
-def of(shown: int, count: int, why: str) -> str:
+def selection_note(drawn: int, count: int, why: str) -> str:
     """Return the bracket for the title where not everything is shown."""
-    return f" ({shown} of {count} shown, {why})" if shown < count else ""
+    return f" ({drawn} of {count} shown, {why})" if drawn < count else ""
 
 
 # -- arrays ------------------------------------------------------------------------------------------------------------
 
 
-def table(run: Trajectory, name: str) -> np.ndarray:
+def array_columns(run: Trajectory, name: str) -> np.ndarray:
     """Return an array with a column a multiplier or row; no columns where the run does not hold it."""
     return run.arrays.get(name, np.empty((len(run.t), 0)))
 
 
-def needed(run: Trajectory, name: str) -> np.ndarray:
+def required_array(run: Trajectory, name: str) -> np.ndarray:
     """Return an array that must be there; else PlotError."""
     if name not in run.arrays:
         raise PlotError(f"this run holds no {name}: its arrays are {', '.join(sorted(run.arrays))}")
     return run.arrays[name]
 
 
-def sizes(values: np.ndarray) -> np.ndarray:
+def largest_magnitudes(values: np.ndarray) -> np.ndarray:
     """Return the largest absolute value of each column, what is not finite left out; 0 of no rows."""
     if not np.isfinite(values).all():
         values = np.where(np.isfinite(values), values, 0)
@@ -106,7 +106,7 @@ def extent(values: np.ndarray) -> tuple[float, float]:
     return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
-def spread(count: int, limit: int) -> np.ndarray:
+def evenly_spread(count: int, limit: int) -> np.ndarray:
     """Return at most `limit` of 0..count-1, evenly spread, both ends kept."""
     return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
 
@@ -132,65 +132,65 @@ def thin(*columns: np.ndarray, limit: int = MAX_POINTS) -> np.ndarray:
 
 def blank(width: float, height: float) -> Figure:
     """Return an empty figure that arranges its axes itself."""
-    from nsmodel.plot.shown import Figure
+    from nsmodel.plot.shown import NotebookFigure
 
-    figure = Figure(figsize=(width, height))
+    figure = NotebookFigure(figsize=(width, height))
     figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
     return figure
 
 
-def axes(ax: Axes | None, width: float = 8.0, height: float = 4.5) -> Axes:
+def get_axes(ax: Axes | None, width: float = 8.0, height: float = 4.5) -> Axes:
     """Return the axes given, or those of a new figure, which show it in a notebook."""
-    from nsmodel.plot.shown import Axes
+    from nsmodel.plot.shown import NotebookAxes
 
-    return blank(width, height).add_subplot(axes_class=Axes) if ax is None else ax
+    return blank(width, height).add_subplot(axes_class=NotebookAxes) if ax is None else ax
 
 
 def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) -> None:
     """Give the axes their words and the look of all pictures."""
-    ax.set_title(text(title), **TITLE)
-    ax.set_xlabel(text(xlabel), fontsize=9)
-    ax.set_ylabel(text(short(ylabel, max(20, int(inches(ax)[1] / 0.065)))), fontsize=9)
+    ax.set_title(safe_text(title), **TITLE)
+    ax.set_xlabel(safe_text(xlabel), fontsize=9)
+    ax.set_ylabel(safe_text(shorten(ylabel, max(20, int(size_in_inches(ax)[1] / 0.065)))), fontsize=9)
     ax.tick_params(labelsize=8)
     ax.grid(grid, **({"color": "#E6E8EB", "linewidth": 0.6} if grid else {}))
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool = True) -> None:
+def dress_over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool = True) -> None:
     """Dress axes over time: from the start to the end of the run and no more, the same for all its pictures."""
-    dress(ax, title, label(run, "t"), ylabel, grid=grid)
+    dress(ax, title, label_with_unit(run, "t"), ylabel, grid=grid)
     for one in (run.metadata.get("totals") or {}).get("stretches", ()) if grid else ():
         ax.axvspan(one["start"], min(one["until"], run.t[-1]), color=FREE, alpha=0.15, linewidth=0.8, zorder=0)  # by time steps
     if run.t[-1] > run.t[0]:
         ax.set_xlim(run.t[0], run.t[-1])
 
 
-def steady(ax: Axes, values: np.ndarray, axis: str = "y") -> None:
+def set_steady_limits(ax: Axes, values: np.ndarray, axis: str = "y") -> None:
     """Give an axis on which nothing moves but by rounding limits that do not show it."""
     low, high = extent(values)
-    if high - low <= STEADY * max(abs(low), abs(high)):
+    if high - low <= STEADY_TOLERANCE * max(abs(low), abs(high)):
         far = 0.05 * abs(low) or 1.0
         ax.set(**{f"{axis}lim": (low - far, high + far)})
 
 
-def inches(ax: Axes) -> tuple[float, float]:
+def size_in_inches(ax: Axes) -> tuple[float, float]:
     """Return the width and height of the axes, before the layout leaves room for labels."""
     box = ax.get_position()
-    width, height = sure(ax.get_figure(root=True)).get_size_inches()
+    width, height = not_none(ax.get_figure(root=True)).get_size_inches()
     return box.width * width, box.height * height
 
 
-def filled(ax: Axes, *limits: tuple[float, float]) -> list[tuple[float, float]]:
+def fill_panel(ax: Axes, *limits: tuple[float, float]) -> list[tuple[float, float]]:
     """Widen one of two limits, so that a picture of equal scales fills its panel."""
-    spans, panel = np.array([b - a for a, b in limits]), np.maximum(np.array([1.1, 0.9]) * inches(ax), 0.5)
+    spans, panel = np.array([b - a for a, b in limits]), np.maximum(np.array([1.1, 0.9]) * size_in_inches(ax), 0.5)
     more = np.clip(max(spans / panel) * panel, spans, 2 * spans) - spans
     return [(a - m / 2, b + m / 2) for (a, b), m in zip(limits, more, strict=True)]
 
 
 def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
     """Put the legend beside the title where both fit, else in rows between title and axes; or outside on the right."""
-    widths, (width, height) = [0.067 * (len(handle.get_label()) + 7) for handle in handles], inches(ax)
+    widths, (width, height) = [0.067 * (len(handle.get_label()) + 7) for handle in handles], size_in_inches(ax)
     style: dict[str, Any] = {"handles": handles, "fontsize": 8, "frameon": False, "borderaxespad": 0.2}
     title = ax.get_title(loc="left")
     if column:
@@ -205,8 +205,8 @@ def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
         ax.set_title(title, pad=7 + 13 * -(-count // columns), **TITLE)
         # The raised title already holds the room; a legend wider than the axes must not shrink them.
         style |= {"ncols": columns, "columnspacing": 1.2}
-        beside = 0.4 / width if _has_exponent(ax) else 0  # which stands above the axis
-        ax.legend(loc="lower left", bbox_to_anchor=(beside, 1), **style).set_in_layout(False)
+        offset = 0.4 / width if _has_exponent(ax) else 0  # which stands above the axis
+        ax.legend(loc="lower left", bbox_to_anchor=(offset, 1), **style).set_in_layout(False)
 
 
 def _has_exponent(ax: Axes) -> bool:

@@ -11,38 +11,38 @@ import numpy as np
 from nsmodel.errors import PlotError
 from nsmodel.plot import cells, style
 from nsmodel.plot.sweep_map import sweep_map
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 from nsmodel.sweep.groups import Over
 from nsmodel.sweep.statistics import statistics
-from nsmodel.sweep.variable import TIME, Variable, as_variable
+from nsmodel.sweep.variable import TIME_DIM, Variable, as_variable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FEW = 12  # So many points have error bars, more a band.
-MOST_LINES = 60
-IN_A_LEGEND = 8
-SPREAD = (0.05, 0.5, 0.95)
-SHOWS = ("mean", "median", "spread")
-ATOM = 0.02  # A value that this part of the cells has is drawn as one.
-SAME = 1e-9  # Values nearer than this part of their range are one value.
-TALLEST = 3.0  # Times the tallest bar: spikes above are cut, so that bars can be seen.
-CUT = " (cut)"
-NAMED = 3  # Atoms whose value the legend says.
+MAX_ERROR_BARS = 12  # So many points have error bars, more a band.
+MAX_SWEEP_LINES = 60
+MAX_LEGEND_LINES = 8
+SPREAD_QUANTILES = (0.05, 0.5, 0.95)
+SHOW_OPTIONS = ("mean", "median", "spread")
+ATOM_SHARE = 0.02  # A value that this part of the cells has is drawn as one.
+ATOM_TOLERANCE = 1e-9  # Values nearer than this part of their range are one value.
+MAX_SPIKE_RATIO = 3.0  # Times the tallest bar: spikes above are cut, so that bars can be seen.
+CUT_LABEL = " (cut)"
+NAMED_ATOMS = 3  # Atoms whose value the legend says.
 
 
 # -- lines -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class _Lines:
+class _SweepLines:
     """Values (lines, points), the ends of their bands, how many cells failed there, and words for what they are."""
 
     centre: np.ndarray
     low: np.ndarray | None
     high: np.ndarray | None
     failed: np.ndarray
-    words: str
+    description: str
 
 
 def sweep_line(
@@ -69,47 +69,51 @@ def sweep_line(
         PlotError: no such dim, or one that is left over.
     """
     whole = as_variable(variable, "sweep_line")
-    if show not in SHOWS:
-        raise PlotError(f"show={show!r}; expected one of {', '.join(SHOWS)}")
-    x = _own_x(whole, hue) if x is None else x
-    along = cells.needed(whole, x, "x")
+    if show not in SHOW_OPTIONS:
+        raise PlotError(f"show={show!r}; expected one of {', '.join(SHOW_OPTIONS)}")
+    x = _default_x(whole, hue) if x is None else x
+    along = cells.required_dim(whole, x, "x")
     if hue is not None and (hue not in whole.dims or hue == along or x in whole.along):
         others = [dim for dim in whole.dims if dim != along]
         raise PlotError(f"hue={hue!r} beside x={x!r}: expected {' or '.join(others) if x in whole.dims else 'none'}")
-    ax = style.axes(ax)
+    ax = style.get_axes(ax)
     if x in whole.along:
-        return _dots(ax, whole, x, along)
+        return _draw_line_dots(ax, whole, x, along)
     found, where = cells.last_rows(whole, (x, hue or x))
-    lines, axis = _lines(found, x, hue, over, show, level), cells.coordinate(found, x)
-    many = style.spread(1 if hue is None else found.sizes[hue], MOST_LINES)
-    colours, names = style.colours(len(many)), [lines.words] if hue is None else [cells.value_of(found, hue, k) for k in many]
-    handles = [_draw(ax, axis, lines, k, colour, name) for k, colour, name in zip(many, colours, names, strict=True)]
-    style.dress(ax, _title(found, where, lines, hue, len(many)), axis.name, cells.quantity(found))
+    lines, axis = _sweep_lines(found, x, hue, over, show, level), cells.coordinate(found, x)
+    many = style.evenly_spread(1 if hue is None else found.sizes[hue], MAX_SWEEP_LINES)
+    colours, names = (
+        style.colours(len(many)),
+        [lines.description] if hue is None else [cells.coordinate_value_text(found, hue, k) for k in many],
+    )
+    handles = [_draw_line(ax, axis, lines, k, colour, name) for k, colour, name in zip(many, colours, names, strict=True)]
+    style.dress(ax, _line_title(found, where, lines, hue, len(many)), axis.name, cells.quantity_label(found))
     axis.on(ax.xaxis)
     if cells.spans_decades(lines.centre):
         ax.set_yscale("log", nonpositive="clip")
     if not np.isfinite(lines.centre).any():
-        cells.say(ax, "no cell has a result" if not found.done.any() else "no value is finite")
-    _legend(ax, found, hue, handles, axis, np.any(lines.failed, axis=0, keepdims=True)[0] if x in found.cell_dims else None)
+        cells.write_note(ax, "no cell has a result" if not found.done.any() else "no value is finite")
+    _sweep_legend(ax, found, hue, handles, axis, np.any(lines.failed, axis=0, keepdims=True)[0] if x in found.cell_dims else None)
     return ax
 
 
-def _own_x(variable: Variable, hue: str | None) -> str:
+def _default_x(variable: Variable, hue: str | None) -> str:
     """The dim along the axis where none is given."""
-    dims = [dim for dim in (TIME, *cells.parameters(variable), *variable.dims) if dim in variable.dims and dim != hue]
+    dims = [dim for dim in (TIME_DIM, *cells.parameter_dims(variable), *variable.dims) if dim in variable.dims and dim != hue]
     if not dims:
         raise PlotError(f"{variable.name} has no dim to draw it over; its dims are {', '.join(variable.dims) or 'none'}")
     return dims[0]
 
 
-def _title(variable: Variable, where: str, lines: _Lines, hue: str | None, shown: int) -> str:
-    words = f": {lines.words}" if hue and lines.words else ""
+def _line_title(variable: Variable, where: str, lines: _SweepLines, hue: str | None, drawn: int) -> str:
+    description = f": {lines.description}" if hue and lines.description else ""
     return (
-        f"{style.short(variable.title, 32)}{where}{words}{style.of(shown, variable.sizes[hue], 'evenly spread') if hue else ''}"
+        f"{style.shorten(variable.title, 32)}{where}{description}"
+        f"{style.selection_note(drawn, variable.sizes[hue], 'evenly spread') if hue else ''}"
     )
 
 
-def _lines(variable: Variable, x: str, hue: str | None, over: Over, show: str, level: float) -> _Lines:
+def _sweep_lines(variable: Variable, x: str, hue: str | None, over: Over, show: str, level: float) -> _SweepLines:
     """The values of each line, and what they are."""
     kept = [dim for dim in (hue, x) if dim]
     rest = tuple(dim for dim in variable.cell_dims if dim not in kept)
@@ -119,51 +123,53 @@ def _lines(variable: Variable, x: str, hue: str | None, over: Over, show: str, l
             f"over={over!r}: beside {' and '.join(kept)} there are {', '.join(rest) or 'no dims'}; expected all of them"
         )
 
-    def turned(array: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    def as_lines(array: np.ndarray, names: Sequence[str]) -> np.ndarray:
         array = np.asarray(array).transpose([names.index(dim) for dim in kept])
         return array if hue else array[None]
 
     if not dims:
         values = np.where(variable.done, variable.values, np.nan)
-        return _Lines(turned(values, variable.dims), None, None, turned(~variable.done, variable.dims), "")
+        return _SweepLines(as_lines(values, variable.dims), None, None, as_lines(~variable.done, variable.dims), "")
     replicates = "replicate" if variable.low_discrepancy and "replicate" in dims else None
     net = variable.low_discrepancy and not replicates
-    of = statistics(variable, dims, SPREAD, None if net else level, replicates)
+    of = statistics(variable, dims, SPREAD_QUANTILES, None if net else level, replicates)
     low, median, high = of.quantiles
     named = ", ".join(dims)
     if show == "mean":
-        words, centre, ends = f"mean ± standard error over {named}", of.mean, (of.mean - of.error, of.mean + of.error)
+        description, centre, ends = f"mean ± standard error over {named}", of.mean, (of.mean - of.error, of.mean + of.error)
     elif show == "median":
-        words, centre, ends = f"median over {named}, {100 * level:g} % interval", median.value, (median.low, median.high)
+        description, centre, ends = f"median over {named}, {100 * level:g} % interval", median.value, (median.low, median.high)
     else:
-        words, centre, ends = f"median over {named}, 5 % to 95 % quantile", median.value, (low.value, high.value)
+        description, centre, ends = f"median over {named}, 5 % to 95 % quantile", median.value, (low.value, high.value)
     if show != "spread" and (net or of.even):
         why = "a net" if net else f"{', '.join(of.even)} evenly laid out"
-        return _Lines(turned(centre, of.dims), None, None, turned(of.failed, of.dims), f"{show} over {named} ({why}: no error)")
-    words += ", open where cells are too few" if np.isinf(ends).any() and np.isfinite(centre).any() else ""
-    low, high = (turned(np.where(np.isinf(end), np.nan, end), of.dims) for end in ends)
-    return _Lines(turned(centre, of.dims), low, high, turned(of.failed, of.dims), words)
+        return _SweepLines(
+            as_lines(centre, of.dims), None, None, as_lines(of.failed, of.dims), f"{show} over {named} ({why}: no error)"
+        )
+    description += ", open where cells are too few" if np.isinf(ends).any() and np.isfinite(centre).any() else ""
+    low, high = (as_lines(np.where(np.isinf(end), np.nan, end), of.dims) for end in ends)
+    return _SweepLines(as_lines(centre, of.dims), low, high, as_lines(of.failed, of.dims), description)
 
 
-def _draw(ax: Axes, axis: cells.Coordinate, lines: _Lines, k: int, colour: Any, name: str) -> Any:
+def _draw_line(ax: Axes, axis: cells.Coordinate, lines: _SweepLines, k: int, colour: Any, name: str) -> Any:
     """Draw one line, and return what the legend shows of it."""
     parts = [None if part is None else part[k][axis.order] for part in (lines.centre, lines.low, lines.high)]
     rows = style.thin(*(part for part in parts if part is not None))
     x, (y, low, high) = axis.places[rows], (None if part is None else part[rows] for part in parts)
-    look: dict[str, Any] = {"color": colour, "linewidth": 1.4, "label": style.text(name or "value")}
-    if len(x) > FEW:
-        line = ax.plot(x, sure(y), **look)[0]
+    look: dict[str, Any] = {"color": colour, "linewidth": 1.4, "label": style.safe_text(name or "value")}
+    if len(x) > MAX_ERROR_BARS:
+        line = ax.plot(x, not_none(y), **look)[0]
         if low is not None and high is not None:
             ax.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
         return line
-    look |= {"marker": "o", "markersize": 4, "linestyle": "" if axis.words else "-"}
+    look |= {"marker": "o", "markersize": 4, "linestyle": "" if axis.labels else "-"}
     if low is None or high is None:
-        return ax.plot(x, sure(y), **look)[0]
-    ax.errorbar(x, sure(y), [sure(y) - low, high - sure(y)], capsize=3, elinewidth=1.1, **look)
+        return ax.plot(x, not_none(y), **look)[0]
+    ax.errorbar(x, not_none(y), [not_none(y) - low, high - not_none(y)], capsize=3, elinewidth=1.1, **look)
     return ax.plot([], [], **look)[0]
 
 
-def _legend(
+def _sweep_legend(
     ax: Axes, variable: Variable, hue: str | None, handles: Sequence[Any], axis: cells.Coordinate, failed: np.ndarray | None
 ) -> None:  # fmt: skip
     """Name the lines, by a colour bar where they are many; mark where cells failed."""
@@ -171,51 +177,56 @@ def _legend(
         x = axis.places[failed[axis.order]]
         look: dict[str, Any] = {"color": style.ALERT, "clip_on": False, "zorder": 5}
         ax.plot(x, np.zeros(len(x)), "x", transform=ax.get_xaxis_transform(), markersize=5, **look)
-    gone = cells.handle_without_result(variable, marker="" if failed is None else "x")
-    if hue is not None and len(handles) > IN_A_LEGEND and variable.coords[hue].dtype.kind in "biuf":
-        _bar(ax, variable, hue, [handle.get_color() for handle in handles])
+    gone = cells.missing_result_handles(variable, marker="" if failed is None else "x")
+    if hue is not None and len(handles) > MAX_LEGEND_LINES and variable.coords[hue].dtype.kind in "biuf":
+        _line_colour_bar(ax, variable, hue, [handle.get_color() for handle in handles])
         handles = []
     handles = [*(handle for handle in handles if handle.get_label() != "value"), *gone]
     if handles:
-        style.legend(ax, handles, column=len(handles) > IN_A_LEGEND + 1)
+        style.legend(ax, handles, column=len(handles) > MAX_LEGEND_LINES + 1)
 
 
-def _bar(ax: Axes, variable: Variable, hue: str, colours: Sequence[Any]) -> None:
+def _line_colour_bar(ax: Axes, variable: Variable, hue: str, colours: Sequence[Any]) -> None:
     """A colour bar with a colour for each line."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    count, values = len(colours), variable.coords[hue][style.spread(variable.sizes[hue], MOST_LINES)]
+    count, values = len(colours), variable.coords[hue][style.evenly_spread(variable.sizes[hue], MAX_SWEEP_LINES)]
     scale = ScalarMappable(Normalize(-0.5, count - 0.5), ListedColormap(colours))
-    bar = sure(ax.get_figure()).colorbar(scale, ax=ax, pad=0.02)
-    shown = style.spread(count, 7)
-    bar.set_ticks(list(shown), labels=[f"{values[k]:.4g}" for k in shown])
-    bar.set_label(style.text(cells.name_of(variable, hue)), fontsize=9)
+    bar = not_none(ax.get_figure()).colorbar(scale, ax=ax, pad=0.02)
+    ticks = style.evenly_spread(count, 7)
+    bar.set_ticks(list(ticks), labels=[f"{values[k]:.4g}" for k in ticks])
+    bar.set_label(style.safe_text(cells.coordinate_label(variable, hue)), fontsize=9)
     bar.ax.tick_params(labelsize=8, length=0)
 
 
-def _dots(ax: Axes, variable: Variable, x: str, along: str) -> Axes:
+def _draw_line_dots(ax: Axes, variable: Variable, x: str, along: str) -> Axes:
     """A dot a cell, over a coordinate of samples."""
     found, where = cells.last_rows(variable, ())
     at = [found.sizes[dim] if dim == along else 1 for dim in found.dims]
     places = np.broadcast_to(found.coords[x].astype(float).reshape(at), found.values.shape).ravel()
     done = found.done.ravel()
     rows = np.flatnonzero(done)
-    rows = rows[style.spread(len(rows), style.MAX_POINTS)]
+    rows = rows[style.evenly_spread(len(rows), style.MAX_POINTS)]
     y = found.values.ravel()[rows]
     dense = len(rows) > 500
     look = {"markersize": 2 if dense else 4, "alpha": 0.35 if dense else 0.8, "markeredgewidth": 0}
     ax.plot(places[rows], y, "o", color=style.LINES[0], rasterized=True, **look)
-    shown = style.of(len(rows), int(done.sum()), "evenly spread")
-    style.dress(ax, f"{style.short(found.title, 32)}{where}, a dot a cell{shown}", cells.name_of(found, x), cells.quantity(found))
+    note = style.selection_note(len(rows), int(done.sum()), "evenly spread")
+    style.dress(
+        ax,
+        f"{style.shorten(found.title, 32)}{where}, a dot a cell{note}",
+        cells.coordinate_label(found, x),
+        cells.quantity_label(found),
+    )
     if cells.spans_decades(y):
         ax.set_yscale("log")
     if cells.spans_decades(places):
         ax.set_xscale("log")
     if not rows.size:
-        cells.say(ax, "no cell has a result")
+        cells.write_note(ax, "no cell has a result")
     axis = cells.Coordinate("", np.arange(len(places)), places, None, False)
-    _legend(ax, found, None, [], axis, ~done)
+    _sweep_legend(ax, found, None, [], axis, ~done)
     return ax
 
 
@@ -233,45 +244,45 @@ def sweep_histogram(variable: Any, *, ax: Axes | None = None) -> Axes:
         ax: where to draw; a new figure by default.
     """
     found, where = cells.last_rows(as_variable(variable, "sweep_histogram"), ())
-    ax = style.axes(ax)
+    ax = style.get_axes(ax)
     done = found.values[found.done].astype(float)
     values = np.sort(done[np.isfinite(done)])
     count = f"{done.size} cell{'s' if done.size != 1 else ''}"
-    style.dress(ax, f"{style.short(found.title, 40)}{where}: {count}", cells.quantity(found), "share of the cells done")
+    style.dress(ax, f"{style.shorten(found.title, 40)}{where}: {count}", cells.quantity_label(found), "share of the cells done")
     handles = []
     if values.size:
         log = cells.spans_decades(values)
-        atoms, rest = _atoms(values)
+        atoms, rest = _split_atoms(values)
         top = np.inf
         if rest.size:
-            edges = _edges(rest, log)
+            edges = _bin_edges(rest, log)
             heights = np.histogram(rest, edges)[0] / done.size
             ax.bar(edges[:-1], heights, np.diff(edges), align="edge", color=style.LOWER, edgecolor="white", linewidth=0.5)
-            top = TALLEST * heights.max()
-        handles += _spikes(ax, atoms, done.size, top, found.unit)
-        handles += _centre(ax, values, found.unit) if len(atoms) != 1 or rest.size else []
+            top = MAX_SPIKE_RATIO * heights.max()
+        handles += _draw_atoms(ax, atoms, done.size, top, found.unit)
+        handles += _draw_averages(ax, values, found.unit) if len(atoms) != 1 or rest.size else []
         if log:
             ax.set_xscale("log")
         ax.set_ylim(0, top if any(size > top * done.size for _, size in atoms) else None)
     else:
-        cells.say(ax, "no cell has a result" if not done.size else "no value is finite")
-    handles += cells.handle_without_result(found, marker="") + _not_finite(done.size - values.size)
+        cells.write_note(ax, "no cell has a result" if not done.size else "no value is finite")
+    handles += cells.missing_result_handles(found, marker="") + _not_finite_handle(done.size - values.size)
     if handles:
         style.legend(ax, handles)
     return ax
 
 
-def _atoms(values: np.ndarray) -> tuple[list[tuple[float, int]], np.ndarray]:
+def _split_atoms(values: np.ndarray) -> tuple[list[tuple[float, int]], np.ndarray]:
     """Values that many cells have, with how many, and the others; of sorted values."""
-    near = max(SAME * (values[-1] - values[0]), 1e-13 * np.abs(values).max())
+    near = max(ATOM_TOLERANCE * (values[-1] - values[0]), 1e-13 * np.abs(values).max())
     starts = np.flatnonzero(np.r_[True, np.diff(values) > near])
     sizes = np.diff(np.r_[starts, len(values)])
-    many = sizes >= max(3, ATOM * len(values)) if len(starts) > 1 else np.ones(1, dtype=bool)
+    many = sizes >= max(3, ATOM_SHARE * len(values)) if len(starts) > 1 else np.ones(1, dtype=bool)
     atoms = [(float(values[start + size // 2]), int(size)) for start, size in zip(starts[many], sizes[many], strict=True)]
     return atoms, values[~np.repeat(many, sizes)]
 
 
-def _edges(values: np.ndarray, log: bool) -> np.ndarray:
+def _bin_edges(values: np.ndarray, log: bool) -> np.ndarray:
     """Edges of bars of one width, 2 n^(1/3) of them (Rice's rule), between 8 and 80."""
     low, high = values[0], values[-1]
     count = int(np.clip(2 * np.cbrt(len(values)), 8, 80))
@@ -280,7 +291,7 @@ def _edges(values: np.ndarray, log: bool) -> np.ndarray:
     return np.geomspace(low, high, count + 1) if log and low > 0 else np.linspace(low, high, count + 1)
 
 
-def _spikes(ax: Axes, atoms: Sequence[tuple[float, int]], count: int, top: float, unit: str) -> list[Any]:
+def _draw_atoms(ax: Axes, atoms: Sequence[tuple[float, int]], count: int, top: float, unit: str) -> list[Any]:
     """Draw the atoms, and name the largest; those above the top of the axes end there in an arrow."""
     from matplotlib.lines import Line2D
 
@@ -291,13 +302,13 @@ def _spikes(ax: Axes, atoms: Sequence[tuple[float, int]], count: int, top: float
     ax.vlines(x, 0, np.minimum(shares, top), color=style.LINES[1], linewidth=2.2, zorder=3)
     ax.plot(x[~cut], shares[~cut], "o", color=style.LINES[1], markersize=5)
     ax.plot(x[cut], np.full(cut.sum(), top), "^", color=style.LINES[1], markersize=9, clip_on=False)
-    largest = np.argsort(-shares, kind="stable")[:NAMED]
-    named = [f"{100 * shares[k]:.3g} % at {x[k]:.5g} {unit}".rstrip() + CUT * bool(cut[k]) for k in largest]
-    named += [f"{len(atoms) - NAMED} more such values"] if len(atoms) > NAMED else []
-    return [Line2D([], [], color=style.LINES[1], marker="o", markersize=4, label=style.text(words)) for words in named]
+    largest = np.argsort(-shares, kind="stable")[:NAMED_ATOMS]
+    named = [f"{100 * shares[k]:.3g} % at {x[k]:.5g} {unit}".rstrip() + CUT_LABEL * bool(cut[k]) for k in largest]
+    named += [f"{len(atoms) - NAMED_ATOMS} more such values"] if len(atoms) > NAMED_ATOMS else []
+    return [Line2D([], [], color=style.LINES[1], marker="o", markersize=4, label=style.safe_text(label)) for label in named]
 
 
-def _centre(ax: Axes, values: np.ndarray, unit: str) -> list[Any]:
+def _draw_averages(ax: Axes, values: np.ndarray, unit: str) -> list[Any]:
     """Draw the median and the mean."""
     found = (("median", float(np.median(values)), "-"), ("mean", float(values.mean()), (0, (4, 2))))
     return [
@@ -306,7 +317,7 @@ def _centre(ax: Axes, values: np.ndarray, unit: str) -> list[Any]:
     ]  # fmt: skip
 
 
-def _not_finite(count: int) -> list[Any]:
+def _not_finite_handle(count: int) -> list[Any]:
     from matplotlib.lines import Line2D
 
     return [Line2D([], [], linestyle="", label=f"{count} not finite")] if count else []
@@ -326,10 +337,10 @@ def sweep_overview(variable: Any, *, ax: Axes | None = None) -> Axes:
         ax: where to draw; a new figure by default.
     """
     whole = as_variable(variable, "sweep_overview")
-    laid = [dim for dim in cells.parameters(whole) if whole.sizes[dim] > 1] or cells.parameters(whole)
+    laid = [dim for dim in cells.parameter_dims(whole) if whole.sizes[dim] > 1] or cells.parameter_dims(whole)
     if len(laid) > 1:
         return sweep_map(whole, laid[0], laid[1], ax=ax)
     if laid:
-        few = TIME in whole.dims and whole.sizes[laid[0]] <= IN_A_LEGEND
-        return sweep_line(whole, TIME, laid[0], ax=ax) if few else sweep_line(whole, laid[0], ax=ax)
-    return sweep_line(whole, TIME, show="spread", ax=ax) if TIME in whole.dims else sweep_histogram(whole, ax=ax)
+        few = TIME_DIM in whole.dims and whole.sizes[laid[0]] <= MAX_LEGEND_LINES
+        return sweep_line(whole, TIME_DIM, laid[0], ax=ax) if few else sweep_line(whole, laid[0], ax=ax)
+    return sweep_line(whole, TIME_DIM, show="spread", ax=ax) if TIME_DIM in whole.dims else sweep_histogram(whole, ax=ax)

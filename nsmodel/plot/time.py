@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from nsmodel.columns import input_names, multiplier_names, output_names, state_names
-from nsmodel.defaults import TOLERANCE
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import PlotError
 from nsmodel.plot import band, continuous, style
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
-from nsmodel.quantities import limits, quantity_of
+from nsmodel.quantities import quantity_at_step_ends, read_quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 MAX_LINES = 12
-LEAST = 1e-20  # Residuals below are as good as 0.
+MIN_RESIDUAL = 1e-20  # Residuals below are as good as 0.
 # Each dash over the one before: lines that coincide stay visible.
 DASHES: tuple[tuple[float, Any], ...] = ((2.4, "-"), (1.6, (0, (7, 3))), (1.6, (0, (3.5, 3.5))), (1.4, (0, (1.5, 1.5))))
 
@@ -52,23 +52,25 @@ def states(
     known, note = state_names(run), ""
     discs = names is None and bool(run.metadata.get("scene"))
     if names is not None:
-        picks = _named(run, names)
+        picks = _state_columns(run, names)
     elif discs:  # x and y of a disc: one colour, two dashes
-        bodies = style.spread(len(known) // 2, max(1, limit // 2))
+        bodies = style.evenly_spread(len(known) // 2, max(1, limit // 2))
         picks = np.stack([2 * bodies, 2 * bodies + 1], axis=1).ravel().tolist()
-        note = style.of(len(picks), len(known), "bodies evenly spread")
+        note = style.selection_note(len(picks), len(known), "bodies evenly spread")
     else:
-        picks = style.spread(len(known), limit).tolist()
-        note = style.of(len(picks), len(known), "evenly spread")
+        picks = style.evenly_spread(len(known), limit).tolist()
+        note = style.selection_note(len(picks), len(known), "evenly spread")
     paint = [colour for colour in style.colours(len(picks) // 2) for _ in "xy"] if discs else style.colours(len(picks))
     looks = [{"color": c, "linewidth": 1.5, "linestyle": "--" if discs and k % 2 else "-"} for k, c in enumerate(paint)]
-    ax, chosen = style.axes(ax), [known[k] for k in picks]
-    drawn = _Columns(run.x[:, picks], chosen, [style.unit(run, name) for name in chosen], is_rounding(run, "x", model)[picks])
-    _series(ax, run, f"States{note}", "state", drawn, looks)
+    ax, chosen = style.get_axes(ax), [known[k] for k in picks]
+    drawn = _PlotColumns(
+        run.x[:, picks], chosen, [style.quantity_unit(run, name) for name in chosen], is_rounding(run, "x", model)[picks]
+    )
+    _draw_series(ax, run, f"States{note}", "state", drawn, looks)
     return ax
 
 
-def _named(run: Trajectory, wanted: Sequence[str]) -> list[int]:
+def _state_columns(run: Trajectory, wanted: Sequence[str]) -> list[int]:
     """Columns of the states and stems with these names."""
     names, stems = state_names(run), run.metadata.get("stems") or {}
     picks: list[int] = []
@@ -101,20 +103,20 @@ def multipliers(
     if which not in ("multipliers", "reactions"):
         raise PlotError(f"which is {which!r}: give 'multipliers' or 'reactions'")
     run = run.smooth()
-    values = style.table(run, which) if which == "multipliers" else style.needed(run, which)
+    values = style.array_columns(run, which) if which == "multipliers" else style.required_array(run, which)
     if not values.shape[1]:
         raise PlotError("this run has no multipliers: its model has no law")
-    picks = _largest(style.sizes(values), limit)
+    picks = _largest_positions(style.largest_magnitudes(values), limit)
     looks = [
         {"color": c, "drawstyle": "steps-pre", "linewidth": DASHES[k % 4][0], "linestyle": DASHES[k % 4][1]}
         for k, c in enumerate(style.colours(len(picks)))
     ]
     title = "Multipliers" if which == "multipliers" else "Reactions" if run.is_event_driven else "Reactions (multipliers / step)"
-    title += style.of(len(picks), values.shape[1], "the largest")
-    ax, names = style.axes(ax), [multiplier_names(run)[k] for k in picks]
-    units = [style.unit(run, which if which == "reactions" else name) for name in names]
-    drawn = _Columns(values[:, picks], names, units, is_rounding(run, which, model)[picks])
-    _series(ax, run, title, which[:-1], drawn, looks)
+    title += style.selection_note(len(picks), values.shape[1], "the largest")
+    ax, names = style.get_axes(ax), [multiplier_names(run)[k] for k in picks]
+    units = [style.quantity_unit(run, which if which == "reactions" else name) for name in names]
+    drawn = _PlotColumns(values[:, picks], names, units, is_rounding(run, which, model)[picks])
+    _draw_series(ax, run, title, which[:-1], drawn, looks)
     return ax
 
 
@@ -125,17 +127,17 @@ def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -
         PlotError: the run has none.
 
     """
-    begin, end = style.needed(run, "inputs_begin"), style.needed(run, "inputs")
+    begin, end = style.required_array(run, "inputs_begin"), style.required_array(run, "inputs")
     known = input_names(run)
-    picks = style.spread(len(known), limit).tolist()
+    picks = style.evenly_spread(len(known), limit).tolist()
     t = np.repeat(run.t, 2)[1:-1]
     values = np.stack([begin[1:], end[1:]], axis=1).reshape(t.size, -1)[:, picks]
     looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
     drawn = replace(run, arrays={**run.arrays, "t": t})
-    ax, names = style.axes(ax), [known[k] for k in picks]
-    title = f"Inputs{style.of(len(picks), len(known), 'evenly spread')}"
-    units = [style.unit(run, name) for name in names]
-    _series(ax, drawn, title, "input", _Columns(values, names, units, np.zeros(len(names), bool)), looks)
+    ax, names = style.get_axes(ax), [known[k] for k in picks]
+    title = f"Inputs{style.selection_note(len(picks), len(known), 'evenly spread')}"
+    units = [style.quantity_unit(run, name) for name in names]
+    _draw_series(ax, drawn, title, "input", _PlotColumns(values, names, units, np.zeros(len(names), bool)), looks)
     return ax
 
 
@@ -162,28 +164,30 @@ def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int =
         run = run.smooth()
         values = np.column_stack([run.arrays[name].reshape(len(run.t), -1) for name in wanted])
     else:
-        ends = [np.stack(limits(run, *quantity_of(run, name), 0, len(run)), axis=1) for name in wanted]
+        ends = [np.stack(quantity_at_step_ends(run, *read_quantity(run, name), 0, len(run)), axis=1) for name in wanted]
         values = np.column_stack([pair.reshape(2 * len(run), -1) for pair in ends])
         run = replace(run, arrays={**run.arrays, "t": np.repeat(run.t, 2)[1:-1]})
-    picks = _largest(style.sizes(values), limit if names is None else len(entries)).tolist()
+    picks = _largest_positions(style.largest_magnitudes(values), limit if names is None else len(entries)).tolist()
     looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
-    units = [style.unit(run, entries[k][0]) for k in picks]
-    title = f"Outputs{style.of(len(picks), len(entries), 'the largest')}"
-    ax = style.axes(ax)
+    units = [style.quantity_unit(run, entries[k][0]) for k in picks]
+    title = f"Outputs{style.selection_note(len(picks), len(entries), 'the largest')}"
+    ax = style.get_axes(ax)
     tables = [(name, whole.arrays[name].reshape(len(whole.t), -1)) for name in wanted]
     still = np.concatenate([output_is_rounding(whole, name, table) for name, table in tables])
-    _series(ax, run, title, "output", _Columns(values[:, picks], [entries[k][1] for k in picks], units, still[picks]), looks)
+    _draw_series(
+        ax, run, title, "output", _PlotColumns(values[:, picks], [entries[k][1] for k in picks], units, still[picks]), looks
+    )
     return ax
 
 
-def _largest(size: np.ndarray, limit: int) -> np.ndarray:
+def _largest_positions(size: np.ndarray, limit: int) -> np.ndarray:
     """Positions, in their order, of the largest sizes; of those that tie for the last places, some evenly spread."""
     cut = np.sort(size)[-min(limit, len(size))]
     above, ties = np.flatnonzero(size > cut), np.flatnonzero(size == cut)
-    return np.sort(np.concatenate([above, ties[style.spread(len(ties), limit - len(above))]]))
+    return np.sort(np.concatenate([above, ties[style.evenly_spread(len(ties), limit - len(above))]]))
 
 
-class _Columns(NamedTuple):
+class _PlotColumns(NamedTuple):
     """Columns (K, k) over time, their names and units, and which of them are rounding."""
 
     values: np.ndarray
@@ -192,28 +196,30 @@ class _Columns(NamedTuple):
     still: np.ndarray
 
 
-def _series(ax: Axes, run: Trajectory, title: str, word: str, columns: _Columns, looks: Sequence[dict[str, Any]]) -> None:
+def _draw_series(
+    ax: Axes, run: Trajectory, title: str, word: str, columns: _PlotColumns, looks: Sequence[dict[str, Any]]
+) -> None:
     """Draw columns over time, with units, with a second axis on the right where two units or sizes are mixed."""
     names, units, values = columns.names, columns.units, columns.values
     values = np.where(columns.still, 0 * values, values) if columns.still.any() else values
-    labels = [style.zero(style.short(name), own) for name, own in zip(names, columns.still, strict=True)]
-    second = _second_axis(values, units, columns.still)
+    labels = [style.mark_rounding(style.shorten(name), own) for name, own in zip(names, columns.still, strict=True)]
+    second = _second_axis_columns(values, units, columns.still)
     first, right = [k for k in range(len(names)) if k not in second], ax.twinx() if second else ax
     lines, widths = [], []
     for k, label in enumerate(labels):
         side, where = (right, " (right axis)") if k in second else (ax, "")
         label = style.with_unit(label, units[k]) if second or len(set(units)) > 1 else label
-        line, width = band.curve(side, run.t, values[:, k], label=style.text(label + where), **looks[k])
+        line, width = band.draw_curve(side, run.t, values[:, k], label=style.safe_text(label + where), **looks[k])
         lines.append(line)
         widths.append(width)
-    title += band.words(widths, style.unit(run, "t"))
+    title += band.means_note(widths, style.quantity_unit(run, "t"))
     for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
         few = ", ".join(labels[k] for k in group)
         few = few if len(few) <= 30 else f"{word}s"
         few = f"{word} of {few}" if len(names) == 1 and word not in ("state", "input", "output") else few
         unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
-        style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
-        style.steady(side, values if len(group) == len(names) else values[:, group])
+        style.dress_over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
+        style.set_steady_limits(side, values if len(group) == len(names) else values[:, group])
         if second and len(group) == 1:
             side.yaxis.label.set_color(lines[group[0]].get_color())
     if second:
@@ -222,7 +228,7 @@ def _series(ax: Axes, run: Trajectory, title: str, word: str, columns: _Columns,
         style.legend(ax, lines, column=len(names) > 6)
 
 
-def _second_axis(values: np.ndarray, units: Sequence[str], still: np.ndarray) -> list[int]:
+def _second_axis_columns(values: np.ndarray, units: Sequence[str], still: np.ndarray) -> list[int]:
     """Columns for an axis of their own: those in the second of two units; or, no units given, of a size 20 apart.
 
     What is ``still`` has none: it is 0 on any.
@@ -235,7 +241,7 @@ def _second_axis(values: np.ndarray, units: Sequence[str], still: np.ndarray) ->
         return [k for k in moving if units[k] == kinds[1]]
     if kinds != [""]:
         return []
-    size = style.sizes(values[:, moving])
+    size = style.largest_magnitudes(values[:, moving])
     small = (0 < size) & (20 * size <= size.max())
     return [k for k, other in zip(moving, small != small[0], strict=True) if other]
 
@@ -246,27 +252,27 @@ def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     A residual of exactly 0 has no place on this scale, and one below 1e-20 says no more: they are drawn at the bottom, and an
     unknown one (inf) at the top; the legend counts them.
     """
-    ax = style.axes(ax)
-    t, values, tolerance = run.t[1:], style.needed(run, "residual")[1:], run.metadata.get("tolerance")
-    usual = np.isfinite(values) & (values > LEAST)
-    none = f"below {LEAST:g}" if ((values > 0) & (values <= LEAST)).any() else "exactly 0"
-    marks = np.append(values[usual], tolerance or TOLERANCE)
+    ax = style.get_axes(ax)
+    t, values, tolerance = run.t[1:], style.required_array(run, "residual")[1:], run.metadata.get("tolerance")
+    usual = np.isfinite(values) & (values > MIN_RESIDUAL)
+    none = f"below {MIN_RESIDUAL:g}" if ((values > 0) & (values <= MIN_RESIDUAL)).any() else "exactly 0"
+    marks = np.append(values[usual], tolerance or DEFAULT_TOLERANCE)
     low, high = min(marks.min(), 1e-15) / 30, marks.max() * 10
     handles = []
-    for mask, shown, marker, colour, words in (
+    for mask, drawn, marker, colour, label_format in (
         (usual, values, ".", style.LINES[0], "steps"),
-        (values <= LEAST, np.full(len(t), low * 1.6), "v", style.FREE, none + ": {}, at the bottom"),
+        (values <= MIN_RESIDUAL, np.full(len(t), low * 1.6), "v", style.FREE, none + ": {}, at the bottom"),
         (np.isposinf(values), np.full(len(t), high / 1.6), "^", style.ALERT, "unknown: {}, at the top"),
     ):
         if mask.any():
-            kept = np.flatnonzero(mask)[style.thin(shown[mask])]
-            label = words.format(f"{mask.sum()} of {len(t)}")
-            handles += ax.plot(t[kept], shown[kept], marker, color=colour, markersize=4, label=label)
+            kept = np.flatnonzero(mask)[style.thin(drawn[mask])]
+            label = label_format.format(f"{mask.sum()} of {len(t)}")
+            handles += ax.plot(t[kept], drawn[kept], marker, color=colour, markersize=4, label=label)
     ax.set_yscale("log")
     ax.set_ylim(low, high)
     if tolerance:
         handles.append(ax.axhline(tolerance, color=style.ALERT, linewidth=1.2, label=f"tolerance {tolerance:.3g}"))
-    style.over_time(ax, run, "Residual", "residual, no unit")
+    style.dress_over_time(ax, run, "Residual", "residual, no unit")
     style.legend(ax, handles)
     return ax
 
@@ -278,11 +284,13 @@ def energy(run: Trajectory, *, model: Model | None = None, ax: Axes | None = Non
         PlotError: the run holds no energy.
 
     """
-    style.needed(run, "energy")
-    run, lines = continuous.smooth(run, model)
-    values, ax = run.arrays["energy"], style.axes(ax)
-    _, width = band.curve(ax, run.t, values, color=style.LINES[0], linewidth=1.6)
-    title = "Energy" + (f" ({continuous.LINES})" if lines else "") + band.words([width], style.unit(run, "t"))
-    style.over_time(ax, run, title, style.label(run, "energy"))
-    style.steady(ax, values)
+    style.required_array(run, "energy")
+    run, lines = continuous.smooth_with_energy(run, model)
+    values, ax = run.arrays["energy"], style.get_axes(ax)
+    _, width = band.draw_curve(ax, run.t, values, color=style.LINES[0], linewidth=1.6)
+    title = (
+        "Energy" + (f" ({continuous.ENERGY_ON_LINES})" if lines else "") + band.means_note([width], style.quantity_unit(run, "t"))
+    )
+    style.dress_over_time(ax, run, title, style.label_with_unit(run, "energy"))
+    style.set_steady_limits(ax, values)
     return ax

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel import windows
-from nsmodel.archive import LIST
+from nsmodel.archive import LIST_PREFIXES
 from nsmodel.errors import PlotError
 
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 Window = tuple[float | None, float | None]
-FINE = 2000  # Rows of an event-driven run, which are read off its polynomials.
+WINDOW_POINTS = 2000  # Rows of an event-driven run, which are read off its polynomials.
 
 
 def window(run: Trajectory, t: Window | None) -> Trajectory:
@@ -33,18 +33,18 @@ def window(run: Trajectory, t: Window | None) -> Trajectory:
     """
     if t is None:
         return run
-    begin, end = windows.window(run, *_ends(t))
+    begin, end = windows.check_window(run, *_window_ends(t))
     kept = replace(run, metadata=run.metadata | {"window": [begin, end]})
     if "piece_x" in run.arrays and len(run.arrays["piece_start"]):
-        return kept.smooth(FINE, begin, end)
+        return kept.smooth(WINDOW_POINTS, begin, end)
     first, stop = int(np.searchsorted(run.t, begin, "left")), int(np.searchsorted(run.t, end, "right"))
     if stop - first < 2:
         rows = f"the rows next to it are at t = {', '.join(f'{time:.6g}' for time in run.t[max(first - 1, 0) : stop + 1])}"
         raise PlotError(f"window t = {begin:.6g} to {end:.6g} holds {stop - first} rows, and a picture needs 2: {rows}")
-    return replace(kept, arrays=_cut(run, first, stop))
+    return replace(kept, arrays=_cut_arrays(run, first, stop))
 
 
-def _ends(t: Any) -> Window:
+def _window_ends(t: Any) -> Window:
     """Both ends as numbers or None."""
     try:
         begin, end = (None if one is None else float(one) for one in t)
@@ -55,9 +55,9 @@ def _ends(t: Any) -> Window:
     return begin, end
 
 
-def _cut(run: Trajectory, first: int, stop: int) -> dict[str, np.ndarray]:
+def _cut_arrays(run: Trajectory, first: int, stop: int) -> dict[str, np.ndarray]:
     """The arrays of these rows; lists (see archive.LIST) of what belongs to them."""
-    arrays = {name: array[first:stop] for name, array in run.arrays.items() if not name.startswith(LIST)}
+    arrays = {name: array[first:stop] for name, array in run.arrays.items() if not name.startswith(LIST_PREFIXES)}
     if "contact_row" in run.arrays:
         part = slice(*np.searchsorted(run.arrays["contact_row"], [first, stop]))
         arrays |= {name: array[part] for name, array in run.arrays.items() if name.startswith("contact_")}

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 
-def attached(
+def attach_buffers(
     function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]
 ) -> tuple[Any, Callable[[], None]]:
     """Return (buffer, call): the call reads and writes these arrays, columns first, as long as the buffer lives."""

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 
-def components(pattern: np.ndarray) -> list[list[int]]:
+def connected_components(pattern: np.ndarray) -> list[list[int]]:
     """Return the connected parts of a graph, given by its symmetric pattern (n, n) of edges.
 
-    >>> components(np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]]))
+    >>> connected_components(np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]]))
     [[0, 2], [1]]
     """
     pattern = np.asarray(pattern, bool)
@@ -25,19 +25,19 @@ def components(pattern: np.ndarray) -> list[list[int]]:
     return parts
 
 
-def sharing(sets: Sequence[set[int]]) -> list[list[int]]:
+def overlapping_groups(sets: Sequence[set[int]]) -> list[list[int]]:
     """Return groups of indices of sets that share members, directly or through others.
 
-    >>> sharing([{1, 2}, {3}, {2, 4}])
+    >>> overlapping_groups([{1, 2}, {3}, {2, 4}])
     [[1], [0, 2]]
     """
     groups: list[tuple[set[int], list[int]]] = []
     for k, own in enumerate(sets):
-        members, rows, apart = set(own), [k], []
+        members, rows, separate = set(own), [k], []
         for others, indices in groups:
             if others & own:
                 members, rows = members | others, indices + rows
             else:
-                apart.append((others, indices))
-        groups = [*apart, (members, rows)]
+                separate.append((others, indices))
+        groups = [*separate, (members, rows)]
     return [sorted(rows) for _, rows in groups]

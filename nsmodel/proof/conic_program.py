@@ -7,31 +7,33 @@ from typing import Any
 import numpy as np
 
 
-def zero(size: int) -> Any:
+def zero_cone(size: int) -> Any:
     """The cone {0}."""
-    return _clarabel().ZeroConeT(size)
+    return _import_clarabel().ZeroConeT(size)
 
 
-def nonnegative(size: int) -> Any:
+def nonnegative_cone(size: int) -> Any:
     """The cone of vectors >= 0."""
-    return _clarabel().NonnegativeConeT(size)
+    return _import_clarabel().NonnegativeConeT(size)
 
 
-def second_order(size: int) -> Any:
+def lorentz_cone(size: int) -> Any:
     """The cone of vectors (s, v) with |v| <= s."""
-    return _clarabel().SecondOrderConeT(size)
+    return _import_clarabel().SecondOrderConeT(size)
 
 
-def semidefinite(order: int) -> Any:
+def semidefinite_cone(order: int) -> Any:
     """The cone of symmetric matrices >= 0, as the scaled columns of their upper triangles."""
-    return _clarabel().PSDTriangleConeT(order)
+    return _import_clarabel().PSDTriangleConeT(order)
 
 
-def minimise(cost: np.ndarray, A: Any, b: np.ndarray, cones: list[Any], P: Any = None, tolerance: float | None = None) -> Any:
+def solve_conic_program(
+    cost: np.ndarray, A: Any, b: np.ndarray, cones: list[Any], P: Any = None, tolerance: float | None = None
+) -> Any:
     """Return Clarabel's solution of min x'Px/2 + cost'x with b - A x in the cones, in their order; the caller verifies it."""
     from scipy import sparse
 
-    clarabel = _clarabel()
+    clarabel = _import_clarabel()
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     if tolerance is not None:
@@ -40,7 +42,7 @@ def minimise(cost: np.ndarray, A: Any, b: np.ndarray, cones: list[Any], P: Any =
     return clarabel.DefaultSolver(quadratic, cost, sparse.csc_matrix(A), b, cones, settings).solve()
 
 
-def _clarabel() -> Any:
+def _import_clarabel() -> Any:
     """The module, whose names pyright does not see; loaded where it is used."""
     import clarabel
 

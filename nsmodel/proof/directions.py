@@ -9,15 +9,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.graph import applied
-from nsmodel.proof.interval import natural
+from nsmodel.proof.graph import apply_operation
+from nsmodel.proof.interval import natural_extension
 from nsmodel.proof.interval_functions import OPERATIONS
 from nsmodel.proof.straight_line import Program, is_double, program
 
-LONG = 3000  # Instructions; longer programs are left as they are.
+MAX_PROGRAM_LENGTH = 3000  # Instructions; longer programs are left as they are.
 
 
-class Reduced(NamedTuple):
+class ReducedExpression(NamedTuple):
     """``expr`` in the symbols d (r, 1), which stand for affine functions of z.
 
     Attributes:
@@ -35,25 +35,25 @@ class Reduced(NamedTuple):
     constant: np.ndarray
 
 
-class _Affine(NamedTuple):
+class _AffineFunction(NamedTuple):
     """coefficients z + constant, exactly."""
 
     coefficients: Mapping[int, Fraction]
     constant: Fraction
 
-    def scaled(self, factor: Fraction) -> _Affine:
+    def scaled(self, factor: Fraction) -> _AffineFunction:
         """Return factor times this."""
-        return _Affine({i: factor * c for i, c in self.coefficients.items() if factor}, factor * self.constant)
+        return _AffineFunction({i: factor * c for i, c in self.coefficients.items() if factor}, factor * self.constant)
 
-    def plus(self, other: _Affine) -> _Affine:
+    def plus(self, other: _AffineFunction) -> _AffineFunction:
         """Return the sum."""
         total = dict(self.coefficients)
         for i, c in other.coefficients.items():
             total[i] = total.get(i, Fraction(0)) + c
-        return _Affine({i: c for i, c in total.items() if c}, self.constant + other.constant)
+        return _AffineFunction({i: c for i, c in total.items() if c}, self.constant + other.constant)
 
 
-def reduced(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Reduced | None:
+def reduce_coordinates(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> ReducedExpression | None:
     """Return a column ``expr`` in fewer symbols, or None where it takes as many as it holds.
 
     The greatest affine parts of the expression are taken as new symbols, those that are multiples of one another (plus a
@@ -61,41 +61,45 @@ def reduced(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Redu
     """
     code = program(expr, z)
     used = sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))
-    if len(used) < 2 or len(code.steps) > LONG or any(step.sources and step.op not in OPERATIONS for step in code.steps):
+    if (
+        len(used) < 2
+        or len(code.steps) > MAX_PROGRAM_LENGTH
+        or any(step.sources and step.op not in OPERATIONS for step in code.steps)
+    ):
         return None
-    affine = _affine_parts(code)
-    atoms, links = _grouped(affine, _greatest(code, affine))
+    affine = _affine_values(code)
+    atoms, links = _group_directions(affine, _maximal_affine_values(code, affine))
     if len(atoms) >= len(used):
         return None
     d = ca.SX.sym("d", len(atoms))
-    nodes = _rebuilt(code, dict(zip(used, ca.vertsplit(z[used]), strict=True)), {})
+    nodes = _rebuild_expressions(code, dict(zip(used, ca.vertsplit(z[used]), strict=True)), {})
     exprs, matrix = [], np.zeros((len(atoms), code.inputs))
     for row, atom in enumerate(atoms):
         for i, c in atom.part.coefficients.items():
             matrix[row, i] = float(c)
         exprs.append(ca.dot(ca.SX(ca.DM(matrix[row])), z) if atom.node is None else nodes[atom.node])
-    lo, hi = natural(program(ca.vertcat(*exprs), z), lower[None], upper[None])
-    values = _rebuilt(code, {}, {i: factor * d[row] + offset for i, (row, factor, offset) in links.items()})
+    lo, hi = natural_extension(program(ca.vertcat(*exprs), z), lower[None], upper[None])
+    values = _rebuild_expressions(code, {}, {i: factor * d[row] + offset for i, (row, factor, offset) in links.items()})
     constant = np.array([float(atom.part.constant) for atom in atoms])
-    return Reduced(ca.vertcat(*(values[j] for j in code.outputs)), d, lo[:, 0], hi[:, 0], matrix, constant)
+    return ReducedExpression(ca.vertcat(*(values[j] for j in code.outputs)), d, lo[:, 0], hi[:, 0], matrix, constant)
 
 
-def _affine_parts(code: Program) -> dict[int, _Affine]:
+def _affine_values(code: Program) -> dict[int, _AffineFunction]:
     """Return the values that are affine in z."""
-    found: dict[int, _Affine] = {}
+    found: dict[int, _AffineFunction] = {}
     for i, step in enumerate(code.steps):
         if step.op == ca.OP_INPUT:
-            found[i] = _Affine({step.slot: Fraction(1)}, Fraction(0))
+            found[i] = _AffineFunction({step.slot: Fraction(1)}, Fraction(0))
         elif step.op == ca.OP_CONST and np.isfinite(step.number):
-            found[i] = _Affine({}, Fraction(step.number))
+            found[i] = _AffineFunction({}, Fraction(step.number))
         elif step.sources and all(j in found for j in step.sources):
-            result = _combined(step.op, [found[j] for j in step.sources])
+            result = _combine_affine(step.op, [found[j] for j in step.sources])
             if result is not None:
                 found[i] = result
     return found
 
 
-def _combined(op: int, args: list[_Affine]) -> _Affine | None:
+def _combine_affine(op: int, args: list[_AffineFunction]) -> _AffineFunction | None:
     """Return the result of an operation where it is affine."""
     first, last = args[0], args[-1]
     if op in (ca.OP_ADD, ca.OP_SUB):
@@ -109,7 +113,7 @@ def _combined(op: int, args: list[_Affine]) -> _Affine | None:
     return None
 
 
-def _greatest(code: Program, affine: Mapping[int, _Affine]) -> list[int]:
+def _maximal_affine_values(code: Program, affine: Mapping[int, _AffineFunction]) -> list[int]:
     """Return the affine values with symbols that others than affine values use."""
     wanted = set(code.outputs)
     for i, step in enumerate(code.steps):
@@ -118,26 +122,28 @@ def _greatest(code: Program, affine: Mapping[int, _Affine]) -> list[int]:
     return sorted(i for i in wanted if i in affine and affine[i].coefficients)
 
 
-class _Atom(NamedTuple):
+class _DirectionSymbol(NamedTuple):
     """What a new symbol stands for: an affine function with exact doubles in it, or else the value ``node`` itself."""
 
-    part: _Affine
+    part: _AffineFunction
     node: int | None
 
 
-def _grouped(affine: Mapping[int, _Affine], parts: list[int]) -> tuple[list[_Atom], dict[int, tuple[int, float, float]]]:
+def _group_directions(
+    affine: Mapping[int, _AffineFunction], parts: list[int]
+) -> tuple[list[_DirectionSymbol], dict[int, tuple[int, float, float]]]:
     """Return an atom for each direction, and each part as (its atom, factor, offset), these two exact doubles."""
-    atoms: list[_Atom] = []
+    atoms: list[_DirectionSymbol] = []
     rows: dict[frozenset[tuple[int, Fraction]], list[int]] = {}
     links: dict[int, tuple[int, float, float]] = {}
     for index in parts:
         own = affine[index]
         pivot = own.coefficients[min(own.coefficients)]
-        plain = _Affine({i: c / pivot for i, c in own.coefficients.items()}, Fraction(0))
+        plain = _AffineFunction({i: c / pivot for i, c in own.coefficients.items()}, Fraction(0))
         key = frozenset(plain.coefficients.items())
         if key not in rows and all(is_double(c) for c in plain.coefficients.values()):
             rows[key] = [len(atoms)]
-            atoms.append(_Atom(plain, None))
+            atoms.append(_DirectionSymbol(plain, None))
         for row in rows.setdefault(key, []):
             first = atoms[row].part
             factor = pivot / first.coefficients[min(first.coefficients)]
@@ -148,11 +154,11 @@ def _grouped(affine: Mapping[int, _Affine], parts: list[int]) -> tuple[list[_Ato
         else:
             links[index] = len(atoms), 1.0, 0.0
             rows[key].append(len(atoms))
-            atoms.append(_Atom(own, index))
+            atoms.append(_DirectionSymbol(own, index))
     return atoms, links
 
 
-def _rebuilt(code: Program, symbols: Mapping[int, ca.SX], known: Mapping[int, ca.SX]) -> list[ca.SX]:
+def _rebuild_expressions(code: Program, symbols: Mapping[int, ca.SX], known: Mapping[int, ca.SX]) -> list[ca.SX]:
     """Return all values as expressions; those in ``known`` are given, and what only they need is left out (NaN)."""
     values: list[ca.SX] = []
     for i, step in enumerate(code.steps):
@@ -163,5 +169,5 @@ def _rebuilt(code: Program, symbols: Mapping[int, ca.SX], known: Mapping[int, ca
         elif step.op == ca.OP_CONST:
             values.append(ca.SX(step.number))
         else:
-            values.append(applied(step.op, [values[j] for j in step.sources]))
+            values.append(apply_operation(step.op, [values[j] for j in step.sources]))
     return values

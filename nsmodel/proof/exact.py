@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.proof.components import components
+from nsmodel.proof.components import connected_components
 
-EPS = float(np.finfo(float).eps)
-VERIFIED = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
+MACHINE_EPSILON = float(np.finfo(float).eps)
+MIN_CHOLESKY_SIZE = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
 
 
-class Definite(NamedTuple):
+class Definiteness(NamedTuple):
     """Sign of the quadratic form v'Sv of a symmetric part S = (M + M')/2.
 
     Attributes:
@@ -61,17 +61,17 @@ def doubles(matrix: np.ndarray) -> np.ndarray:
     return np.array([float(entry) for entry in matrix.ravel()]).reshape(matrix.shape)
 
 
-def down(number: Fraction) -> float:
+def round_down(number: Fraction) -> float:
     """The largest double that is not above a number.
 
-    >>> down(Fraction(1, 10)) < up(Fraction(1, 10)), down(Fraction(1, 2))
+    >>> round_down(Fraction(1, 10)) < round_up(Fraction(1, 10)), round_down(Fraction(1, 2))
     (True, 0.5)
     """
     near = float(number)
     return near if Fraction(near) <= number else float(np.nextafter(near, -np.inf))
 
 
-def up(number: Fraction) -> float:
+def round_up(number: Fraction) -> float:
     """The least double that is not below a number."""
     near = float(number)
     return near if Fraction(near) >= number else float(np.nextafter(near, np.inf))
@@ -91,16 +91,16 @@ def zeros(rows: int, columns: int) -> np.ndarray:
     return matrix
 
 
-def product(*factors: Any) -> np.ndarray:
+def matrix_product(*factors: Any) -> np.ndarray:
     """Return the product of matrices, exactly.
 
-    >>> bool(product([[0.1]], [[10.0]])[0, 0] == 1)
+    >>> bool(matrix_product([[0.1]], [[10.0]])[0, 0] == 1)
     False
     """
-    result = _flint(rational(factors[0]))
+    result = _flint_matrix(rational(factors[0]))
     for factor in factors[1:]:
-        result = result * _flint(rational(factor))
-    return _fractions(result)
+        result = result * _flint_matrix(rational(factor))
+    return _fractions_from_flint(result)
 
 
 def is_symmetric(matrix: Any) -> bool:
@@ -111,12 +111,12 @@ def is_symmetric(matrix: Any) -> bool:
 
 def rank(matrix: Any) -> int:
     """Rank of a matrix."""
-    return _flint(rational(matrix)).rank()
+    return _flint_matrix(rational(matrix)).rank()
 
 
 def nullspace(matrix: Any) -> np.ndarray:
     """Return a basis (n, k) of {v : M v = 0}, in columns; the free entries of v are a unit matrix."""
-    rows, pivots = _reduced(rational(matrix))
+    rows, pivots = _reduced_echelon_form(rational(matrix))
     n = rows.shape[1]
     free = [j for j in range(n) if j not in set(pivots)]
     basis = zeros(n, len(free))
@@ -128,14 +128,14 @@ def nullspace(matrix: Any) -> np.ndarray:
 
 def independent_columns(matrix: Any) -> list[int]:
     """Indices of the first columns that span the range of a matrix."""
-    return _reduced(rational(matrix))[1]
+    return _reduced_echelon_form(rational(matrix))[1]
 
 
-def solve(matrix: Any, right: Any) -> np.ndarray | None:
+def solve_linear_system(matrix: Any, right: Any) -> np.ndarray | None:
     """Return one X with M X = right (free entries 0), or None where there is none; ``right`` is (n, k)."""
     M, b = rational(matrix), rational(right)
     n = M.shape[1]
-    rows, pivots = _reduced(np.hstack([M, b]))
+    rows, pivots = _reduced_echelon_form(np.hstack([M, b]))
     if any(pivot >= n for pivot in pivots):
         return None
     X = zeros(n, b.shape[1])
@@ -145,84 +145,84 @@ def solve(matrix: Any, right: Any) -> np.ndarray | None:
 
 def determinant(matrix: Any) -> Fraction:
     """The determinant of a square matrix."""
-    return _fraction(_flint(rational(matrix)).det())
+    return _fraction_from_flint(_flint_matrix(rational(matrix)).det())
 
 
-def inverse(matrix: Any) -> np.ndarray | None:
+def inverse_matrix(matrix: Any) -> np.ndarray | None:
     """Return the inverse of a square matrix, or None where it is singular; blocks that nothing couples are inverted apart."""
     M = rational(matrix)
     out = zeros(*M.shape)
-    for block in components((M != 0) | (M.T != 0)):
-        part = _flint(M[np.ix_(block, block)])
+    for block in connected_components((M != 0) | (M.T != 0)):
+        part = _flint_matrix(M[np.ix_(block, block)])
         if part.rank() < len(block):
             return None
-        out[np.ix_(block, block)] = _fractions(part.inv())
+        out[np.ix_(block, block)] = _fractions_from_flint(part.inv())
     return out
 
 
-def _flint(M: np.ndarray) -> Any:
+def _flint_matrix(M: np.ndarray) -> Any:
     """The matrix (m, n) as one of FLINT's."""
     from flint import fmpq, fmpq_mat
 
     return fmpq_mat(M.shape[0], M.shape[1], [fmpq(entry.numerator, entry.denominator) for entry in M.ravel()])
 
 
-def _fraction(number: Any) -> Fraction:
+def _fraction_from_flint(number: Any) -> Fraction:
     return Fraction(int(number.p), int(number.q))
 
 
-def _fractions(matrix: Any) -> np.ndarray:
+def _fractions_from_flint(matrix: Any) -> np.ndarray:
     out = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
-    out.ravel()[:] = [_fraction(entry) if entry else Fraction(0) for entry in matrix.entries()]
+    out.ravel()[:] = [_fraction_from_flint(entry) if entry else Fraction(0) for entry in matrix.entries()]
     return out
 
 
-def _reduced(M: np.ndarray) -> tuple[np.ndarray, list[int]]:
+def _reduced_echelon_form(M: np.ndarray) -> tuple[np.ndarray, list[int]]:
     """The reduced echelon form, and its pivot columns."""
-    rows = _fractions(_flint(M).rref()[0])
+    rows = _fractions_from_flint(_flint_matrix(M).rref()[0])
     pivots = [int(np.flatnonzero(row)[0]) for row in rows if row.any()]
     return rows, pivots
 
 
-def psd(matrix: Any) -> Definite:
+def definiteness(matrix: Any) -> Definiteness:
     """Decide whether v'Mv >= 0 for all v, exactly on the given doubles or Fractions; M (n, n) need not be symmetric.
 
     The symmetric part is eliminated with diagonal pivots, one connected block of its nonzeros after the other.
     """
     S = _symmetric_part(matrix)
     total, definite = 0, True
-    for block in components(S != 0):
-        part = _block_psd(S[np.ix_(block, block)])
+    for block in connected_components(S != 0):
+        part = _block_definiteness(S[np.ix_(block, block)])
         total, definite = total + part.rank, definite and part.definite
         if part.vector is not None:
             vector = np.zeros(len(S))
             vector[block] = part.vector
-            return Definite(False, False, total, vector)
-    return Definite(True, definite, total, None)
+            return Definiteness(False, False, total, vector)
+    return Definiteness(True, definite, total, None)
 
 
-def eigenvalue_above(matrix: Any) -> float:
+def eigenvalue_upper_bound(matrix: Any) -> float:
     """A double that no eigenvalue of the symmetric part exceeds, proved exactly; within some rounding of the largest one.
 
-    >>> eigenvalue_above([[2.0, 1.0], [1.0, 2.0]])
+    >>> eigenvalue_upper_bound([[2.0, 1.0], [1.0, 2.0]])
     3.0
     """
     M = rational(matrix)
     if len(M) == 1:
-        return up(M[0, 0])
+        return round_up(M[0, 0])
     values = np.linalg.eigvalsh(doubles((M + M.T) / 2))
     top, size = float(values[-1]), float(np.abs(values).max(initial=0.0))
     for more in (0.0, 1e-16, 1e-15, 1e-14, 1e-12, 1e-9):
         bound = top + more * size
         if is_psd(Fraction(bound) * eye(len(M)) - M):
             return bound
-    return up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
+    return round_up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
 
 
 def is_psd(matrix: Any) -> bool:
     """Whether v'Mv >= 0 for all v, as ``psd`` but without a witness."""
     S = _symmetric_part(matrix)
-    return all(_pivots(S[np.ix_(block, block)])[1] is None for block in components(S != 0))
+    return all(_diagonal_pivots(S[np.ix_(block, block)])[1] is None for block in connected_components(S != 0))
 
 
 def _symmetric_part(matrix: Any) -> np.ndarray:
@@ -234,49 +234,49 @@ def _symmetric_part(matrix: Any) -> np.ndarray:
     return S
 
 
-class _Integers(NamedTuple):
+class _IntegerRows(NamedTuple):
     """Rows of whole numbers; row i is ``factors[i]`` times the rational one."""
 
     rows: np.ndarray
     factors: list[int]
 
 
-def _integers(M: np.ndarray) -> _Integers:
+def _integer_rows(M: np.ndarray) -> _IntegerRows:
     rows, factors = np.empty(M.shape, dtype=object), []
     for i, row in enumerate(M):
         factor = lcm(*(entry.denominator for entry in row))
         rows[i] = [entry.numerator * (factor // entry.denominator) for entry in row]
         factors.append(factor)
-    return _Integers(rows, factors)
+    return _IntegerRows(rows, factors)
 
 
-def _primitive(row: np.ndarray) -> np.ndarray:
+def _primitive_row(row: np.ndarray) -> np.ndarray:
     """The row divided by the common factor of its entries."""
     common = gcd(*row)
     return row // common if common > 1 else row
 
 
-def _eliminate(row: np.ndarray, pivot_row: np.ndarray, j: int) -> np.ndarray:
+def _eliminate_entry(row: np.ndarray, pivot_row: np.ndarray, j: int) -> np.ndarray:
     """Make row[j] = 0 with a multiple of a row whose entry j is > 0; the row is multiplied by a number > 0."""
     a, p = row[j], pivot_row[j]
     common = gcd(a, p)
-    return _primitive((p // common) * row - (a // common) * pivot_row)
+    return _primitive_row((p // common) * row - (a // common) * pivot_row)
 
 
-def _block_psd(S: np.ndarray) -> Definite:
+def _block_definiteness(S: np.ndarray) -> Definiteness:
     """Decide one block of rational entries."""
-    chosen, direction = _pivots(S)
+    chosen, direction = _diagonal_pivots(S)
     if direction is None:
-        return Definite(True, len(chosen) == len(S), len(chosen), None)
-    return Definite(False, False, len(chosen), _downhill(S, chosen, direction))
+        return Definiteness(True, len(chosen) == len(S), len(chosen), None)
+    return Definiteness(False, False, len(chosen), _negative_vector(S, chosen, direction))
 
 
-def _pivots(S: np.ndarray) -> tuple[list[int], dict[int, int] | None]:
+def _diagonal_pivots(S: np.ndarray) -> tuple[list[int], dict[int, int] | None]:
     """Rows with a pivot > 0, and a direction in which their Schur complement falls, None where there is none."""
     n = len(S)
-    if n >= VERIFIED and _surely_definite(S):
+    if n >= MIN_CHOLESKY_SIZE and _passes_verified_cholesky(S):
         return list(range(n)), None
-    rows, chosen, left = _integers(S).rows, [], list(range(n))
+    rows, chosen, left = _integer_rows(S).rows, [], list(range(n))
     while left:
         diagonal = {i: rows[i, i] for i in left}
         negative = [i for i in left if diagonal[i] < 0]
@@ -294,17 +294,17 @@ def _pivots(S: np.ndarray) -> tuple[list[int], dict[int, int] | None]:
         chosen.append(pivot)
         for i in left:
             if rows[i, pivot]:
-                rows[i] = _eliminate(rows[i], rows[pivot], pivot)
+                rows[i] = _eliminate_entry(rows[i], rows[pivot], pivot)
     return chosen, None
 
 
-def _downhill(S: np.ndarray, chosen: list[int], direction: dict[int, int]) -> np.ndarray:
+def _negative_vector(S: np.ndarray, chosen: list[int], direction: dict[int, int]) -> np.ndarray:
     """Doubles v with v'Sv < 0: ``direction`` in the Schur complement of the rows ``chosen``, least in those rows."""
     v = zeros(len(S), 1)
     for i, entry in direction.items():
         v[i, 0] = Fraction(entry)
     if chosen:
-        least = solve(S[np.ix_(chosen, chosen)], -product(S[chosen], v))
+        least = solve_linear_system(S[np.ix_(chosen, chosen)], -matrix_product(S[chosen], v))
         if least is not None:
             v[chosen] = least
     exact = v.ravel() / max(abs(entry) for entry in v.ravel())
@@ -312,19 +312,19 @@ def _downhill(S: np.ndarray, chosen: list[int], direction: dict[int, int]) -> np
     scale = max(abs(entry) for entry in S.ravel())
     candidates.append(np.linalg.eigh(doubles(S / scale))[1][:, 0])
     for candidate in candidates:
-        if product(candidate[None, :], S, candidate[:, None])[0, 0] < 0:
+        if matrix_product(candidate[None, :], S, candidate[:, None])[0, 0] < 0:
             return candidate
     return candidates[0]  # The sign is lost when v is rounded to doubles; the decision itself is exact.
 
 
-def _surely_definite(S: np.ndarray) -> bool:
+def _passes_verified_cholesky(S: np.ndarray) -> bool:
     """Whether a floating-point Cholesky factorisation of S - c I ends, c above all rounding (Rump 2006): a proof of S > 0."""
     n, diagonal = len(S), [entry for entry in np.diagonal(S)]
     if min(diagonal) <= 0:
         return False
     scale = np.array([Fraction(2) ** round((log2(s.numerator) - log2(s.denominator)) / 2) for s in diagonal], dtype=object)
     near = doubles(S / scale[:, None] / scale[None, :])
-    rounding = 8 * (n + 2) * EPS * (np.trace(near) + 2 * np.abs(near).sum(axis=1).max())
+    rounding = 8 * (n + 2) * MACHINE_EPSILON * (np.trace(near) + 2 * np.abs(near).sum(axis=1).max())
     try:
         np.linalg.cholesky(near - rounding * np.eye(n))
     except np.linalg.LinAlgError:

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.branch_and_bound import Bounded
-from nsmodel.proof.components import components
-from nsmodel.proof.interval import boxes, mean_value, natural
-from nsmodel.proof.search import Goal, SearchSpace, Supremum, search
+from nsmodel.proof.branch_and_bound import BoxBounds
+from nsmodel.proof.components import connected_components
+from nsmodel.proof.interval import mean_value_form, natural_extension, validated_boxes
+from nsmodel.proof.search import SearchGoal, SearchSpace, Supremum, search_supremum
 from nsmodel.proof.search import samples as samples
 from nsmodel.proof.straight_line import Program
 
-LARGE = 64  # A matrix of more entries is bounded without slopes.
+MAX_SLOPE_ENTRIES = 64  # A matrix of more entries is bounded without slopes.
 
 
 def supremum(
@@ -42,30 +42,30 @@ def supremum(
     Raises:
         ValueError: other symbols than z, or no box.
     """
-    return _scalar(expr, _space(z, lower, upper, where, points, quick, bound_to), -np.inf)
+    return _scalar_supremum(expr, _search_space(z, lower, upper, where, points, quick, bound_to), -np.inf)
 
 
-def _space(
+def _search_space(
     z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None, points: np.ndarray | None, quick: bool,
     bound_to: float | None,
 ) -> SearchSpace:  # fmt: skip
-    (low,), (high,) = boxes(z, lower, upper)
+    (low,), (high,) = validated_boxes(z, lower, upper)
     given = np.zeros((0, low.size)) if points is None else np.asarray(points, float).reshape(-1, low.size)
     rows = ca.SX(0, 1) if where is None else ca.vec(ca.densify(ca.SX(where)))
     limit = np.inf if bound_to is None else float(bound_to)
     return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
 
 
-def _scalar(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum:
+def _scalar_supremum(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum:
     expr = ca.densify(ca.SX(expr))
 
-    def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounded:
-        found = mean_value(code, lower, upper)
+    def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> BoxBounds:
+        found = mean_value_form(code, lower, upper)
         slope_lo, slope_hi = found.slope_lo[0], found.slope_hi[0]
-        return Bounded(found.hi[0], np.maximum(np.abs(slope_lo), np.abs(slope_hi)), slope_lo >= 0, slope_hi <= 0, found)
+        return BoxBounds(found.hi[0], np.maximum(np.abs(slope_lo), np.abs(slope_hi)), slope_lo >= 0, slope_hi <= 0, found)
 
-    goal = Goal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
-    return search(goal, space, enough)
+    goal = SearchGoal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
+    return search_supremum(goal, space, enough)
 
 
 # -- matrices ----------------------------------------------------------------------------------------------------------
@@ -83,8 +83,8 @@ def spectral_norm(
     bound_to: float | None = None,
 ) -> Supremum:
     """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``."""
-    J, space = ca.SX(J), _space(z, lower, upper, where, points, quick, bound_to)
-    return _over_blocks([_norm_of_block(J[rows, columns]) for rows, columns in _blocks(J)], space)
+    J, space = ca.SX(J), _search_space(z, lower, upper, where, points, quick, bound_to)
+    return _supremum_over_blocks([_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)], space)
 
 
 def largest_eigenvalue(
@@ -99,41 +99,45 @@ def largest_eigenvalue(
     bound_to: float | None = None,
 ) -> Supremum:
     """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``."""
-    S, space = ca.SX(S), _space(z, lower, upper, where, points, quick, bound_to)
+    S, space = ca.SX(S), _search_space(z, lower, upper, where, points, quick, bound_to)
     n = S.shape[0]
     pattern = np.array(ca.DM(S.sparsity(), 1)) != 0 if S.nnz() else np.zeros((n, n), bool)
-    groups = components(pattern | pattern.T)
-    return _over_blocks([_eigenvalue_of_block(S[group, group]) for group in groups], space)
+    groups = connected_components(pattern | pattern.T)
+    return _supremum_over_blocks([_block_eigenvalue(S[group, group]) for group in groups], space)
 
 
-class _Matrix(NamedTuple):
+class _MatrixGoal(NamedTuple):
     """A matrix with what measures it: ``kind`` "norm" or "eigenvalue"."""
 
     kind: str
     entries: ca.SX
 
 
-def _over_blocks(parts: list[ca.SX | _Matrix], space: SearchSpace) -> Supremum:
+def _supremum_over_blocks(parts: list[ca.SX | _MatrixGoal], space: SearchSpace) -> Supremum:
     """Return the largest over the parts; a part that cannot exceed what was found already is not looked at closely."""
     best = Supremum(-np.inf, None, -np.inf, 0)
     for part in parts or [ca.SX(0)]:
-        found = _matrix(part, space, best.value) if isinstance(part, _Matrix) else _scalar(part, space, best.value)
+        found = (
+            _matrix_supremum(part, space, best.value)
+            if isinstance(part, _MatrixGoal)
+            else _scalar_supremum(part, space, best.value)
+        )
         value, at = (found.value, found.at) if found.value > best.value or best.at is None else (best.value, best.at)
         best = Supremum(value, at, max(best.bound, found.bound), max(best.count, found.count))
     return best
 
 
-def _blocks(J: ca.SX) -> list[tuple[list[int], list[int]]]:
+def _matrix_blocks(J: ca.SX) -> list[tuple[list[int], list[int]]]:
     """Return rows and columns of the blocks that a matrix falls into under permutations."""
     m, n = J.shape
     pattern = np.zeros((m + n, m + n), bool)
     rows, columns = J.sparsity().get_triplet()
     pattern[rows, m + np.array(columns, int)] = True
-    groups = components(pattern | pattern.T)
+    groups = connected_components(pattern | pattern.T)
     return [([i for i in g if i < m], [i - m for i in g if i >= m]) for g in groups if min(g) < m <= max(g)]
 
 
-def _length(entries: list[ca.SX]) -> ca.SX:
+def _euclidean_norm(entries: list[ca.SX]) -> ca.SX:
     """Return the Euclidean norm, written so that its slopes stay bounded at 0."""
     total = ca.fabs(entries[0])
     for entry in entries[1:]:
@@ -141,46 +145,48 @@ def _length(entries: list[ca.SX]) -> ca.SX:
     return total
 
 
-def _norm_of_block(J: ca.SX) -> ca.SX | _Matrix:
+def _block_norm(J: ca.SX) -> ca.SX | _MatrixGoal:
     J = ca.densify(J)
     if min(J.shape) == 1:
-        return _length(ca.vertsplit(ca.vec(J)))
+        return _euclidean_norm(ca.vertsplit(ca.vec(J)))
     if J.shape == (2, 2):
         a, c, b, d = ca.vertsplit(ca.vec(J))
         return (ca.hypot(a + d, b - c) + ca.hypot(a - d, b + c)) / 2
-    return _Matrix("norm", J)
+    return _MatrixGoal("norm", J)
 
 
-def _eigenvalue_of_block(S: ca.SX) -> ca.SX | _Matrix:
+def _block_eigenvalue(S: ca.SX) -> ca.SX | _MatrixGoal:
     S = ca.densify(S)
     if S.shape == (1, 1):
         return S
     if S.shape == (2, 2):
         a, c, b, d = ca.vertsplit(ca.vec(S))
         return (a + d + ca.hypot(a - d, b + c)) / 2
-    return _Matrix("eigenvalue", S)
+    return _MatrixGoal("eigenvalue", S)
 
 
-def _shaped(entries: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _reshape_entries(entries: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return matrices (..., m, n) from their entries (..., m n), column by column."""
     return entries.reshape(*entries.shape[:-1], *shape[::-1]).swapaxes(-1, -2)
 
 
-def _measured(full: np.ndarray, norm: bool) -> np.ndarray:
+def _matrix_measures(full: np.ndarray, norm: bool) -> np.ndarray:
     """Return the largest singular value or eigenvalue of each matrix (k, m, n)."""
     return np.linalg.norm(full, 2, axis=(1, 2)) if norm else np.linalg.eigvalsh((full + full.swapaxes(1, 2)) / 2)[:, -1]
 
 
-def _matrix(part: _Matrix, space: SearchSpace, enough: float) -> Supremum:
+def _matrix_supremum(part: _MatrixGoal, space: SearchSpace, enough: float) -> Supremum:
     A, norm, (m, n) = part.entries, part.kind == "norm", part.entries.shape
 
-    def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounded:
-        lo, hi, rate = _entries(code, lower, upper)
-        top = (_norm_bound if norm else _eigenvalue_bound)(_shaped(lo.T, A.shape), _shaped(hi.T, A.shape))
-        return Bounded(top, rate, rate == 0, rate == 0, None)
+    def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> BoxBounds:
+        lo, hi, rate = _entry_bounds(code, lower, upper)
+        top = (_spectral_norm_bound if norm else _eigenvalue_bound)(
+            _reshape_entries(lo.T, A.shape), _reshape_entries(hi.T, A.shape)
+        )
+        return BoxBounds(top, rate, rate == 0, rate == 0, None)
 
     def begin(entries: np.ndarray) -> np.ndarray:
-        full = _shaped(entries, A.shape)
+        full = _reshape_entries(entries, A.shape)
         if not norm:
             return np.linalg.eigh((full + full.T) / 2)[1][:, -1]
         left, _, right = np.linalg.svd(full)
@@ -188,22 +194,28 @@ def _matrix(part: _Matrix, space: SearchSpace, enough: float) -> Supremum:
 
     left, right = ca.SX.sym("u", m), ca.SX.sym("v", n)
     ascent = (ca.bilin(A, left, right), [left, right]) if norm else (ca.bilin(A, right, right), [right])
-    goal = Goal(A, lambda entries: _measured(_shaped(entries, A.shape), norm), bounds, 2 * m * n * min(m, n), (*ascent, begin))
-    return search(goal, space, enough)
+    goal = SearchGoal(
+        A,
+        lambda entries: _matrix_measures(_reshape_entries(entries, A.shape), norm),
+        bounds,
+        2 * m * n * min(m, n),
+        (*ascent, begin),
+    )
+    return search_supremum(goal, space, enough)
 
 
-def _entries(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _entry_bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return bounds (numel, k) of the entries, and of the rate (k, n) of change of the matrix by each coordinate."""
-    if len(code.outputs) <= LARGE:
-        lo, hi, slope_lo, slope_hi, *_ = mean_value(code, lower, upper)
+    if len(code.outputs) <= MAX_SLOPE_ENTRIES:
+        lo, hi, slope_lo, slope_hi, *_ = mean_value_form(code, lower, upper)
         with np.errstate(all="ignore"):
             return lo, hi, np.sqrt((np.maximum(np.abs(slope_lo), np.abs(slope_hi)) ** 2).sum(axis=0))
     rate = np.zeros(lower.shape)
     rate[:, sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))] = np.inf
-    return *natural(code, lower, upper), rate
+    return *natural_extension(code, lower, upper), rate
 
 
-def _sizes(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _middle_and_radius(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the middle of interval matrices (k, m, n) and a bound of the distance from it, entry by entry."""
     with np.errstate(all="ignore"):
         middle = lo + (hi - lo) / 2
@@ -212,41 +224,43 @@ def _sizes(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return middle, np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
 
 
-def _more(x: np.ndarray, terms: int) -> np.ndarray:
+def _widen_sums(x: np.ndarray, terms: int) -> np.ndarray:
     """Return sums of non-negative terms, or roots of them, widened by more than their rounding."""
     return np.nextafter(x * (1 + 4 * (terms + 8) * np.finfo(float).eps), np.inf)
 
 
-def _norm_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+def _spectral_norm_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """Bounds (k,) of the largest singular value of interval matrices (k, m, n)."""
     m, n = lo.shape[1:]
-    size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _sizes(lo, hi)
+    size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _middle_and_radius(lo, hi)
     with np.errstate(all="ignore"):
-        frobenius = _more(np.sqrt((size**2).sum(axis=(1, 2))), m * n)
-        by_sums = _more(np.sqrt(size.sum(axis=1).max(axis=1) * size.sum(axis=2).max(axis=1)), m + n)
+        frobenius = _widen_sums(np.sqrt((size**2).sum(axis=(1, 2))), m * n)
+        by_sums = _widen_sums(np.sqrt(size.sum(axis=1).max(axis=1) * size.sum(axis=2).max(axis=1)), m + n)
         scale = np.sqrt((middle**2).sum(axis=(1, 2)))
         spectral = np.linalg.norm(middle, 2, axis=(1, 2)) + 16 * (m + n) * np.finfo(float).eps * scale
-        around = _more(spectral + np.sqrt((radius**2).sum(axis=(1, 2))), m * n)
-    return _least(frobenius, by_sums, around)
+        around = _widen_sums(spectral + np.sqrt((radius**2).sum(axis=(1, 2))), m * n)
+    return _tightest_bound(frobenius, by_sums, around)
 
 
 def _eigenvalue_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """Bounds (k,) of the largest eigenvalue of the symmetric parts of interval matrices (k, n, n)."""
     n = lo.shape[1]
     lo, hi = np.nextafter((lo + lo.swapaxes(1, 2)) / 2, -np.inf), np.nextafter((hi + hi.swapaxes(1, 2)) / 2, np.inf)
-    size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _sizes(lo, hi)
+    size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _middle_and_radius(lo, hi)
     diagonal = np.arange(n)
     with np.errstate(all="ignore"):
         off = size.copy()
         off[:, diagonal, diagonal] = 0.0
-        discs = np.nextafter(hi[:, diagonal, diagonal] + _more(off.sum(axis=2), n), np.inf).max(axis=1)
+        discs = np.nextafter(hi[:, diagonal, diagonal] + _widen_sums(off.sum(axis=2), n), np.inf).max(axis=1)
         scale = np.sqrt((middle**2).sum(axis=(1, 2)))
         slack = 32 * n * np.finfo(float).eps * scale
-        radius_norm = np.minimum(_more(np.sqrt((radius**2).sum(axis=(1, 2))), n * n), _more(radius.sum(axis=2).max(axis=1), n))
-        around = np.nextafter(np.linalg.eigvalsh(middle)[:, -1] + _more(radius_norm + slack, 4), np.inf)
-    return _least(discs, around)
+        radius_norm = np.minimum(
+            _widen_sums(np.sqrt((radius**2).sum(axis=(1, 2))), n * n), _widen_sums(radius.sum(axis=2).max(axis=1), n)
+        )
+        around = np.nextafter(np.linalg.eigvalsh(middle)[:, -1] + _widen_sums(radius_norm + slack, 4), np.inf)
+    return _tightest_bound(discs, around)
 
 
-def _least(*bounds: np.ndarray) -> np.ndarray:
+def _tightest_bound(*bounds: np.ndarray) -> np.ndarray:
     """Return the least of several bounds; NaN is no bound."""
     return np.minimum.reduce([np.where(np.isnan(bound), np.inf, bound) for bound in bounds])

@@ -17,12 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from nsmodel.proof import conic_program, exact
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 
-SMALL, LARGE = 1000, 20000  # Entries of A below which the simplex method goes first, above which it is not tried.
+SIMPLEX_FIRST_ENTRIES, MAX_SIMPLEX_ENTRIES = (
+    1000,
+    20000,
+)  # Entries of A below which the simplex method goes first, above which it is not tried.
 
 
-class System(NamedTuple):
+class ConicSystem(NamedTuple):
     """A u = 0: A (r, n) of Fractions, columns with u_j > 0, groups of columns in the interior of a second-order cone."""
 
     A: np.ndarray
@@ -36,7 +39,7 @@ class System(NamedTuple):
         return [j for j in range(self.A.shape[1]) if j not in bound]
 
 
-class Decision(NamedTuple):
+class FeasibilityDecision(NamedTuple):
     """An exact proof: ``point`` (n,) solves the system, or ``separator`` (r,) shows that nothing does; both None: undecided.
 
     ``margin`` is how far floating point came inside the cones (columns scaled to norm 1); NaN where it was not asked.
@@ -47,29 +50,29 @@ class Decision(NamedTuple):
     margin: float = np.nan
 
 
-def decide(system: System) -> Decision:
+def decide_feasibility(system: ConicSystem) -> FeasibilityDecision:
     """Solve the system strictly, or show that it cannot be solved."""
     if not system.positive and not system.cones:
-        return Decision(exact.zeros(system.A.shape[1], 1).ravel(), None)
-    if not system.cones and system.A.size <= SMALL:
-        return _by_simplex(system)
-    answer = _by_interior_point(system)
+        return FeasibilityDecision(exact.zeros(system.A.shape[1], 1).ravel(), None)
+    if not system.cones and system.A.size <= SIMPLEX_FIRST_ENTRIES:
+        return _decide_by_simplex(system)
+    answer = _decide_by_interior_point(system)
     decided = answer.point is not None or answer.separator is not None
-    return answer if decided or system.cones or system.A.size > LARGE else _by_simplex(system)
+    return answer if decided or system.cones or system.A.size > MAX_SIMPLEX_ENTRIES else _decide_by_simplex(system)
 
 
-def is_solution(system: System, u: np.ndarray) -> bool:
+def is_strict_solution(system: ConicSystem, u: np.ndarray) -> bool:
     """Whether u solves the system, exactly."""
     return (
-        not exact.product(system.A, u[:, None]).any()
+        not exact.matrix_product(system.A, u[:, None]).any()
         and all(u[j] > 0 for j in system.positive)
         and all(u[cone[0]] > 0 and u[cone[0]] ** 2 > sum(u[j] ** 2 for j in cone[1:]) for cone in system.cones)
     )
 
 
-def is_separator(system: System, w: np.ndarray) -> bool:
+def is_separator(system: ConicSystem, w: np.ndarray) -> bool:
     """Whether w proves that the system has no solution, exactly."""
-    z = exact.product(w[None, :], system.A).ravel()
+    z = exact.matrix_product(w[None, :], system.A).ravel()
     return (
         bool(z.any())
         and not any(z[j] for j in system.free)
@@ -78,7 +81,7 @@ def is_separator(system: System, w: np.ndarray) -> bool:
     )
 
 
-def implied_zeros(system: System) -> list[int]:
+def implied_zeros(system: ConicSystem) -> list[int]:
     """Columns u_j > 0 that are 0 at every solution of the closed system.
 
     Only for systems of signs. From a separator w, 0 = w'A u = sum of (A'w)_j u_j with no term < 0, so that u_j = 0 where
@@ -89,33 +92,33 @@ def implied_zeros(system: System) -> list[int]:
     while True:
         left = [j for j in range(A.shape[1]) if j not in zero]
         own = {j: i for i, j in enumerate(left)}
-        part = System(A[:, left], tuple(own[j] for j in system.positive if j in own))
-        answer = decide(part)
+        part = ConicSystem(A[:, left], tuple(own[j] for j in system.positive if j in own))
+        answer = decide_feasibility(part)
         if answer.separator is None:
             return zero
-        z = exact.product(answer.separator[None, :], part.A).ravel()
+        z = exact.matrix_product(answer.separator[None, :], part.A).ravel()
         zero += [j for j in system.positive if j in own and z[own[j]] > 0]
 
 
 # -- signs only: Stiemke's alternative by the simplex method -------------------------------------------------------------
 
 
-def _by_simplex(system: System) -> Decision:
+def _decide_by_simplex(system: ConicSystem) -> FeasibilityDecision:
     """Eliminate the free columns, F = N'A_+ with N a basis of {w : A_free' w = 0}; then F s = 0, s > 0."""
     A, positive, free = system.A, list(system.positive), system.free
     N = exact.nullspace(A[:, free].T) if free and len(A) else exact.eye(len(A))
-    F = exact.product(N.T, A[:, positive]) if N.shape[1] else exact.zeros(0, len(positive))
-    s, z = _stiemke(F)
+    F = exact.matrix_product(N.T, A[:, positive]) if N.shape[1] else exact.zeros(0, len(positive))
+    s, z = _stiemke_alternative(F)
     if s is None:
-        return Decision(None, exact.product(N, sure(z)[:, None]).ravel())
+        return FeasibilityDecision(None, exact.matrix_product(N, not_none(z)[:, None]).ravel())
     u = exact.zeros(A.shape[1], 1).ravel()
     u[positive] = s
     if free and len(A):
-        u[free] = sure(exact.solve(A[:, free], -exact.product(A[:, positive], s[:, None]))).ravel()
-    return Decision(u, None)
+        u[free] = not_none(exact.solve_linear_system(A[:, free], -exact.matrix_product(A[:, positive], s[:, None]))).ravel()
+    return FeasibilityDecision(u, None)
 
 
-def _stiemke(F: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _stiemke_alternative(F: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return s > 0 with F s = 0, or z with F'z >= 0 and F'z != 0: phase one for s = 1 + sigma."""
     r, p = F.shape
     if not r:
@@ -132,7 +135,7 @@ def _stiemke(F: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
         table[i, :p], table[i, p + i], table[i, -1] = whole[:-1], 1, whole[-1]
     table[r, :p], table[r, -1], table[r, -2] = -table[:r, :p].sum(axis=0), -table[:r, -1].sum(), 1
     basis = list(range(p, p + r))
-    _minimise(table, basis, p)
+    _pivot_to_optimum(table, basis, p)
     if table[r, -1] == 0:
         s = exact.rational(np.ones(p))
         for i, j in enumerate(basis):
@@ -144,7 +147,7 @@ def _stiemke(F: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
     return None, -(sign * factor * y)
 
 
-def _minimise(table: np.ndarray, basis: list[int], p: int) -> None:
+def _pivot_to_optimum(table: np.ndarray, basis: list[int], p: int) -> None:
     """Pivot until no reduced cost is < 0; Bland's rule once pivots stop paying, so that it ends."""
     r, stalled = len(basis), 0
     while True:
@@ -165,48 +168,48 @@ def _minimise(table: np.ndarray, basis: list[int], p: int) -> None:
 # -- second-order cones and large systems: floating point, then made exact -----------------------------------------------
 
 
-def _by_interior_point(system: System) -> Decision:
+def _decide_by_interior_point(system: ConicSystem) -> FeasibilityDecision:
     """Maximise how far u lies inside the cones; the solution or its multiplier is the candidate."""
-    u, w, margin = _optimised(system)
+    u, w, margin = _maximise_margin(system)
     if u is not None and margin > 0:
-        point = _exact_point(system, u)
+        point = _exact_solution(system, u)
         if point is not None:
-            return Decision(point, None, margin)
+            return FeasibilityDecision(point, None, margin)
     if w is not None:
         for candidate in (w, -w):
             for separator in _exact_separators(system, candidate):
                 if is_separator(system, separator):
-                    return Decision(None, separator, margin)
-    return Decision(None, None, margin)
+                    return FeasibilityDecision(None, separator, margin)
+    return FeasibilityDecision(None, None, margin)
 
 
-def _optimised(system: System) -> tuple[np.ndarray | None, np.ndarray | None, float]:
+def _maximise_margin(system: ConicSystem) -> tuple[np.ndarray | None, np.ndarray | None, float]:
     """Maximise t subject to A u = 0, u - t inside the cones, sum of the bounded entries <= 1: u, w and t."""
-    A, rows, columns = _scaled(system)
+    A, rows, columns = _equilibrate(system)
     r, n = A.shape
     heads = [*system.positive, *(cone[0] for cone in system.cones)]
-    G, h, cones = [np.column_stack([A, np.zeros(r)])], [np.zeros(r)], [conic_program.zero(r)]
+    G, h, cones = [np.column_stack([A, np.zeros(r)])], [np.zeros(r)], [conic_program.zero_cone(r)]
     inside = np.zeros((len(system.positive), n + 1))
     inside[range(len(system.positive)), list(system.positive)], inside[:, n] = -1, 1
     total = np.zeros((1, n + 1))
     total[0, heads] = 1
     G += [inside, total]
     h += [np.zeros(len(inside)), np.ones(1)]
-    cones.append(conic_program.nonnegative(len(inside) + 1))
+    cones.append(conic_program.nonnegative_cone(len(inside) + 1))
     for cone in system.cones:
         block = np.zeros((len(cone), n + 1))
         block[range(len(cone)), list(cone)], block[0, n] = -1, 1
         G.append(block)
         h.append(np.zeros(len(cone)))
-        cones.append(conic_program.second_order(len(cone)))
-    found = conic_program.minimise(np.concatenate([np.zeros(n), [-1.0]]), np.vstack(G), np.concatenate(h), cones)
+        cones.append(conic_program.lorentz_cone(len(cone)))
+    found = conic_program.solve_conic_program(np.concatenate([np.zeros(n), [-1.0]]), np.vstack(G), np.concatenate(h), cones)
     x, z = np.array(found.x), np.array(found.z)
     if not (np.isfinite(x).all() and np.isfinite(z).all()):
         return None, None, np.nan
     return x[:n] * columns, z[:r] * rows, float(x[n])
 
 
-def _scaled(system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _equilibrate(system: ConicSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A in doubles with rows and columns of size about 1 (one factor a cone): R A C, R, C."""
     A = exact.doubles(system.A)
     rows, columns = np.ones(A.shape[0]), np.ones(A.shape[1])
@@ -221,20 +224,20 @@ def _scaled(system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rows[:, None] * A * columns, rows, columns
 
 
-def _exact_point(system: System, u: np.ndarray) -> np.ndarray | None:
+def _exact_solution(system: ConicSystem, u: np.ndarray) -> np.ndarray | None:
     """Correct u to A u = 0 exactly, free columns and then the largest ones taking the correction."""
     near = exact.rational(u)
-    residual = exact.product(system.A, near[:, None])
+    residual = exact.matrix_product(system.A, near[:, None])
     bound = [j for j in np.argsort(-np.abs(u)) if j not in set(system.free)]
     order = [*system.free, *map(int, bound)]
-    correction = exact.solve(system.A[:, order], -residual)
+    correction = exact.solve_linear_system(system.A[:, order], -residual)
     if correction is None:
         return None
     near[order] = near[order] + correction.ravel()
-    return near if is_solution(system, near) else None
+    return near if is_strict_solution(system, near) else None
 
 
-def _exact_separators(system: System, w: np.ndarray) -> Iterator[np.ndarray]:
+def _exact_separators(system: ConicSystem, w: np.ndarray) -> Iterator[np.ndarray]:
     """Exact candidates near w: entries of A'w that are nearly 0 are made 0, free entries are rounded to short fractions."""
     A = exact.doubles(system.A)
     z = w @ A
@@ -250,4 +253,4 @@ def _exact_separators(system: System, w: np.ndarray) -> Iterator[np.ndarray]:
         c = np.linalg.lstsq(exact.doubles(N), w / scale, rcond=None)[0] if scale else np.zeros(N.shape[1])
         for digits in (10, 1000, 10**6, 10**12):
             short = np.array([Fraction(entry).limit_denominator(digits) for entry in c], dtype=object)
-            yield exact.product(N, short[:, None]).ravel()
+            yield exact.matrix_product(N, short[:, None]).ravel()

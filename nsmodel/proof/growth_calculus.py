@@ -26,13 +26,25 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval, polynomial
-from nsmodel.proof.monomial_sums import MOST, UP, Sum, Term, over, plus, power_of_sum, product, raised, scaled, times
-from nsmodel.proof.straight_line import Program, Step, program
+from nsmodel.proof.monomial_sums import (
+    MAX_BOUND_TERMS,
+    ROUNDING_FACTOR,
+    MonomialSum,
+    QuotientTerm,
+    add_terms,
+    divide_terms,
+    multiply_lower_sums,
+    multiply_terms,
+    power_of_sum,
+    raise_terms,
+    scale_sum,
+)
+from nsmodel.proof.straight_line import Instruction, Program, program
 
 LOG_2 = 0.6931471805599454
 
 
-class Power(NamedTuple):
+class PowerBound(NamedTuple):
     """size (alpha |x| + gamma)^p, p >= 0."""
 
     size: float
@@ -41,17 +53,17 @@ class Power(NamedTuple):
     p: Fraction
 
 
-class Size(NamedTuple):
+class SizeBounds(NamedTuple):
     """low <= e <= high, lower <= |e| <= sum of upper (None: no bound)."""
 
     low: float
     high: float
-    lower: Sum
-    upper: tuple[Term, ...] | None
+    lower: MonomialSum
+    upper: tuple[QuotientTerm, ...] | None
 
 
 @dataclass(frozen=True)
-class Atom:
+class AffineAtom:
     """|a'x + c| <= alpha |x| + gamma, and <= most on the box."""
 
     alpha: float
@@ -59,10 +71,10 @@ class Atom:
     most: float
 
 
-def growth(expr: ca.SX, x: ca.SX, low: np.ndarray, high: np.ndarray, n: int | None = None) -> tuple[Power, ...] | None:
+def growth_bound(expr: ca.SX, x: ca.SX, low: np.ndarray, high: np.ndarray, n: int | None = None) -> tuple[PowerBound, ...] | None:
     """Bounds of a scalar on the box, in |(x_0, ..., x_(n-1))|; the other symbols must be bounded. None: no bound was found."""
     code = program(ca.densify(expr), x)
-    calculus = _Calculus(code, low, high, x.numel() if n is None else n)
+    calculus = _GrowthCalculus(code, low, high, x.numel() if n is None else n)
     with np.errstate(all="ignore"):
         upper = calculus.sizes()[code.outputs[0]].upper
         if upper is None:
@@ -71,7 +83,7 @@ def growth(expr: ca.SX, x: ca.SX, low: np.ndarray, high: np.ndarray, n: int | No
     return None if any(power is None for power in powers) else tuple(power for power in powers if power is not None)
 
 
-def linear(powers: Sequence[Power], scale: float) -> tuple[float, float] | None:
+def linear_growth_bound(powers: Sequence[PowerBound], scale: float) -> tuple[float, float] | None:
     """(a, b) with sum of the powers <= a + b |x|: t^p <= p s^(p-1) t + (1 - p) s^p at s = ``scale``; None where some p > 1."""
     a = b = 0.0
     for size, alpha, gamma, p in powers:
@@ -83,20 +95,20 @@ def linear(powers: Sequence[Power], scale: float) -> tuple[float, float] | None:
     return a, b
 
 
-class _Calculus:
+class _GrowthCalculus:
     def __init__(self, code: Program, low: np.ndarray, high: np.ndarray, n: int) -> None:
         self.code, self.n = code, n
         with np.errstate(all="ignore"):
-            values = interval.run(code, low[None, :], high[None, :])
+            values = interval.run_program(code, low[None, :], high[None, :])
         self.ends = [(float(np.min(lo)), float(np.max(hi))) for lo, hi in values]
-        self.atoms: list[Atom] = []
+        self.atoms: list[AffineAtom] = []
         self.known: dict[tuple, int] = {}
-        self.found: list[Size] = []
+        self.found: list[SizeBounds] = []
 
-    def sizes(self) -> list[Size]:
+    def sizes(self) -> list[SizeBounds]:
         """The bounds of every value."""
         affine: list[polynomial.Polynomial | None] = []
-        out: list[Size] = []
+        out: list[SizeBounds] = []
         self.found = out
         for i, step in enumerate(self.code.steps):
             args = [affine[j] for j in step.sources]
@@ -104,31 +116,36 @@ class _Calculus:
             if step.op == ca.OP_INPUT:
                 p = {((step.slot, 1),): Fraction(1)}
             elif step.op == ca.OP_CONST:
-                p = polynomial.constant(step.number)
+                p = polynomial.constant_polynomial(step.number)
             elif all(arg is not None for arg in args):
-                p = polynomial.apply(step.op, [arg for arg in args if arg is not None])
+                p = polynomial.apply_to_polynomials(step.op, [arg for arg in args if arg is not None])
             p = p if p is not None and polynomial.degree(p) <= 1 else None
             affine.append(p)
-            out.append(self._size(i, step, out, p))
+            out.append(self._bounds_of_value(i, step, out, p))
         return out
 
-    def _size(self, i: int, step: Step, out: list[Size], p: polynomial.Polynomial | None) -> Size:
+    def _bounds_of_value(self, i: int, step: Instruction, out: list[SizeBounds], p: polynomial.Polynomial | None) -> SizeBounds:
         low, high = self.ends[i]
         if p is not None and not polynomial.is_constant(p):
-            number, atom = self._atom(p, max(abs(low), abs(high)))
-            lower, upper = ((number / UP, ((atom, Fraction(1)),)),), (Term(number * UP, ((atom, Fraction(1)),)),)
+            number, atom = self._affine_atom(p, max(abs(low), abs(high)))
+            lower, upper = (
+                ((number / ROUNDING_FACTOR, ((atom, Fraction(1)),)),),
+                (QuotientTerm(number * ROUNDING_FACTOR, ((atom, Fraction(1)),)),),
+            )
         else:
-            lower, upper = self._rule(step, [out[j] for j in step.sources])
+            lower, upper = self._operation_bounds(step, [out[j] for j in step.sources])
         sign = low > 0 or high < 0
         most = max(abs(low), abs(high))
         plain = upper is None or not all(term.below for term in upper)
         if np.isfinite(most) and plain and (p is None or polynomial.is_constant(p)):
-            upper = (Term(most, ()),) if most else ()
+            upper = (QuotientTerm(most, ()),) if most else ()
         if not lower and sign:
             lower = ((min(abs(low), abs(high)), ()),)
-        return Size(low, high, lower[:MOST], upper if upper is not None and len(upper) <= MOST else None)
+        return SizeBounds(
+            low, high, lower[:MAX_BOUND_TERMS], upper if upper is not None and len(upper) <= MAX_BOUND_TERMS else None
+        )
 
-    def _atom(self, p: polynomial.Polynomial, most: float) -> tuple[float, int]:
+    def _affine_atom(self, p: polynomial.Polynomial, most: float) -> tuple[float, int]:
         """The factor and the atom of an affine value."""
         linear_part = sorted((monomial[0][0], number) for monomial, number in p.items() if monomial)
         first, offset = linear_part[0][1], p.get((), Fraction(0))
@@ -136,27 +153,27 @@ class _Calculus:
         if key not in self.known:
             self.known[key] = len(self.atoms)
             size = abs(float(first))
-            alpha = float(np.linalg.norm([float(number / first) for j, number in linear_part if j < self.n])) * UP
-            self.atoms.append(Atom(alpha, abs(float(offset / first)) * UP, most / size * UP))
+            alpha = float(np.linalg.norm([float(number / first) for j, number in linear_part if j < self.n])) * ROUNDING_FACTOR
+            self.atoms.append(AffineAtom(alpha, abs(float(offset / first)) * ROUNDING_FACTOR, most / size * ROUNDING_FACTOR))
             if any(j >= self.n for j, _ in linear_part):  # other symbols, bounded ones
-                own = sum(self._most_of(j) * abs(float(number / first)) for j, number in linear_part if j >= self.n)
-                self.atoms[-1] = Atom(alpha, self.atoms[-1].gamma + own * UP, most / size * UP)
+                own = sum(self._symbol_bound(j) * abs(float(number / first)) for j, number in linear_part if j >= self.n)
+                self.atoms[-1] = AffineAtom(alpha, self.atoms[-1].gamma + own * ROUNDING_FACTOR, most / size * ROUNDING_FACTOR)
         return abs(float(first)), self.known[key]
 
-    def _most_of(self, slot: int) -> float:
+    def _symbol_bound(self, slot: int) -> float:
         return next((max(abs(a) for a in self.ends[i]) for i, s in enumerate(self.code.steps) if s.slot == slot), np.inf)
 
-    def _rule(self, step: Step, args: list[Size]) -> tuple[Sum, tuple[Term, ...] | None]:
+    def _operation_bounds(self, step: Instruction, args: list[SizeBounds]) -> tuple[MonomialSum, tuple[QuotientTerm, ...] | None]:
         if step.op == ca.OP_CONST:
             number = abs(step.number)
-            return (((number, ()),) if number else ()), ((Term(number, ()),) if number else ())
+            return (((number, ()),) if number else ()), ((QuotientTerm(number, ()),) if number else ())
         if not args:
             return (), None
         if step.op in (ca.OP_LOG, ca.OP_LOG1P):
-            return (), self._log(step.op, step, args[0])
-        return _bounds(step.op, args[0], args[-1])
+            return (), self._log_bound(step.op, step, args[0])
+        return _operation_size_bounds(step.op, args[0], args[-1])
 
-    def _log(self, op: int, step: Step, a: Size) -> tuple[Term, ...] | None:
+    def _log_bound(self, op: int, step: Instruction, a: SizeBounds) -> tuple[QuotientTerm, ...] | None:
         inner = self.code.steps[step.sources[0]]
         parts = [step.sources[0]] if op == ca.OP_LOG1P else list(inner.sources) if inner.op == ca.OP_ADD else []
         exponents = [j for j in parts if self.code.steps[j].op == ca.OP_EXP]
@@ -164,16 +181,18 @@ class _Calculus:
         numbers = [1.0] if op == ca.OP_LOG1P else numbers
         if len(exponents) == 1 and len(numbers) == 1 and numbers[0] > 0:
             u = self.found[self.code.steps[exponents[0]].sources[0]].upper
-            return plus(u, (Term((abs(float(np.log(numbers[0]))) + LOG_2) * UP, ()),))
+            return add_terms(u, (QuotientTerm((abs(float(np.log(numbers[0]))) + LOG_2) * ROUNDING_FACTOR, ()),))
         if op == ca.OP_LOG1P:
-            return raised(a.upper, Fraction(1, 2)) if a.low >= 0 else None
+            return raise_terms(a.upper, Fraction(1, 2)) if a.low >= 0 else None
         if not a.low > 0:
             return None
-        return plus(raised(a.upper, Fraction(1, 2)), (Term(max(-float(np.log(a.low)), 0.0) * UP, ()),))
+        return add_terms(
+            raise_terms(a.upper, Fraction(1, 2)), (QuotientTerm(max(-float(np.log(a.low)), 0.0) * ROUNDING_FACTOR, ()),)
+        )
 
-    def resolved(self, term: Term) -> Power | None:
+    def resolved(self, term: QuotientTerm) -> PowerBound | None:
         """The bound of a term as a power of |x|."""
-        weights = self._weights(term)
+        weights = self._mean_weights(term)
         if weights is None:
             return None
         size, left = term.size, dict(term.monomial)
@@ -193,9 +212,9 @@ class _Calculus:
                 size *= most ** float(power) * (1 + 1e-10)
             elif power:
                 alpha, gamma, p = max(alpha, self.atoms[atom].alpha), max(gamma, self.atoms[atom].gamma), p + power
-        return Power(size * (1 + 1e-9), alpha, gamma, p) if np.isfinite(size) else None
+        return PowerBound(size * (1 + 1e-9), alpha, gamma, p) if np.isfinite(size) else None
 
-    def _weights(self, term: Term) -> list[list[Fraction]] | None:
+    def _mean_weights(self, term: QuotientTerm) -> list[list[Fraction]] | None:
         """Weights of the monomials of each denominator that leave the least power."""
         if not term.below:
             return []
@@ -220,12 +239,12 @@ class _Calculus:
                 own[largest] += 1 - sum(own)
                 weights.append(own)
                 place += len(below)
-            if all(w >= 0 for own in weights for w in own) and self._fits(term, weights):
+            if all(w >= 0 for own in weights for w in own) and self._has_no_negative_power(term, weights):
                 return weights
         return None
 
     @staticmethod
-    def _fits(term: Term, weights: list[list[Fraction]]) -> bool:
+    def _has_no_negative_power(term: QuotientTerm, weights: list[list[Fraction]]) -> bool:
         left = dict(term.monomial)
         for below, own in zip(term.below, weights, strict=True):
             for (_, monomial), w in zip(below, own, strict=True):
@@ -237,56 +256,60 @@ class _Calculus:
 # -- rules -------------------------------------------------------------------------------------------------------------
 
 
-def _bounds(op: int, a: Size, b: Size) -> tuple[Sum, tuple[Term, ...] | None]:
+def _operation_size_bounds(op: int, a: SizeBounds, b: SizeBounds) -> tuple[MonomialSum, tuple[QuotientTerm, ...] | None]:
     """Lower and upper bounds of the size of an operation's value, from those of its first and its last argument."""
     if op in (ca.OP_NEG, ca.OP_FABS, ca.OP_ASSIGN):
         return a.lower, a.upper
     if op == ca.OP_TWICE:
-        return product(a.lower, ((2.0, ()),)), times(a.upper, (Term(2.0, ()),))
+        return multiply_lower_sums(a.lower, ((2.0, ()),)), multiply_terms(a.upper, (QuotientTerm(2.0, ()),))
     if op in (ca.OP_ADD, ca.OP_SUB):
         b_low, b_high = (b.low, b.high) if op == ca.OP_ADD else (-b.high, -b.low)
         alike = (a.low >= 0 and b_low >= 0) or (a.high <= 0 and b_high <= 0)
-        return (a.lower + b.lower if alike else ()), plus(a.upper, b.upper)
+        return (a.lower + b.lower if alike else ()), add_terms(a.upper, b.upper)
     if op == ca.OP_MUL:
-        return product(a.lower, b.lower), times(a.upper, b.upper)
+        return multiply_lower_sums(a.lower, b.lower), multiply_terms(a.upper, b.upper)
     if op == ca.OP_SQ:
-        return power_of_sum(a.lower, Fraction(2), below=True), times(a.upper, a.upper)
+        return power_of_sum(a.lower, Fraction(2), below=True), multiply_terms(a.upper, a.upper)
     if op in (ca.OP_DIV, ca.OP_INV):
-        top = a.upper if op == ca.OP_DIV else (Term(1.0, ()),)
-        return (), over(top, b.lower)
+        top = a.upper if op == ca.OP_DIV else (QuotientTerm(1.0, ()),)
+        return (), divide_terms(top, b.lower)
     if op == ca.OP_SQRT:
-        return (power_of_sum(a.lower, Fraction(1, 2), below=True), raised(a.upper, Fraction(1, 2))) if a.low >= 0 else ((), None)
+        return (
+            (power_of_sum(a.lower, Fraction(1, 2), below=True), raise_terms(a.upper, Fraction(1, 2)))
+            if a.low >= 0
+            else ((), None)
+        )
     if op in (ca.OP_POW, ca.OP_CONSTPOW) and b.low == b.high:
-        return _bounds_of_power(a, Fraction(b.low))
+        return _power_size_bounds(a, Fraction(b.low))
     if op == ca.OP_HYPOT:
-        return product(a.lower + b.lower, ((0.7071067811865, ()),)), plus(a.upper, b.upper)
-    return _bounds_of_function(op, a, b)
+        return multiply_lower_sums(a.lower + b.lower, ((0.7071067811865, ()),)), add_terms(a.upper, b.upper)
+    return _function_size_bounds(op, a, b)
 
 
-def _bounds_of_power(a: Size, c: Fraction) -> tuple[Sum, tuple[Term, ...] | None]:
+def _power_size_bounds(a: SizeBounds, c: Fraction) -> tuple[MonomialSum, tuple[QuotientTerm, ...] | None]:
     if c > 0 and (a.low >= 0 or c.denominator == 1):
-        return power_of_sum(a.lower, c, below=True), raised(a.upper, c)
+        return power_of_sum(a.lower, c, below=True), raise_terms(a.upper, c)
     if c < 0 and (a.low >= 0 or c.denominator == 1):
-        return (), over((Term(1.0, ()),), power_of_sum(a.lower, -c, below=True))
+        return (), divide_terms((QuotientTerm(1.0, ()),), power_of_sum(a.lower, -c, below=True))
     return (), None
 
 
-def _bounds_of_function(op: int, a: Size, b: Size) -> tuple[Sum, tuple[Term, ...] | None]:
+def _function_size_bounds(op: int, a: SizeBounds, b: SizeBounds) -> tuple[MonomialSum, tuple[QuotientTerm, ...] | None]:
     """The same of what is no arithmetic."""
     if op in (ca.OP_FMAX, ca.OP_FMIN):
         positive = a.low >= 0 and b.low >= 0
         if op == ca.OP_FMIN and positive:
             return (), a.upper if a.upper is not None and (b.upper is None or len(a.upper) <= len(b.upper)) else b.upper
         lower = a.lower if a.low >= 0 else b.lower if b.low >= 0 else ()
-        return (lower if op == ca.OP_FMAX else ()), plus(a.upper, b.upper)
+        return (lower if op == ca.OP_FMAX else ()), add_terms(a.upper, b.upper)
     if op in (ca.OP_FLOOR, ca.OP_CEIL):
-        return (), plus(a.upper, (Term(1.0, ()),))
+        return (), add_terms(a.upper, (QuotientTerm(1.0, ()),))
     if op == ca.OP_IF_ELSE_ZERO:
         return (), b.upper
     if op in (ca.OP_SIN, ca.OP_TANH, ca.OP_ATAN, ca.OP_ASINH):
         return (), a.upper
     if op == ca.OP_EXP and a.high <= 0:
-        square, cube = product(a.lower, a.lower), power_of_sum(a.lower, Fraction(3), below=True)
-        u = ((1.0, ()), *a.lower, *scaled(square, 0.5), *scaled(cube, 1 / 6))
-        return (), over((Term(1.0, ()),), u)
+        square, cube = multiply_lower_sums(a.lower, a.lower), power_of_sum(a.lower, Fraction(3), below=True)
+        u = ((1.0, ()), *a.lower, *scale_sum(square, 0.5), *scale_sum(cube, 1 / 6))
+        return (), divide_terms((QuotientTerm(1.0, ()),), u)
     return (), None

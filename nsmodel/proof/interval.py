@@ -13,22 +13,34 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.interval_arithmetic import LARGEST, MINUS_ONE, ONE, UNBOUNDED, Pair, add, choose, mul, neg, point, sub
+from nsmodel.proof.interval_arithmetic import (
+    LARGEST_DOUBLE,
+    MINUS_ONE,
+    ONE,
+    UNBOUNDED,
+    IntervalPair,
+    add,
+    mul,
+    neg,
+    point_interval,
+    select_interval,
+    sub,
+)
 from nsmodel.proof.interval_functions import OPERATIONS
-from nsmodel.proof.straight_line import Program, Step
+from nsmodel.proof.straight_line import Instruction, Program
 from nsmodel.proof.straight_line import program as program
 
-SPLITS, DEPTH = 4000, 40  # Boxes looked at, and cuts of one box, before continuity is left unproved.
+MAX_CONTINUITY_BOXES, MAX_CUT_DEPTH = 4000, 40  # Boxes looked at, and cuts of one box, before continuity is left unproved.
 
 
-def run(code: Program, lower: np.ndarray, upper: np.ndarray) -> list[Pair]:
+def run_program(code: Program, lower: np.ndarray, upper: np.ndarray) -> list[IntervalPair]:
     """Return the interval of every value over boxes (k, n); arrays (k,), or (1,) of constants."""
-    values: list[Pair] = []
+    values: list[IntervalPair] = []
     for step in code.steps:
         if step.op == ca.OP_INPUT:
             values.append((lower[:, step.slot], upper[:, step.slot]))
         elif step.op == ca.OP_CONST:
-            values.append(UNBOUNDED if np.isnan(step.number) else point(step.number))
+            values.append(UNBOUNDED if np.isnan(step.number) else point_interval(step.number))
         elif step.op in OPERATIONS:
             values.append(OPERATIONS[step.op].bounds(*(values[j] for j in step.sources)))
         else:
@@ -36,7 +48,7 @@ def run(code: Program, lower: np.ndarray, upper: np.ndarray) -> list[Pair]:
     return values
 
 
-def _continuous(step: Step, result: Pair, args: list[Pair]) -> np.ndarray:
+def _is_operation_continuous(step: Instruction, result: IntervalPair, args: list[IntervalPair]) -> np.ndarray:
     """Whether the operation is proved continuous on its arguments."""
     if step.op in (ca.OP_INPUT, ca.OP_CONST):
         return np.full(1, bool(np.isfinite(step.number)))
@@ -46,7 +58,9 @@ def _continuous(step: Step, result: Pair, args: list[Pair]) -> np.ndarray:
     return np.ones(1, bool) if rule is None else rule(result, *args)
 
 
-def slopes(code: Program, values: list[Pair], seeds: tuple[int, ...], count: int) -> tuple[np.ndarray, np.ndarray]:
+def reverse_slopes(
+    code: Program, values: list[IntervalPair], seeds: tuple[int, ...], count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return intervals s (len(seeds), count, n) with f(u) - f(v) = sum s_i (u_i - v_i) for all u, v in one box.
 
     Such an s exists wherever every operation is Lipschitz on its arguments; elsewhere it is (-inf, inf). Slopes are carried
@@ -54,11 +68,11 @@ def slopes(code: Program, values: list[Pair], seeds: tuple[int, ...], count: int
     """
     shape = (len(seeds), count, code.inputs)
     lo, hi = np.zeros(shape), np.zeros(shape)
-    bars: list[Pair | None] = [None] * len(code.steps)
+    bars: list[IntervalPair | None] = [None] * len(code.steps)
     for row, seed in enumerate(seeds):
         unit = np.zeros((len(seeds), 1))
         unit[row] = 1.0
-        _gather(bars, code.outputs[seed], (unit, unit))
+        _accumulate_bar(bars, code.outputs[seed], (unit, unit))
     for i in reversed(range(len(code.steps))):
         step, bar = code.steps[i], bars[i]
         if bar is None or not code.uses[i]:
@@ -68,24 +82,28 @@ def slopes(code: Program, values: list[Pair], seeds: tuple[int, ...], count: int
             lo[:, :, step.slot], hi[:, :, step.slot] = bar
             continue
         args = [values[j] for j in step.sources]
-        regular = _continuous(step, values[i], args)
+        regular = _is_operation_continuous(step, values[i], args)
         known = OPERATIONS[step.op].slopes(values[i], *args) if step.op in OPERATIONS else [UNBOUNDED] * len(args)
         for j, slope in zip(step.sources, known, strict=True):
             if code.uses[j]:
-                _gather(bars, j, _times(bar, slope) if regular.all() else mul(bar, choose(regular, slope, UNBOUNDED)))
+                _accumulate_bar(
+                    bars,
+                    j,
+                    _multiply_slope(bar, slope) if regular.all() else mul(bar, select_interval(regular, slope, UNBOUNDED)),
+                )
     return lo, hi
 
 
-def _times(bar: Pair, slope: Pair) -> Pair:
+def _multiply_slope(bar: IntervalPair, slope: IntervalPair) -> IntervalPair:
     return bar if slope is ONE else neg(bar) if slope is MINUS_ONE else mul(bar, slope)
 
 
-def _gather(bars: list[Pair | None], index: int, part: Pair) -> None:
+def _accumulate_bar(bars: list[IntervalPair | None], index: int, part: IntervalPair) -> None:
     old = bars[index]
     bars[index] = part if old is None else add(old, part)
 
 
-class Bounds(NamedTuple):
+class MeanValueBounds(NamedTuple):
     """Bounds of the entries over boxes: lo, hi and, in the middle, mid_lo, mid_hi (numel, k); slopes (numel, k, n)."""
 
     lo: np.ndarray
@@ -96,7 +114,7 @@ class Bounds(NamedTuple):
     mid_hi: np.ndarray
 
 
-def centre(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def box_centre(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return a point of each box, the middle where it is bounded."""
     with np.errstate(all="ignore"):
         middle = np.clip(lower + (upper - lower) / 2, lower, upper)
@@ -104,37 +122,37 @@ def centre(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(middle), middle, ends)
 
 
-def mean_value(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounds:
+def mean_value_form(code: Program, lower: np.ndarray, upper: np.ndarray) -> MeanValueBounds:
     """Bounds of each entry by f(c) + sum s_i (x_i - c_i) and by the values themselves, whichever is better."""
     with np.errstate(all="ignore"):
-        values, middle = run(code, lower, upper), centre(lower, upper)
-        at_middle = run(code, middle, middle)
+        values, middle = run_program(code, lower, upper), box_centre(lower, upper)
+        at_middle = run_program(code, middle, middle)
         count, m = len(lower), len(code.outputs)
-        lo, hi = slopes(code, values, tuple(range(m)), count)
-        total = first = _stacked(code, at_middle, count)
+        lo, hi = reverse_slopes(code, values, tuple(range(m)), count)
+        total = first = _stack_outputs(code, at_middle, count)
         for i in sorted(frozenset().union(*(code.uses[j] for j in code.outputs))):
             total = add(total, mul((lo[:, :, i], hi[:, :, i]), sub((lower[:, i], upper[:, i]), (middle[:, i], middle[:, i]))))
-        plain = _stacked(code, values, count)
+        plain = _stack_outputs(code, values, count)
         low, high = np.maximum(plain[0], total[0]), np.minimum(plain[1], total[1])
         empty = low > high  # undefined on the box, or at its middle
-        return Bounds(np.where(empty, plain[0], low), np.where(empty, plain[1], high), lo, hi, *first)
+        return MeanValueBounds(np.where(empty, plain[0], low), np.where(empty, plain[1], high), lo, hi, *first)
 
 
-def natural(code: Program, lower: np.ndarray, upper: np.ndarray) -> Pair:
+def natural_extension(code: Program, lower: np.ndarray, upper: np.ndarray) -> IntervalPair:
     """Bounds (numel, k) of each entry over boxes (k, n)."""
     with np.errstate(all="ignore"):
         parts = [
-            _stacked(
+            _stack_outputs(
                 code,
-                run(code, lower[i : i + code.rows_at_once], upper[i : i + code.rows_at_once]),
-                len(lower[i:][: code.rows_at_once]),
+                run_program(code, lower[i : i + code.boxes_per_run], upper[i : i + code.boxes_per_run]),
+                len(lower[i:][: code.boxes_per_run]),
             )
-            for i in range(0, len(lower), code.rows_at_once)
+            for i in range(0, len(lower), code.boxes_per_run)
         ] or [(np.zeros((len(code.outputs), 0)),) * 2]
     return np.concatenate([lo for lo, _ in parts], axis=1), np.concatenate([hi for _, hi in parts], axis=1)
 
 
-def _stacked(code: Program, values: list[Pair], count: int) -> Pair:
+def _stack_outputs(code: Program, values: list[IntervalPair], count: int) -> IntervalPair:
     """Return the values of the outputs as arrays (numel, count)."""
     lo, hi = np.zeros((len(code.outputs), count)), np.zeros((len(code.outputs), count))
     for row, index in enumerate(code.outputs):
@@ -142,7 +160,7 @@ def _stacked(code: Program, values: list[Pair], count: int) -> Pair:
     return lo, hi
 
 
-def boxes(z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def validated_boxes(z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return lower and upper as arrays (k, n).
 
     Raises:
@@ -156,7 +174,7 @@ def boxes(z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, n
     return low, high
 
 
-def enclose(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Pair:
+def enclose(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> IntervalPair:
     """Return rigorous bounds of every entry of an expression over a box, or over each of several boxes.
 
     Args:
@@ -170,10 +188,10 @@ def enclose(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Pair
     Raises:
         ValueError: other symbols than z, or no box.
     """
-    code, (low, high) = program(expr, z), boxes(z, lower, upper)
+    code, (low, high) = program(expr, z), validated_boxes(z, lower, upper)
     batch = np.ndim(lower) > 1
     rows, columns = code.shape
-    lo, hi = (part.T.reshape(len(low), columns, rows).transpose(0, 2, 1) for part in natural(code, low, high))
+    lo, hi = (part.T.reshape(len(low), columns, rows).transpose(0, 2, 1) for part in natural_extension(code, low, high))
     return (lo, hi) if batch else (lo[0], hi[0])
 
 
@@ -186,44 +204,44 @@ def is_continuous(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -
     Raises:
         ValueError: other symbols than z, or no box.
     """
-    code, (low, high) = program(expr, z), boxes(z, lower, upper)
+    code, (low, high) = program(expr, z), validated_boxes(z, lower, upper)
     used = sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))
     count = 0
-    for _ in range(DEPTH * max(1, len(used))):
+    for _ in range(MAX_CUT_DEPTH * max(1, len(used))):
         count += len(low)
         smooth = np.concatenate([
-            _smooth(code, low[i : i + code.rows_at_once], high[i : i + code.rows_at_once])
-            for i in range(0, len(low), code.rows_at_once)
+            _are_boxes_continuous(code, low[i : i + code.boxes_per_run], high[i : i + code.boxes_per_run])
+            for i in range(0, len(low), code.boxes_per_run)
         ])  # fmt: skip
         low, high = low[~smooth], high[~smooth]
         if not len(low):
             return True
-        if count + 2 * len(low) > SPLITS or (low[:, used] == high[:, used]).all(axis=1).any():
+        if count + 2 * len(low) > MAX_CONTINUITY_BOXES or (low[:, used] == high[:, used]).all(axis=1).any():
             return False
         widest = np.argmax(np.where(low[:, used] == high[:, used], -1.0, high[:, used] - low[:, used]), axis=1)
-        low, high = halves(low, high, np.array(used, int)[widest])
+        low, high = bisect_boxes(low, high, np.array(used, int)[widest])
     return False
 
 
-def _smooth(code: Program, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def _are_boxes_continuous(code: Program, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Whether each box (k, n) is proved to have no jump of an output in it, and to be where it is defined."""
     with np.errstate(all="ignore"):
-        values = run(code, lower, upper)
+        values = run_program(code, lower, upper)
         known: list[tuple[np.ndarray, np.ndarray]] = []
         for step, result in zip(code.steps, values, strict=True):
             args = [values[j] for j in step.sources]
-            known.append(_regularity(step, result, args, [known[j] for j in step.sources]))
+            known.append(_value_regularity(step, result, args, [known[j] for j in step.sources]))
     total = np.ones(len(lower), bool)
     for index in code.outputs:
         total &= known[index][0] & known[index][1]
     return total
 
 
-def _regularity(
-    step: Step, result: Pair, args: list[Pair], sources: list[tuple[np.ndarray, np.ndarray]]
+def _value_regularity(
+    step: Instruction, result: IntervalPair, args: list[IntervalPair], sources: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return whether a value is proved to be continuous, and defined; jumps do not matter to what is constant all the same."""
-    own, jumps = _continuous(step, result, args), step.op in OPERATIONS and OPERATIONS[step.op].jumps
+    own, jumps = _is_operation_continuous(step, result, args), step.op in OPERATIONS and OPERATIONS[step.op].jumps
     smooth, defined = own, np.ones(1, bool) if jumps else own
     if step.op == ca.OP_IF_ELSE_ZERO:
         off = (args[0][0] == 0) & (args[0][1] == 0)
@@ -233,7 +251,7 @@ def _regularity(
     return smooth, defined
 
 
-def cut(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def cut_points(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return where to cut intervals: the middle, 0 where it is not far off; unbounded ones at 0, 1 and powers of 2."""
     with np.errstate(all="ignore"):
         middle = lower + (upper - lower) / 2
@@ -244,13 +262,13 @@ def cut(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     middle = np.where(
         free, 0.0, np.where(np.isinf(upper), rising, np.where(np.isinf(lower), falling, np.where(off, 0.0, middle)))
     )
-    return np.clip(np.clip(middle, -LARGEST, LARGEST), lower, upper)
+    return np.clip(np.clip(middle, -LARGEST_DOUBLE, LARGEST_DOUBLE), lower, upper)
 
 
-def halves(lower: np.ndarray, upper: np.ndarray, coordinate: np.ndarray) -> Pair:
+def bisect_boxes(lower: np.ndarray, upper: np.ndarray, coordinate: np.ndarray) -> IntervalPair:
     """Return the halves (2k, n) of boxes (k, n), each cut in its coordinate (k,)."""
     rows = np.arange(len(lower))
-    where = cut(lower[rows, coordinate], upper[rows, coordinate])
+    where = cut_points(lower[rows, coordinate], upper[rows, coordinate])
     left, right = upper.copy(), lower.copy()
     left[rows, coordinate], right[rows, coordinate] = where, where
     return np.concatenate([lower, right]), np.concatenate([left, upper])

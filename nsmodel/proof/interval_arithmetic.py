@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 Array = np.ndarray
-Pair = tuple[Array, Array]
+IntervalPair = tuple[Array, Array]
 
-LARGEST = np.finfo(float).max
-LIBRARY = 2e-15  # Relative error allowed to a library function: 9 ulps or more.
-ROUNDING = 4 * np.finfo(float).eps  # An argument outside a domain by less, beside its other end or 1, counts as rounded.
+LARGEST_DOUBLE = np.finfo(float).max
+LIBRARY_ERROR = 2e-15  # Relative error allowed to a library function: 9 ulps or more.
+DOMAIN_ROUNDING = 4 * np.finfo(float).eps  # An argument outside a domain by less, beside its other end or 1, counts as rounded.
 PI_BELOW, PI_ABOVE = np.nextafter(np.pi, 0), np.nextafter(np.pi, 4)
 HALF_PI = PI_ABOVE / 2
 ONE, ZERO = (np.ones(1), np.ones(1)), (np.zeros(1), np.zeros(1))
@@ -26,37 +26,39 @@ UNBOUNDED = (np.full(1, -np.inf), np.full(1, np.inf))
 # -- rounding ----------------------------------------------------------------------------------------------------------
 
 
-def pair(lo: Array, hi: Array) -> Pair:
+def make_interval(lo: Array, hi: Array) -> IntervalPair:
     """Return the interval: no bound in place of NaN, and no end beyond all numbers."""
-    return np.where(np.isnan(lo), -np.inf, np.minimum(lo, LARGEST)), np.where(np.isnan(hi), np.inf, np.maximum(hi, -LARGEST))
+    return np.where(np.isnan(lo), -np.inf, np.minimum(lo, LARGEST_DOUBLE)), np.where(
+        np.isnan(hi), np.inf, np.maximum(hi, -LARGEST_DOUBLE)
+    )
 
 
-def point(number: float) -> Pair:
+def point_interval(number: float) -> IntervalPair:
     """Return the interval that holds one number."""
-    return pair(np.array([number]), np.array([number]))
+    return make_interval(np.array([number]), np.array([number]))
 
 
-def down(x: Array) -> Array:
+def next_down(x: Array) -> Array:
     """Return the next double below."""
     return np.nextafter(x, -np.inf)
 
 
-def up(x: Array) -> Array:
+def next_up(x: Array) -> Array:
     """Return the next double above."""
     return np.nextafter(x, np.inf)
 
 
-def below(x: Array, error: float = LIBRARY) -> Array:
+def widen_down(x: Array, error: float = LIBRARY_ERROR) -> Array:
     """Return a lower bound of a number known with a relative error."""
-    return np.where(np.isinf(x), x, down(x - error * np.abs(x)))
+    return np.where(np.isinf(x), x, next_down(x - error * np.abs(x)))
 
 
-def above(x: Array, error: float = LIBRARY) -> Array:
+def widen_up(x: Array, error: float = LIBRARY_ERROR) -> Array:
     """Return an upper bound of a number known with a relative error."""
-    return np.where(np.isinf(x), x, up(x + error * np.abs(x)))
+    return np.where(np.isinf(x), x, next_up(x + error * np.abs(x)))
 
 
-def short(*numbers: Array) -> Array:
+def has_short_significands(*numbers: Array) -> Array:
     """Whether all numbers have at most 24 significant bits: their products are exact doubles."""
     mask = np.ones(1, bool)
     for x in numbers:
@@ -66,18 +68,18 @@ def short(*numbers: Array) -> Array:
     return mask
 
 
-def choose(mask: Array, a: Pair, b: Pair) -> Pair:
+def select_interval(mask: Array, a: IntervalPair, b: IntervalPair) -> IntervalPair:
     """Return a where the mask holds, else b."""
     return np.where(mask, a[0], b[0]), np.where(mask, a[1], b[1])
 
 
-def meet(a: Pair, b: Pair) -> Pair:
+def intersect(a: IntervalPair, b: IntervalPair) -> IntervalPair:
     """Return the intersection of two intervals that are known to meet; the first where rounding parts them."""
     lo, hi = np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
-    return choose(lo <= hi, (lo, hi), a)
+    return select_interval(lo <= hi, (lo, hi), a)
 
 
-def hull(*pairs: Pair) -> Pair:
+def hull(*pairs: IntervalPair) -> IntervalPair:
     """Return the least interval around several."""
     lo, hi = pairs[0]
     for other in pairs[1:]:
@@ -85,18 +87,18 @@ def hull(*pairs: Pair) -> Pair:
     return lo, hi
 
 
-def magnitude(x: Pair) -> Pair:
+def magnitude(x: IntervalPair) -> IntervalPair:
     """Return the interval of |x|."""
     a, b = np.abs(x[0]), np.abs(x[1])
     return np.where((x[0] <= 0) & (x[1] >= 0), 0.0, np.minimum(a, b)), np.maximum(a, b)
 
 
-def excludes(x: Pair, number: float = 0.0) -> Array:
+def excludes(x: IntervalPair, number: float = 0.0) -> Array:
     """Whether the interval does not hold the number."""
     return (x[0] > number) | (x[1] < number)
 
 
-def is_point(x: Pair) -> Array:
+def is_point(x: IntervalPair) -> Array:
     """Whether the interval holds one number only."""
     return x[0] == x[1]
 
@@ -104,36 +106,36 @@ def is_point(x: Pair) -> Array:
 # -- rational operations -----------------------------------------------------------------------------------------------
 
 
-def _sum(a: Array, b: Array) -> tuple[Array, Array]:
+def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
     """Return the rounded sum and its error (Knuth); NaN error where it overflows."""
     s = a + b
     part = s - a
     return s, (a - (s - part)) + (b - part)
 
 
-def add(x: Pair, y: Pair) -> Pair:
+def add(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return x + y."""
-    (lo, below), (hi, above) = _sum(x[0], y[0]), _sum(x[1], y[1])
-    return np.where(below >= 0, lo, down(lo)), np.where(above <= 0, hi, up(hi))
+    (lo, below), (hi, above) = _two_sum(x[0], y[0]), _two_sum(x[1], y[1])
+    return np.where(below >= 0, lo, next_down(lo)), np.where(above <= 0, hi, next_up(hi))
 
 
-def neg(x: Pair) -> Pair:
+def neg(x: IntervalPair) -> IntervalPair:
     """Return -x."""
     return -x[1], -x[0]
 
 
-def sub(x: Pair, y: Pair) -> Pair:
+def sub(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return x - y."""
     return add(x, neg(y))
 
 
-def _corners(corners: list[Array], exact: Array, x: Pair, y: Pair) -> Pair:
+def _corner_hull(corners: list[Array], exact: Array, x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return the outward rounded hull of corner values of x y or x / y; NaN is 0 times infinity or inf / inf and counts 0."""
     lo = np.minimum(np.minimum(corners[0], corners[1]), np.minimum(corners[2], corners[3]))
     if np.isnan(lo).any():  # minima pass NaN on
-        return _corners([np.where(np.isnan(p), 0.0, p) for p in corners], exact, x, y)
+        return _corner_hull([np.where(np.isnan(p), 0.0, p) for p in corners], exact, x, y)
     hi = np.maximum(np.maximum(corners[0], corners[1]), np.maximum(corners[2], corners[3]))
-    lower, upper = down(lo), up(hi)
+    lower, upper = next_down(lo), next_up(hi)
     if exact.any():
         lower, upper = np.where(exact, lo, lower), np.where(exact, hi, upper)
     if (lo == 0).any():  # an end that is 0 stays, unless another sign has come to nothing
@@ -143,53 +145,53 @@ def _corners(corners: list[Array], exact: Array, x: Pair, y: Pair) -> Pair:
     return lower, upper
 
 
-def mul(x: Pair, y: Pair) -> Pair:
+def mul(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return x y, with 0 times anything 0."""
-    return _corners([x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]], short(*x, *y), x, y)
+    return _corner_hull([x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]], has_short_significands(*x, *y), x, y)
 
 
-def div(x: Pair, y: Pair) -> Pair:
+def div(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return x / y; no bound where y holds 0 inside."""
     lo, hi = y[0] + 0.0, np.where(y[1] == 0, -0.0, y[1])
     quotients = [x[0] / lo, x[0] / hi, x[1] / lo, x[1] / hi]
-    exact = short(lo, hi, *quotients)
+    exact = has_short_significands(lo, hi, *quotients)
     if exact.any():
         for q, a, b in zip(quotients, (x[0], x[0], x[1], x[1]), (lo, hi, lo, hi), strict=True):
             exact = exact & (q * b == a)
     inside = ((y[0] < 0) & (y[1] > 0)) | ((y[0] == 0) & (y[1] == 0))
-    return choose(inside, UNBOUNDED, _corners(quotients, exact, x, y))
+    return select_interval(inside, UNBOUNDED, _corner_hull(quotients, exact, x, y))
 
 
-def inv(x: Pair) -> Pair:
+def inv(x: IntervalPair) -> IntervalPair:
     """Return 1 / x."""
     return div(ONE, x)
 
 
-def square(x: Pair) -> Pair:
+def square(x: IntervalPair) -> IntervalPair:
     """Return x^2."""
     lo, hi = magnitude(x)
-    exact = short(*x)
-    return pair(np.where(exact, lo * lo, np.maximum(down(lo * lo), 0)), np.where(exact, hi * hi, up(hi * hi)))
+    exact = has_short_significands(*x)
+    return make_interval(np.where(exact, lo * lo, np.maximum(next_down(lo * lo), 0)), np.where(exact, hi * hi, next_up(hi * hi)))
 
 
-def scale(x: Pair, number: float) -> Pair:
+def scale_interval(x: IntervalPair, number: float) -> IntervalPair:
     """Return a number times x."""
-    return mul(x, point(number))
+    return mul(x, point_interval(number))
 
 
-def in_domain(x: Pair, low: float, high: float) -> Array:
+def in_domain(x: IntervalPair, low: float, high: float) -> Array:
     """Whether the interval lies in [low, high] but for rounding (and does not lie outside altogether)."""
-    slack = ROUNDING * np.minimum(np.maximum(np.abs(x[0]), np.abs(x[1])), 1.0)
+    slack = DOMAIN_ROUNDING * np.minimum(np.maximum(np.abs(x[0]), np.abs(x[1])), 1.0)
     return (x[0] >= low - slack) & (x[1] <= high + slack) & (x[1] >= low) & (x[0] <= high)
 
 
-def root(x: Pair) -> Pair:
+def square_root(x: IntervalPair) -> IntervalPair:
     """Return sqrt(x)."""
 
     def ends(value: Array) -> tuple[Array, Array]:
         r = np.sqrt(np.maximum(value, 0))
-        return r, short(r) & (r * r == value)
+        return r, has_short_significands(r) & (r * r == value)
 
     (lo, exact_lo), (hi, exact_hi) = ends(x[0]), ends(x[1])
-    inner = pair(np.where(exact_lo, lo, np.maximum(down(lo), 0)), np.where(exact_hi, hi, up(hi)))
-    return choose(in_domain(x, 0.0, np.inf), inner, UNBOUNDED)
+    inner = make_interval(np.where(exact_lo, lo, np.maximum(next_down(lo), 0)), np.where(exact_hi, hi, next_up(hi)))
+    return select_interval(in_domain(x, 0.0, np.inf), inner, UNBOUNDED)

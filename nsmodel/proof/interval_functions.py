@@ -14,27 +14,27 @@ from nsmodel.proof.interval_arithmetic import (
     UNBOUNDED,
     ZERO,
     Array,
-    Pair,
-    above,
+    IntervalPair,
     add,
-    below,
-    choose,
     div,
     excludes,
     hull,
     in_domain,
+    intersect,
     inv,
     is_point,
     magnitude,
-    meet,
+    make_interval,
     mul,
     neg,
-    pair,
-    point,
-    root,
+    next_up,
+    point_interval,
+    select_interval,
     square,
+    square_root,
     sub,
-    up,
+    widen_down,
+    widen_up,
 )
 from nsmodel.proof.interval_library import (
     acos,
@@ -44,18 +44,18 @@ from nsmodel.proof.interval_library import (
     atan,
     atan2,
     atanh,
+    avoids_angle_cut,
     cos,
     cosh,
     erf_bounds,
     erfinv_bounds,
     exp,
     expm1,
-    has_pole,
+    has_tangent_pole,
     hypot,
     hypot_slopes,
     log,
     log1p,
-    off_cut,
     sin,
     sinh,
     tan,
@@ -63,7 +63,7 @@ from nsmodel.proof.interval_library import (
 )
 
 
-class Operation(NamedTuple):
+class IntervalOperation(NamedTuple):
     """What is known of an elementary operation f on intervals.
 
     Attributes:
@@ -74,8 +74,8 @@ class Operation(NamedTuple):
         jumps: f is piecewise constant: where its value is known it is continuous, whatever the arguments do.
     """
 
-    bounds: Callable[..., Pair]
-    slopes: Callable[..., tuple[Pair, ...]]
+    bounds: Callable[..., IntervalPair]
+    slopes: Callable[..., tuple[IntervalPair, ...]]
     continuous: Callable[..., Array] | None = None
     jumps: bool = False
 
@@ -83,16 +83,16 @@ class Operation(NamedTuple):
 # -- powers ------------------------------------------------------------------------------------------------------------
 
 
-def _whole_power(x: Pair, n: float) -> Pair:
+def _integer_power(x: IntervalPair, n: float) -> IntervalPair:
     """Return x^n for a whole n > 0."""
     x = x if n % 2 else magnitude(x)
     if n <= 64:
-        return _product(x[0], int(n))[0], _product(x[1], int(n))[1]
-    lo, hi = below(np.power(x[0], n)), above(np.power(x[1], n))
-    return pair(np.where(x[0] >= 0, np.maximum(lo, 0), lo), np.where(x[1] <= 0, np.minimum(hi, 0), hi))
+        return _power_by_products(x[0], int(n))[0], _power_by_products(x[1], int(n))[1]
+    lo, hi = widen_down(np.power(x[0], n)), widen_up(np.power(x[1], n))
+    return make_interval(np.where(x[0] >= 0, np.maximum(lo, 0), lo), np.where(x[1] <= 0, np.minimum(hi, 0), hi))
 
 
-def _product(x: Array, n: int) -> Pair:
+def _power_by_products(x: Array, n: int) -> IntervalPair:
     """Return x^n for numbers by products, which are exact where they can be."""
     result, factor = ONE, (x, x)
     while n:
@@ -100,7 +100,7 @@ def _product(x: Array, n: int) -> Pair:
     return result
 
 
-def constant_power(x: Pair, c: float) -> Pair:
+def constant_power(x: IntervalPair, c: float) -> IntervalPair:
     """Return x^c for one number c."""
     if np.isnan(c):
         return UNBOUNDED
@@ -109,182 +109,200 @@ def constant_power(x: Pair, c: float) -> Pair:
     if c in (0, 1, 2):
         return (np.ones_like(x[0]), np.ones_like(x[1])) if c == 0 else x if c == 1 else square(x)
     if c == np.floor(c) and c < 2**52:
-        return _whole_power(x, c)
-    lo, hi = np.maximum(below(np.power(np.maximum(x[0], 0), c)), 0), above(np.power(np.maximum(x[1], 0), c))
+        return _integer_power(x, c)
+    lo, hi = np.maximum(widen_down(np.power(np.maximum(x[0], 0), c)), 0), widen_up(np.power(np.maximum(x[1], 0), c))
     hi = np.where(x[1] <= 0, 0.0, hi)  # 0^c = 0
-    return choose(in_domain(x, 0.0, np.inf), pair(lo, hi), UNBOUNDED)
+    return select_interval(in_domain(x, 0.0, np.inf), make_interval(lo, hi), UNBOUNDED)
 
 
-def power(x: Pair, y: Pair) -> Pair:
+def interval_power(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return x^y; monotone in x and in y where x > 0, so that the corners bound it."""
     base = np.maximum(x[0], 0), np.maximum(x[1], 0)
     corners = [np.power(a, b) for a in base for b in y]
     lo, hi = np.minimum.reduce(np.broadcast_arrays(*corners)), np.maximum.reduce(np.broadcast_arrays(*corners))
-    return choose(in_domain(x, 0.0, np.inf), pair(np.maximum(below(lo), 0), above(hi)), UNBOUNDED)
+    return select_interval(in_domain(x, 0.0, np.inf), make_interval(np.maximum(widen_down(lo), 0), widen_up(hi)), UNBOUNDED)
 
 
-def _fixed_power(x: Pair, y: Pair) -> Pair:
+def _constant_or_general_power(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     """Return x^y; x may be negative where y is one whole number."""
     same = y[0].size > 0 and (y[0] == y[0].flat[0]).all() and (y[1] == y[0].flat[0]).all()
-    return constant_power(x, float(y[0].flat[0])) if same else power(x, y)
+    return constant_power(x, float(y[0].flat[0])) if same else interval_power(x, y)
 
 
-def _power_continuous(_: Pair, x: Pair, y: Pair) -> Array:
+def _is_power_continuous(_: IntervalPair, x: IntervalPair, y: IntervalPair) -> Array:
     whole = is_point(y) & (y[0] == np.floor(y[0]))
     return (x[0] > 0) | ((x[0] >= 0) & (y[0] > 0)) | (whole & ((y[0] >= 0) | excludes(x)))
 
 
-def _power_slopes(r: Pair, x: Pair, y: Pair) -> tuple[Pair, Pair]:
-    return mul(y, power(x, sub(y, ONE))), choose(x[0] >= 0, mul(r, log(x)), UNBOUNDED)
+def _power_slopes(r: IntervalPair, x: IntervalPair, y: IntervalPair) -> tuple[IntervalPair, IntervalPair]:
+    return mul(y, interval_power(x, sub(y, ONE))), select_interval(x[0] >= 0, mul(r, log(x)), UNBOUNDED)
 
 
-def _fixed_power_slopes(r: Pair, x: Pair, y: Pair) -> tuple[Pair, Pair]:
-    by_base = mul(y, _fixed_power(x, sub(y, ONE)))
-    return by_base, ZERO if is_point(y).all() else choose(x[0] >= 0, mul(r, log(x)), UNBOUNDED)
+def _constant_or_general_power_slopes(r: IntervalPair, x: IntervalPair, y: IntervalPair) -> tuple[IntervalPair, IntervalPair]:
+    by_base = mul(y, _constant_or_general_power(x, sub(y, ONE)))
+    return by_base, ZERO if is_point(y).all() else select_interval(x[0] >= 0, mul(r, log(x)), UNBOUNDED)
 
 
 # -- operations with kinks and jumps -----------------------------------------------------------------------------------
 
 
-def _bits(true: Array, false: Array) -> Pair:
+def _truth_interval(true: Array, false: Array) -> IntervalPair:
     """Return the interval of a truth value, 1 where proved true, 0 where proved false."""
     return np.where(true, 1.0, 0.0), np.where(false, 0.0, 1.0)
 
 
-def _is_true(x: Pair) -> Array:
+def _is_true(x: IntervalPair) -> Array:
     return excludes(x)
 
 
-def _is_false(x: Pair) -> Array:
+def _is_false(x: IntervalPair) -> Array:
     return (x[0] == 0) & (x[1] == 0)
 
 
-def _quotient(x: Pair, y: Pair, rounding: Callable[[Array], Array]) -> tuple[Array, Array]:
+def _rounded_quotient(x: IntervalPair, y: IntervalPair, rounding: Callable[[Array], Array]) -> tuple[Array, Array]:
     """Return rounding(x / y) and whether it is one and the same number."""
     q = div(x, y)
     a, b = rounding(q[0]), rounding(q[1])
     return a, (a == b) & np.isfinite(a) & excludes(y)
 
 
-def _rest(rounding: Callable[[Array], Array], part: float) -> Callable[[Pair, Pair], Pair]:
+def _remainder_bounds(rounding: Callable[[Array], Array], part: float) -> Callable[[IntervalPair, IntervalPair], IntervalPair]:
     """Bounds of x - rounding(x / y) y; it is at most ``part`` |y|."""
 
-    def bounds(x: Pair, y: Pair) -> Pair:
-        number, known = _quotient(x, y, rounding)
-        most = up(part * np.maximum(np.abs(y[0]), np.abs(y[1])))
+    def bounds(x: IntervalPair, y: IntervalPair) -> IntervalPair:
+        number, known = _rounded_quotient(x, y, rounding)
+        most = next_up(part * np.maximum(np.abs(y[0]), np.abs(y[1])))
         if rounding is np.trunc:
             ends = np.where(x[0] >= 0, 0.0, np.maximum(-most, x[0])), np.where(x[1] <= 0, 0.0, np.minimum(most, x[1]))
         else:
             ends = -most, most
         number = np.where(known, number, 0.0)
-        return choose(known, meet(ends, sub(x, mul((number, number), y))), choose(excludes(y), ends, UNBOUNDED))
+        return select_interval(
+            known, intersect(ends, sub(x, mul((number, number), y))), select_interval(excludes(y), ends, UNBOUNDED)
+        )
 
     return bounds
 
 
-def _rest_operation(rounding: Callable[[Array], Array], part: float) -> Operation:
-    return Operation(_rest(rounding, part), lambda r, x, y: (ONE, UNBOUNDED), lambda r, x, y: _quotient(x, y, rounding)[1])
+def _remainder_operation(rounding: Callable[[Array], Array], part: float) -> IntervalOperation:
+    return IntervalOperation(
+        _remainder_bounds(rounding, part), lambda r, x, y: (ONE, UNBOUNDED), lambda r, x, y: _rounded_quotient(x, y, rounding)[1]
+    )
 
 
-def _copysign(x: Pair, y: Pair) -> Pair:
+def _copysign(x: IntervalPair, y: IntervalPair) -> IntervalPair:
     size = magnitude(x)
-    return choose(y[0] > 0, size, choose(y[1] < 0, neg(size), (-size[1], size[1])))
+    return select_interval(y[0] > 0, size, select_interval(y[1] < 0, neg(size), (-size[1], size[1])))
 
 
-def _if_else_zero(c: Pair, v: Pair) -> Pair:
-    return choose(_is_false(c), ZERO, choose(_is_true(c), v, hull(ZERO, v)))
+def _if_else_zero(c: IntervalPair, v: IntervalPair) -> IntervalPair:
+    return select_interval(_is_false(c), ZERO, select_interval(_is_true(c), v, hull(ZERO, v)))
 
 
-def _sign_slope(x: Pair) -> Pair:
+def _absolute_value_slope(x: IntervalPair) -> IntervalPair:
     return np.where(x[0] >= 0, 1.0, -1.0), np.where((x[1] <= 0) & (x[0] < 0), -1.0, 1.0)
 
 
-def _share(first: Array, second: Array) -> tuple[Pair, Pair]:
+def _choice_slopes(first: Array, second: Array) -> tuple[IntervalPair, IntervalPair]:
     """Slopes of a choice between two arguments, proved to be the first, the second, or neither."""
-    return _bits(first, second & ~first), _bits(second & ~first, first)
+    return _truth_interval(first, second & ~first), _truth_interval(second & ~first, first)
 
 
-def _jump(bounds: Callable[..., Pair], arity: int = 1) -> Operation:
-    return Operation(bounds, lambda r, *args: (ZERO,) * arity, lambda r, *args: is_point(r), True)
+def _jump_operation(bounds: Callable[..., IntervalPair], arity: int = 1) -> IntervalOperation:
+    return IntervalOperation(bounds, lambda r, *args: (ZERO,) * arity, lambda r, *args: is_point(r), True)
 
 
 # -- the table ---------------------------------------------------------------------------------------------------------
 
-_TWO = point(2.0)
+_TWO = point_interval(2.0)
 _ERF_SLOPE = (np.array([1.1283791670955125]), np.array([1.1283791670955128]))  # 2 / sqrt(pi)
 
 
-def _one_minus_square(x: Pair) -> Pair:
+def _one_minus_square(x: IntervalPair) -> IntervalPair:
     return sub(ONE, square(x))
 
 
-def _plain(bounds: Callable[..., Pair], slope: Callable[..., Pair], continuous: Any = None) -> Operation:
+def _unary_operation(
+    bounds: Callable[..., IntervalPair], slope: Callable[..., IntervalPair], continuous: Any = None
+) -> IntervalOperation:
     """Return an operation of one argument."""
-    return Operation(bounds, lambda r, x: (slope(r, x),), continuous)
+    return IntervalOperation(bounds, lambda r, x: (slope(r, x),), continuous)
 
 
-OPERATIONS: dict[int, Operation] = {
-    ca.OP_ASSIGN: _plain(lambda x: x, lambda r, x: ONE),
-    ca.OP_PRINTME: Operation(lambda x, y: x, lambda r, x, y: (ONE, ZERO)),
-    ca.OP_LIFT: Operation(lambda x, y: x, lambda r, x, y: (ONE, ZERO)),
-    ca.OP_ADD: Operation(add, lambda r, x, y: (ONE, ONE)),
-    ca.OP_SUB: Operation(sub, lambda r, x, y: (ONE, MINUS_ONE)),
-    ca.OP_MUL: Operation(mul, lambda r, x, y: (y, x)),
-    ca.OP_DIV: Operation(div, lambda r, x, y: (inv(y), neg(div(r, y))), lambda r, x, y: excludes(y)),
-    ca.OP_NEG: _plain(neg, lambda r, x: MINUS_ONE),
-    ca.OP_INV: _plain(inv, lambda r, x: neg(square(r)), lambda r, x: excludes(x)),
-    ca.OP_SQ: _plain(square, lambda r, x: mul(_TWO, x)),
-    ca.OP_TWICE: _plain(lambda x: mul(_TWO, x), lambda r, x: _TWO),
-    ca.OP_SQRT: _plain(root, lambda r, x: inv(mul(_TWO, r)), lambda r, x: in_domain(x, 0.0, np.inf)),
-    ca.OP_POW: Operation(power, _power_slopes, _power_continuous),
-    ca.OP_CONSTPOW: Operation(_fixed_power, _fixed_power_slopes, _power_continuous),
-    ca.OP_EXP: _plain(exp, lambda r, x: r),
-    ca.OP_EXPM1: _plain(expm1, lambda r, x: exp(x)),
-    ca.OP_LOG: _plain(log, lambda r, x: inv(x), lambda r, x: x[0] > 0),
-    ca.OP_LOG1P: _plain(log1p, lambda r, x: inv(add(ONE, x)), lambda r, x: x[0] > -1),
-    ca.OP_SIN: _plain(sin, lambda r, x: cos(x)),
-    ca.OP_COS: _plain(cos, lambda r, x: neg(sin(x))),
-    ca.OP_TAN: _plain(tan, lambda r, x: add(ONE, square(r)), lambda r, x: ~has_pole(x)),
-    ca.OP_ASIN: _plain(asin, lambda r, x: inv(root(_one_minus_square(x))), lambda r, x: in_domain(x, -1, 1)),
-    ca.OP_ACOS: _plain(acos, lambda r, x: neg(inv(root(_one_minus_square(x)))), lambda r, x: in_domain(x, -1, 1)),
-    ca.OP_ATAN: _plain(atan, lambda r, x: inv(add(ONE, square(x)))),
-    ca.OP_ATAN2: Operation(
+OPERATIONS: dict[int, IntervalOperation] = {
+    ca.OP_ASSIGN: _unary_operation(lambda x: x, lambda r, x: ONE),
+    ca.OP_PRINTME: IntervalOperation(lambda x, y: x, lambda r, x, y: (ONE, ZERO)),
+    ca.OP_LIFT: IntervalOperation(lambda x, y: x, lambda r, x, y: (ONE, ZERO)),
+    ca.OP_ADD: IntervalOperation(add, lambda r, x, y: (ONE, ONE)),
+    ca.OP_SUB: IntervalOperation(sub, lambda r, x, y: (ONE, MINUS_ONE)),
+    ca.OP_MUL: IntervalOperation(mul, lambda r, x, y: (y, x)),
+    ca.OP_DIV: IntervalOperation(div, lambda r, x, y: (inv(y), neg(div(r, y))), lambda r, x, y: excludes(y)),
+    ca.OP_NEG: _unary_operation(neg, lambda r, x: MINUS_ONE),
+    ca.OP_INV: _unary_operation(inv, lambda r, x: neg(square(r)), lambda r, x: excludes(x)),
+    ca.OP_SQ: _unary_operation(square, lambda r, x: mul(_TWO, x)),
+    ca.OP_TWICE: _unary_operation(lambda x: mul(_TWO, x), lambda r, x: _TWO),
+    ca.OP_SQRT: _unary_operation(square_root, lambda r, x: inv(mul(_TWO, r)), lambda r, x: in_domain(x, 0.0, np.inf)),
+    ca.OP_POW: IntervalOperation(interval_power, _power_slopes, _is_power_continuous),
+    ca.OP_CONSTPOW: IntervalOperation(_constant_or_general_power, _constant_or_general_power_slopes, _is_power_continuous),
+    ca.OP_EXP: _unary_operation(exp, lambda r, x: r),
+    ca.OP_EXPM1: _unary_operation(expm1, lambda r, x: exp(x)),
+    ca.OP_LOG: _unary_operation(log, lambda r, x: inv(x), lambda r, x: x[0] > 0),
+    ca.OP_LOG1P: _unary_operation(log1p, lambda r, x: inv(add(ONE, x)), lambda r, x: x[0] > -1),
+    ca.OP_SIN: _unary_operation(sin, lambda r, x: cos(x)),
+    ca.OP_COS: _unary_operation(cos, lambda r, x: neg(sin(x))),
+    ca.OP_TAN: _unary_operation(tan, lambda r, x: add(ONE, square(r)), lambda r, x: ~has_tangent_pole(x)),
+    ca.OP_ASIN: _unary_operation(asin, lambda r, x: inv(square_root(_one_minus_square(x))), lambda r, x: in_domain(x, -1, 1)),
+    ca.OP_ACOS: _unary_operation(
+        acos, lambda r, x: neg(inv(square_root(_one_minus_square(x)))), lambda r, x: in_domain(x, -1, 1)
+    ),
+    ca.OP_ATAN: _unary_operation(atan, lambda r, x: inv(add(ONE, square(x)))),
+    ca.OP_ATAN2: IntervalOperation(
         atan2,
         lambda r, y, x: (div(x, add(square(x), square(y))), neg(div(y, add(square(x), square(y))))),
-        lambda r, y, x: off_cut(y, x),
+        lambda r, y, x: avoids_angle_cut(y, x),
     ),
-    ca.OP_SINH: _plain(sinh, lambda r, x: cosh(x)),
-    ca.OP_COSH: _plain(cosh, lambda r, x: sinh(x)),
-    ca.OP_TANH: _plain(tanh, lambda r, x: _one_minus_square(r)),
-    ca.OP_ASINH: _plain(asinh, lambda r, x: inv(root(add(ONE, square(x))))),
-    ca.OP_ACOSH: _plain(acosh, lambda r, x: inv(root(sub(square(x), ONE))), lambda r, x: in_domain(x, 1, np.inf)),
-    ca.OP_ATANH: _plain(atanh, lambda r, x: inv(_one_minus_square(x)), lambda r, x: (x[0] > -1) & (x[1] < 1)),
-    ca.OP_ERF: _plain(erf_bounds, lambda r, x: mul(_ERF_SLOPE, exp(neg(square(x))))),
-    ca.OP_ERFINV: _plain(erfinv_bounds, lambda r, x: div(exp(square(r)), _ERF_SLOPE), lambda r, x: (x[0] > -1) & (x[1] < 1)),
-    ca.OP_HYPOT: Operation(hypot, hypot_slopes),
-    ca.OP_FABS: _plain(magnitude, lambda r, x: _sign_slope(x)),
-    ca.OP_FMIN: Operation(
-        lambda x, y: (np.minimum(x[0], y[0]), np.minimum(x[1], y[1])), lambda r, x, y: _share(x[1] <= y[0], y[1] <= x[0])
+    ca.OP_SINH: _unary_operation(sinh, lambda r, x: cosh(x)),
+    ca.OP_COSH: _unary_operation(cosh, lambda r, x: sinh(x)),
+    ca.OP_TANH: _unary_operation(tanh, lambda r, x: _one_minus_square(r)),
+    ca.OP_ASINH: _unary_operation(asinh, lambda r, x: inv(square_root(add(ONE, square(x))))),
+    ca.OP_ACOSH: _unary_operation(
+        acosh, lambda r, x: inv(square_root(sub(square(x), ONE))), lambda r, x: in_domain(x, 1, np.inf)
     ),
-    ca.OP_FMAX: Operation(
-        lambda x, y: (np.maximum(x[0], y[0]), np.maximum(x[1], y[1])), lambda r, x, y: _share(x[0] >= y[1], y[0] >= x[1])
+    ca.OP_ATANH: _unary_operation(atanh, lambda r, x: inv(_one_minus_square(x)), lambda r, x: (x[0] > -1) & (x[1] < 1)),
+    ca.OP_ERF: _unary_operation(erf_bounds, lambda r, x: mul(_ERF_SLOPE, exp(neg(square(x))))),
+    ca.OP_ERFINV: _unary_operation(
+        erfinv_bounds, lambda r, x: div(exp(square(r)), _ERF_SLOPE), lambda r, x: (x[0] > -1) & (x[1] < 1)
     ),
-    ca.OP_SIGN: _jump(lambda x: (np.sign(x[0]), np.sign(x[1]))),
-    ca.OP_FLOOR: _jump(lambda x: (np.floor(x[0]), np.floor(x[1]))),
-    ca.OP_CEIL: _jump(lambda x: (np.ceil(x[0]), np.ceil(x[1]))),
-    ca.OP_FMOD: _rest_operation(np.trunc, 1.0),
-    ca.OP_REMAINDER: _rest_operation(np.rint, 0.5),
-    ca.OP_COPYSIGN: Operation(
-        _copysign, lambda r, x, y: (choose(y[0] > 0, _sign_slope(x), neg(_sign_slope(x))), ZERO), lambda r, x, y: excludes(y)
+    ca.OP_HYPOT: IntervalOperation(hypot, hypot_slopes),
+    ca.OP_FABS: _unary_operation(magnitude, lambda r, x: _absolute_value_slope(x)),
+    ca.OP_FMIN: IntervalOperation(
+        lambda x, y: (np.minimum(x[0], y[0]), np.minimum(x[1], y[1])), lambda r, x, y: _choice_slopes(x[1] <= y[0], y[1] <= x[0])
     ),
-    ca.OP_LT: _jump(lambda x, y: _bits(x[1] < y[0], x[0] >= y[1]), 2),
-    ca.OP_LE: _jump(lambda x, y: _bits(x[1] <= y[0], x[0] > y[1]), 2),
-    ca.OP_EQ: _jump(lambda x, y: _bits(is_point(x) & is_point(y) & (x[0] == y[0]), (x[1] < y[0]) | (x[0] > y[1])), 2),
-    ca.OP_NE: _jump(lambda x, y: _bits((x[1] < y[0]) | (x[0] > y[1]), is_point(x) & is_point(y) & (x[0] == y[0])), 2),
-    ca.OP_NOT: _jump(lambda x: _bits(_is_false(x), _is_true(x))),
-    ca.OP_AND: _jump(lambda x, y: _bits(_is_true(x) & _is_true(y), _is_false(x) | _is_false(y)), 2),
-    ca.OP_OR: _jump(lambda x, y: _bits(_is_true(x) | _is_true(y), _is_false(x) & _is_false(y)), 2),
-    ca.OP_IF_ELSE_ZERO: Operation(
-        _if_else_zero, lambda r, c, v: (ZERO, choose(_is_true(c), ONE, ZERO)), lambda r, c, v: _is_true(c) | _is_false(c)
+    ca.OP_FMAX: IntervalOperation(
+        lambda x, y: (np.maximum(x[0], y[0]), np.maximum(x[1], y[1])), lambda r, x, y: _choice_slopes(x[0] >= y[1], y[0] >= x[1])
+    ),
+    ca.OP_SIGN: _jump_operation(lambda x: (np.sign(x[0]), np.sign(x[1]))),
+    ca.OP_FLOOR: _jump_operation(lambda x: (np.floor(x[0]), np.floor(x[1]))),
+    ca.OP_CEIL: _jump_operation(lambda x: (np.ceil(x[0]), np.ceil(x[1]))),
+    ca.OP_FMOD: _remainder_operation(np.trunc, 1.0),
+    ca.OP_REMAINDER: _remainder_operation(np.rint, 0.5),
+    ca.OP_COPYSIGN: IntervalOperation(
+        _copysign,
+        lambda r, x, y: (select_interval(y[0] > 0, _absolute_value_slope(x), neg(_absolute_value_slope(x))), ZERO),
+        lambda r, x, y: excludes(y),
+    ),
+    ca.OP_LT: _jump_operation(lambda x, y: _truth_interval(x[1] < y[0], x[0] >= y[1]), 2),
+    ca.OP_LE: _jump_operation(lambda x, y: _truth_interval(x[1] <= y[0], x[0] > y[1]), 2),
+    ca.OP_EQ: _jump_operation(
+        lambda x, y: _truth_interval(is_point(x) & is_point(y) & (x[0] == y[0]), (x[1] < y[0]) | (x[0] > y[1])), 2
+    ),
+    ca.OP_NE: _jump_operation(
+        lambda x, y: _truth_interval((x[1] < y[0]) | (x[0] > y[1]), is_point(x) & is_point(y) & (x[0] == y[0])), 2
+    ),
+    ca.OP_NOT: _jump_operation(lambda x: _truth_interval(_is_false(x), _is_true(x))),
+    ca.OP_AND: _jump_operation(lambda x, y: _truth_interval(_is_true(x) & _is_true(y), _is_false(x) | _is_false(y)), 2),
+    ca.OP_OR: _jump_operation(lambda x, y: _truth_interval(_is_true(x) | _is_true(y), _is_false(x) & _is_false(y)), 2),
+    ca.OP_IF_ELSE_ZERO: IntervalOperation(
+        _if_else_zero, lambda r, c, v: (ZERO, select_interval(_is_true(c), ONE, ZERO)), lambda r, c, v: _is_true(c) | _is_false(c)
     ),
 }

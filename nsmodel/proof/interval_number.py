@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval_arithmetic as arithmetic
-from nsmodel.proof.interval_arithmetic import Pair
+from nsmodel.proof.interval_arithmetic import IntervalPair
 from nsmodel.proof.interval_functions import OPERATIONS
 
 Operand = Union["Interval", float, int]
@@ -41,15 +41,15 @@ class Interval:
 
     def __add__(self, other: Operand) -> Interval:
         """Return x + y."""
-        if _nothing(self):
-            return of(other)
-        return self if _nothing(other) else Interval(*arithmetic.add(_pair(self), _pair(other)))
+        if _is_exact_zero(self):
+            return as_interval(other)
+        return self if _is_exact_zero(other) else Interval(*arithmetic.add(_as_interval_pair(self), _as_interval_pair(other)))
 
     __radd__ = __add__
 
     def __sub__(self, other: Operand) -> Interval:
         """Return x - y."""
-        return self if _nothing(other) else Interval(*arithmetic.sub(_pair(self), _pair(other)))
+        return self if _is_exact_zero(other) else Interval(*arithmetic.sub(_as_interval_pair(self), _as_interval_pair(other)))
 
     def __rsub__(self, other: Operand) -> Interval:
         """Return y - x."""
@@ -57,17 +57,25 @@ class Interval:
 
     def __mul__(self, other: Operand) -> Interval:
         """Return x y."""
-        return ZERO if _nothing(self) or _nothing(other) else Interval(*arithmetic.mul(_pair(self), _pair(other)))
+        return (
+            ZERO_INTERVAL
+            if _is_exact_zero(self) or _is_exact_zero(other)
+            else Interval(*arithmetic.mul(_as_interval_pair(self), _as_interval_pair(other)))
+        )
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Operand) -> Interval:
         """Return x / y."""
-        return Interval(*arithmetic.div(_pair(self), _pair(other)))
+        return Interval(*arithmetic.div(_as_interval_pair(self), _as_interval_pair(other)))
 
     def __rtruediv__(self, other: Operand) -> Interval:
         """Return y / x."""
-        return ZERO if _nothing(other) else Interval(*arithmetic.div(_pair(other), _pair(self)))
+        return (
+            ZERO_INTERVAL
+            if _is_exact_zero(other)
+            else Interval(*arithmetic.div(_as_interval_pair(other), _as_interval_pair(self)))
+        )
 
     def __eq__(self, other: object) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Where it is this number and no other."""
@@ -78,39 +86,39 @@ class Interval:
         return ~(self == other)
 
 
-ZERO = Interval(np.zeros(1), np.zeros(1))
+ZERO_INTERVAL = Interval(np.zeros(1), np.zeros(1))
 
 
-def exactly(value: np.ndarray) -> Interval:
+def point_intervals(value: np.ndarray) -> Interval:
     """Numbers as intervals."""
     return Interval(value, value)
 
 
-def of(value: Operand) -> Interval:
+def as_interval(value: Operand) -> Interval:
     """The value as an interval."""
     if isinstance(value, Interval):
         return value
-    return ZERO if value == 0 else Interval(*arithmetic.point(float(value)))
+    return ZERO_INTERVAL if value == 0 else Interval(*arithmetic.point_interval(float(value)))
 
 
-def where(mask: np.ndarray, a: Operand, b: Operand) -> Interval:
+def interval_where(mask: np.ndarray, a: Operand, b: Operand) -> Interval:
     """``a`` where the mask holds, else ``b``."""
-    return Interval(*arithmetic.choose(mask, _pair(a), _pair(b)))
+    return Interval(*arithmetic.select_interval(mask, _as_interval_pair(a), _as_interval_pair(b)))
 
 
-def function(name: str) -> Callable[..., Interval]:
+def interval_function(name: str) -> Callable[..., Interval]:
     """An operation of CasADi by its name in small letters, on intervals."""
     bounds = OPERATIONS[getattr(ca, f"OP_{name.upper()}")].bounds
 
-    def at(*args: Operand) -> Interval:
-        return Interval(*bounds(*map(_pair, args)))
+    def evaluate(*args: Operand) -> Interval:
+        return Interval(*bounds(*map(_as_interval_pair, args)))
 
-    return at
-
-
-def _nothing(value: Operand) -> bool:
-    return value is ZERO or (not isinstance(value, Interval) and value == 0)
+    return evaluate
 
 
-def _pair(value: Operand) -> Pair:
-    return (value.lo, value.hi) if isinstance(value, Interval) else arithmetic.point(float(value))
+def _is_exact_zero(value: Operand) -> bool:
+    return value is ZERO_INTERVAL or (not isinstance(value, Interval) and value == 0)
+
+
+def _as_interval_pair(value: Operand) -> IntervalPair:
+    return (value.lo, value.hi) if isinstance(value, Interval) else arithmetic.point_interval(float(value))

@@ -9,14 +9,23 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import extremum
-from nsmodel.proof.graph import replay
+from nsmodel.proof.graph import rewrite_nodes
 
-SWITCHES = (ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)  # Their values are steps.
-OTHERS = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_ATAN2, ca.OP_IF_ELSE_ZERO, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
-POINTS = 4096
+SWITCH_OPERATIONS = (ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)  # Their values are steps.
+OTHER_JUMP_OPERATIONS = (
+    ca.OP_FMOD,
+    ca.OP_REMAINDER,
+    ca.OP_COPYSIGN,
+    ca.OP_ATAN2,
+    ca.OP_IF_ELSE_ZERO,
+    ca.OP_NOT,
+    ca.OP_AND,
+    ca.OP_OR,
+)
+SURFACE_SAMPLES = 4096
 
 
-class Jump(NamedTuple):
+class ExpressionJump(NamedTuple):
     """A point z (n,) where an expression jumps by ``size`` (the norm), and the two values beside it."""
 
     at: np.ndarray
@@ -25,23 +34,23 @@ class Jump(NamedTuple):
     above: np.ndarray
 
 
-def jumps_in(expr: ca.SX, x: ca.SX) -> list[ca.SX]:
+def jump_nodes(expr: ca.SX, x: ca.SX) -> list[ca.SX]:
     """Return the nodes of an expression that can jump and whose arguments depend on x."""
-    return _nodes(expr, x, (*SWITCHES, *OTHERS))
+    return _operation_nodes(expr, x, (*SWITCH_OPERATIONS, *OTHER_JUMP_OPERATIONS))
 
 
-def _nodes(expr: ca.SX, x: ca.SX, ops: tuple[int, ...]) -> list[ca.SX]:
+def _operation_nodes(expr: ca.SX, x: ca.SX, ops: tuple[int, ...]) -> list[ca.SX]:
     nodes: list[ca.SX] = []
 
-    def note(op: int, args: list[ca.SX], old: ca.SX) -> None:
+    def collect(op: int, args: list[ca.SX], old: ca.SX) -> None:
         if not any(ca.is_equal(old, other, 3) for other in nodes):
             nodes.append(old)
 
-    replay(ca.densify(ca.vec(expr)), note, ops, x, "expression")
+    rewrite_nodes(ca.densify(ca.vec(expr)), collect, ops, x, "expression")
     return nodes
 
 
-def _step(node: ca.SX) -> ca.SX:
+def _switch_function(node: ca.SX) -> ca.SX:
     """Return a step function that changes wherever the operation can jump."""
     op = node.op()
     if op in (ca.OP_FMOD, ca.OP_REMAINDER):
@@ -52,11 +61,11 @@ def _step(node: ca.SX) -> ca.SX:
     return node.dep(0) != 0 if op == ca.OP_IF_ELSE_ZERO else node
 
 
-def surface_points(
-    expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, count: int = POINTS
+def switching_point_pairs(
+    expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, count: int = SURFACE_SAMPLES
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return pairs of points (k, n), an ulp or so apart, between which an operation of ``expr`` switches."""
-    nodes = [_step(node) for node in _nodes(expr, z, (*SWITCHES, *OTHERS))]
+    nodes = [_switch_function(node) for node in _operation_nodes(expr, z, (*SWITCH_OPERATIONS, *OTHER_JUMP_OPERATIONS))]
     if not nodes:
         return np.zeros((0, z.numel())), np.zeros((0, z.numel()))
     state = ca.Function("state", [z], [ca.vertcat(*nodes)])
@@ -66,8 +75,8 @@ def surface_points(
     for k in range(len(nodes)):
         order = np.argsort(at[k], kind="stable")
         low, high = points[order], points[order[::-1]]
-        apart = (at[k][order] != at[k][order[::-1]])[: count // 2]
-        x, y = low[: count // 2][apart], high[: count // 2][apart]
+        differs = (at[k][order] != at[k][order[::-1]])[: count // 2]
+        x, y = low[: count // 2][differs], high[: count // 2][differs]
         if not len(x):
             continue
         start = np.array(state(x.T))[k]
@@ -83,12 +92,12 @@ def surface_points(
 
 def find_jump(
     expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, admissible: Callable[[np.ndarray], np.ndarray]
-) -> Jump | None:
+) -> ExpressionJump | None:
     """Return the largest jump found at points (k, n) of the box that are ``admissible``; None where there was none.
 
     A difference counts as a jump when it is far above what the size of the values, there and elsewhere, rounds to.
     """
-    x, y = surface_points(expr, z, lower, upper)
+    x, y = switching_point_pairs(expr, z, lower, upper)
     if not len(x):
         return None
     keep = admissible(x) & admissible(y)
@@ -106,4 +115,4 @@ def find_jump(
     if not size.any():
         return None
     k = int(np.argmax(size))
-    return Jump(x[k], float(size[k]), below[k], above[k])
+    return ExpressionJump(x[k], float(size[k]), below[k], above[k])

@@ -15,15 +15,15 @@ from typing import NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.interval import Bounds, mean_value
+from nsmodel.proof.interval import MeanValueBounds, mean_value_form
 from nsmodel.proof.straight_line import program
 
-NEWTON, WIDENINGS, GROWTH = 30, 12, 4.0
-MOST = 60  # Equations; more are left alone.
-SINGULAR = 1e-12  # Pivots below this part of the largest belong to a matrix that is singular to rounding.
+MAX_NEWTON_STEPS, MAX_WIDENINGS, WIDENING_GROWTH = 30, 12, 4.0
+MAX_EQUATIONS = 60  # Equations; more are left alone.
+SINGULAR_PIVOT_RATIO = 1e-12  # Pivots below this part of the largest belong to a matrix that is singular to rounding.
 
 
-class Zero(NamedTuple):
+class ZeroEnclosure(NamedTuple):
     """A box (n,) in which F has a zero; coordinates that were not needed are numbers."""
 
     lower: np.ndarray
@@ -35,7 +35,7 @@ class Zero(NamedTuple):
         return (self.lower + self.upper) / 2
 
 
-def zero_near(F: ca.SX, z: ca.SX, start: np.ndarray, size: np.ndarray) -> Zero | None:
+def enclose_zero(F: ca.SX, z: ca.SX, start: np.ndarray, size: np.ndarray) -> ZeroEnclosure | None:
     """Return a box around a zero of F near a point, or None where none was proved.
 
     Args:
@@ -45,16 +45,16 @@ def zero_near(F: ca.SX, z: ca.SX, start: np.ndarray, size: np.ndarray) -> Zero |
         size: (n,) how far each coordinate may go, > 0.
     """
     m, n = F.numel(), z.numel()
-    if m > n or m > MOST or not np.isfinite(start).all():
+    if m > n or m > MAX_EQUATIONS or not np.isfinite(start).all():
         return None
     F = ca.densify(ca.vec(F))
     both = ca.Function("F", [z], [F, ca.densify(ca.jacobian(F, z))])
     at = np.array(start, float)
-    for _ in range(NEWTON):
+    for _ in range(MAX_NEWTON_STEPS):
         value, J = (np.array(part) for part in both(at))
         if not (np.isfinite(value).all() and np.isfinite(J).all()):
             return None
-        step = np.linalg.lstsq(J * size, -value.ravel(), rcond=SINGULAR)[0] * size
+        step = np.linalg.lstsq(J * size, -value.ravel(), rcond=SINGULAR_PIVOT_RATIO)[0] * size
         if np.abs(step / size).max(initial=0.0) > 1:
             return None
         at = at + step
@@ -62,11 +62,11 @@ def zero_near(F: ca.SX, z: ca.SX, start: np.ndarray, size: np.ndarray) -> Zero |
             break
     if np.abs((at - start) / size).max(initial=0.0) > 1:
         return None
-    free = _felt(np.array(both(at)[1]) * size, m)
-    return None if free is None else _proved(F, z, at, free, size, np.array(both(at)[1]))
+    free = _regular_coordinates(np.array(both(at)[1]) * size, m)
+    return None if free is None else _krawczyk_test(F, z, at, free, size, np.array(both(at)[1]))
 
 
-def _felt(J: np.ndarray, m: int) -> np.ndarray | None:
+def _regular_coordinates(J: np.ndarray, m: int) -> np.ndarray | None:
     """m coordinates by which the equations are regular."""
     from scipy.linalg import qr
 
@@ -77,53 +77,53 @@ def _felt(J: np.ndarray, m: int) -> np.ndarray | None:
         return None
     R, order = cast("tuple[np.ndarray, np.ndarray]", qr(J / rows[:, None], mode="r", pivoting=True))
     pivots = np.abs(np.diag(R[:m, :m]))
-    return np.sort(order[:m]) if pivots.min() > SINGULAR * pivots.max() else None
+    return np.sort(order[:m]) if pivots.min() > SINGULAR_PIVOT_RATIO * pivots.max() else None
 
 
-def _proved(F: ca.SX, z: ca.SX, at: np.ndarray, free: np.ndarray, size: np.ndarray, J: np.ndarray) -> Zero | None:
+def _krawczyk_test(F: ca.SX, z: ca.SX, at: np.ndarray, free: np.ndarray, size: np.ndarray, J: np.ndarray) -> ZeroEnclosure | None:
     code, Y = program(F, z), np.linalg.inv(J[:, free])
-    point = mean_value(code, at[None], at[None])
-    moved = _times(Y, point.lo[:, 0], point.hi[:, 0])
+    point = mean_value_form(code, at[None], at[None])
+    moved = _interval_matrix_product(Y, point.lo[:, 0], point.hi[:, 0])
     radius = 2 * np.maximum(np.abs(moved[0]), np.abs(moved[1])) + 1e-15 * (size[free] + np.abs(at[free]))
-    for _ in range(WIDENINGS):
+    for _ in range(MAX_WIDENINGS):
         lower, upper = at.copy(), at.copy()
         lower[free], upper[free] = at[free] - radius, at[free] + radius
         if (upper - lower > size).any():
             return None
-        reach = _reach(Y, mean_value(code, lower[None], upper[None]), free, lower, upper, at)
+        reach = _contraction_bound(Y, mean_value_form(code, lower[None], upper[None]), free, lower, upper, at)
         if reach is None:
             return None
         low, high = np.nextafter(at[free] - moved[1] - reach, -np.inf), np.nextafter(at[free] - moved[0] + reach, np.inf)
         if (low > lower[free]).all() and (high < upper[free]).all():
             lower[free], upper[free] = low, high
-            return Zero(lower, upper)
-        radius = np.maximum(GROWTH * radius, 1.5 * np.maximum(at[free] - low, high - at[free]))
+            return ZeroEnclosure(lower, upper)
+        radius = np.maximum(WIDENING_GROWTH * radius, 1.5 * np.maximum(at[free] - low, high - at[free]))
     return None
 
 
-def _reach(
-    Y: np.ndarray, bounds: Bounds, free: np.ndarray, lower: np.ndarray, upper: np.ndarray, at: np.ndarray
+def _contraction_bound(
+    Y: np.ndarray, bounds: MeanValueBounds, free: np.ndarray, lower: np.ndarray, upper: np.ndarray, at: np.ndarray
 ) -> np.ndarray | None:
     """Bounds (m,) of |(I - Y S) (x - c)| over the box."""
     lo, hi = bounds.slope_lo[:, 0][:, free], bounds.slope_hi[:, 0][:, free]
     if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
         return None
-    low, high = _times(Y, lo, hi)
+    low, high = _interval_matrix_product(Y, lo, hi)
     eye = np.eye(free.size)
     rest = np.nextafter(np.maximum(np.abs(eye - low), np.abs(eye - high)), np.inf)
     far = np.nextafter(np.maximum(upper[free] - at[free], at[free] - lower[free]), np.inf)
-    return _more(rest @ far, free.size)
+    return _widen_rounded_sums(rest @ far, free.size)
 
 
-def _times(Y: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _interval_matrix_product(Y: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of Y A for A between lo and hi, by the middle of A and its radius."""
     middle = lo + (hi - lo) / 2
     radius = np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
     product, size = Y @ middle, np.abs(Y) @ np.abs(middle)
-    error = _more(np.abs(Y) @ radius + 4 * (len(Y) + 4) * np.finfo(float).eps * size, len(Y)) + np.finfo(float).tiny
+    error = _widen_rounded_sums(np.abs(Y) @ radius + 4 * (len(Y) + 4) * np.finfo(float).eps * size, len(Y)) + np.finfo(float).tiny
     return np.nextafter(product - error, -np.inf), np.nextafter(product + error, np.inf)
 
 
-def _more(x: np.ndarray, terms: int) -> np.ndarray:
+def _widen_rounded_sums(x: np.ndarray, terms: int) -> np.ndarray:
     """Sums of non-negative terms, widened by more than their rounding."""
     return np.nextafter(x * (1 + 4 * (terms + 8) * np.finfo(float).eps), np.inf)

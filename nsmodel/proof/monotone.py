@@ -15,21 +15,21 @@ import numpy as np
 
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
 from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.graph import applied, fold, replay
+from nsmodel.proof.graph import apply_operation, fold_graph, rewrite_nodes
 from nsmodel.proof.straight_line import is_double
 
-KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
-STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
-MOST_PIECES = 32
+SWITCHING_KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
+SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
+MAX_MONOTONE_PIECES = 32
 
 
-def factored(term: ca.SX) -> tuple[Fraction, ca.SX]:
+def extract_constant_factor(term: ca.SX) -> tuple[Fraction, ca.SX]:
     """The term as a number times the rest, the constants of its products taken out."""
     if term.is_constant() or term.is_symbolic():
         return Fraction(1), term
     op = term.op()
     if op in (ca.OP_NEG, ca.OP_TWICE):
-        number, rest = factored(term.dep(0))
+        number, rest = extract_constant_factor(term.dep(0))
         return number * (-1 if op == ca.OP_NEG else 2), rest
     if op not in (ca.OP_MUL, ca.OP_DIV):
         return Fraction(1), term
@@ -43,7 +43,7 @@ def factored(term: ca.SX) -> tuple[Fraction, ca.SX]:
             total = total * Fraction(value) if op == ca.OP_MUL or i == 0 else total / Fraction(value)
             parts.append(None)
         else:
-            number, rest = factored(part)
+            number, rest = extract_constant_factor(part)
             total = total * number if op == ca.OP_MUL or i == 0 else total / number
             parts.append(rest)
     one, other = parts
@@ -52,17 +52,17 @@ def factored(term: ca.SX) -> tuple[Fraction, ca.SX]:
     return total, 1 / other if one is None else one if other is None else one / other
 
 
-def is_continuous(h: ca.SX, s: ca.SX, low: float, high: float) -> bool:
+def is_continuous_by_pieces(h: ca.SX, s: ca.SX, low: float, high: float) -> bool:
     """Whether h is proved to be continuous on [low, high]: on each piece, and with one value from both sides of a switch."""
-    moved = _recentred(h, s, low, high)
+    moved = _recentre_switch(h, s, low, high)
     if moved is None:
         return False
     h, low, high = moved
-    found = _pieces(h, s, None if np.isinf(low) else Fraction(low), None if np.isinf(high) else Fraction(high))
+    found = _split_at_switches(h, s, None if np.isinf(low) else Fraction(low), None if np.isinf(high) else Fraction(high))
     if found is None:
         return False
-    ends, settled, points = found
-    for point, left, right in zip(ends[1:-1], settled, settled[1:], strict=False):
+    ends, pieces, points = found
+    for point, left, right in zip(ends[1:-1], pieces, pieces[1:], strict=False):
         if point is None or Fraction(float(point)) != point:
             return False
         if points.get(point):
@@ -70,7 +70,7 @@ def is_continuous(h: ca.SX, s: ca.SX, low: float, high: float) -> bool:
             sides = interval.enclose(ca.vertcat(left, right, ca.substitute(h, s, float(point))), s, at, at)
             if len(set(np.concatenate([side.ravel() for side in sides]))) > 1:
                 return False
-    for piece, (a, b) in zip(settled, pairwise(ends), strict=True):
+    for piece, (a, b) in zip(pieces, pairwise(ends), strict=True):
         bounds = np.array([-np.inf if a is None else float(a)]), np.array([np.inf if b is None else float(b)])
         if not interval.is_continuous(piece, s, *bounds):
             return False
@@ -93,22 +93,22 @@ class Monotonicity(NamedTuple):
     jumps: tuple[JumpPoint, ...] = ()
 
 
-def shape(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotonicity:
+def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotonicity:
     """Decide whether h is nondecreasing on [low, high], ends may be infinite."""
-    stairs = [(factor, term) for factor, term in additive_terms(h) if _rises(factor, term, s)]
+    stairs = [(factor, term) for factor, term in additive_terms(h) if _is_rising_staircase(factor, term, s)]
     if stairs:  # floor and ceil of what rises
-        h = _without(h, [term for _, term in stairs])
-    moved = _recentred(h, s, low, high)
+        h = _remove_terms(h, [term for _, term in stairs])
+    moved = _recentre_switch(h, s, low, high)
     if moved is None:
         return Monotonicity(None)
     h, low, high = moved
-    found = _pieces(h, s, None if np.isinf(low) else Fraction(low), None if np.isinf(high) else Fraction(high))
+    found = _split_at_switches(h, s, None if np.isinf(low) else Fraction(low), None if np.isinf(high) else Fraction(high))
     if found is None:
         return Monotonicity(None)
-    ends, settled, points = found
+    ends, pieces, points = found
     inside = ends[1:-1]
     jumps = []
-    for point, left, right in zip(inside, settled, settled[1:], strict=False):
+    for point, left, right in zip(inside, pieces, pieces[1:], strict=False):
         if point is None:
             return Monotonicity(None)
         steps = points.get(point, ())
@@ -125,21 +125,21 @@ def shape(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotonicity:
             return Monotonicity(None)
         if jump.high > 0:
             jumps.append(jump)
-    if not all(_rises_between(piece, s, a, b) for piece, (a, b) in zip(settled, pairwise(ends), strict=True)):
+    if not all(_is_nondecreasing_between(piece, s, a, b) for piece, (a, b) in zip(pieces, pairwise(ends), strict=True)):
         return Monotonicity(None)
     stair_jumps = (JumpPoint(Fraction(0), 0.0, 1.0, False),) if stairs else ()
     return Monotonicity(True, (*jumps, *stair_jumps))
 
 
-def _rises(factor: Fraction, term: ca.SX, s: ca.SX) -> bool:
+def _is_rising_staircase(factor: Fraction, term: ca.SX, s: ca.SX) -> bool:
     """Whether factor times the term is a staircase upwards: floor or ceil of an affine function."""
     if term.is_constant() or term.is_symbolic() or term.op() not in (ca.OP_FLOOR, ca.OP_CEIL):
         return False
-    (p,) = polynomial.read(term.dep(0), s)
+    (p,) = polynomial.read_polynomials(term.dep(0), s)
     return p is not None and polynomial.degree(p) <= 1 and factor * p.get(((0, 1),), Fraction(0)) >= 0
 
 
-def _without(h: ca.SX, terms: list[ca.SX]) -> ca.SX:
+def _remove_terms(h: ca.SX, terms: list[ca.SX]) -> ca.SX:
     kept = ca.SX(0)
     for factor, term in additive_terms(h):
         if not any(ca.is_equal(term, other, 5) for other in terms):
@@ -147,17 +147,17 @@ def _without(h: ca.SX, terms: list[ca.SX]) -> ca.SX:
     return kept
 
 
-def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, float, float] | None:
+def _recentre_switch(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, float, float] | None:
     """h as a function of u = the first switching argument (upwards), so that its switch is at the double 0, and the ends of u.
 
     None where the other affine arguments are no a u + b with doubles a and b.
     """
     arguments: list[polynomial.Polynomial | None] = []
 
-    def note(op: int, args: list[ca.SX], old: ca.SX) -> None:
-        arguments.extend(polynomial.read(args[0] if len(args) == 1 else args[0] - args[1], s))
+    def collect(op: int, args: list[ca.SX], old: ca.SX) -> None:
+        arguments.extend(polynomial.read_polynomials(args[0] if len(args) == 1 else args[0] - args[1], s))
 
-    replay(h, note, (*KINKS, *STEPS), s, "expression")
+    rewrite_nodes(h, collect, (*SWITCHING_KINKS, *SWITCHING_STEPS), s, "expression")
     itself: polynomial.Polynomial = {((0, 1),): Fraction(1)}
     first = next((p for p in arguments if p is not None and set(p) - {()} == set(itself)), itself)
     slope, offset = first[((0, 1),)], first.get((), Fraction(0))
@@ -165,7 +165,7 @@ def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, floa
     if (slope, offset) == (1, 0):
         return h, low, high
 
-    def shown(node: ca.SX, p: polynomial.Polynomial | None) -> ca.SX:
+    def rewrite_affine(node: ca.SX, p: polynomial.Polynomial | None) -> ca.SX:
         if p is None or polynomial.is_constant(p):
             return node
         a = p[((0, 1),)] / slope
@@ -175,28 +175,34 @@ def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, floa
         return float(a) * s + float(b)
 
     def apply(op: int, args: list[tuple[ca.SX, polynomial.Polynomial | None]]) -> tuple[ca.SX, polynomial.Polynomial | None]:
-        p = polynomial.apply(op, [q for _, q in args if q is not None]) if all(q is not None for _, q in args) else None
+        p = (
+            polynomial.apply_to_polynomials(op, [q for _, q in args if q is not None])
+            if all(q is not None for _, q in args)
+            else None
+        )
         if p is not None and polynomial.degree(p) <= 1:
-            return applied(op, [node for node, _ in args]), p
-        return applied(op, [shown(node, q) for node, q in args]), None
+            return apply_operation(op, [node for node, _ in args]), p
+        return apply_operation(op, [rewrite_affine(node, q) for node, q in args]), None
 
     try:
         one = {((0, 1),): Fraction(1)}
-        (last,) = fold(h, lambda symbol: (symbol, one), lambda number: (ca.SX(number), polynomial.constant(number)), apply)
-        moved = shown(*last)
+        (last,) = fold_graph(
+            h, lambda symbol: (symbol, one), lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply
+        )
+        moved = rewrite_affine(*last)
     except ValueError:
         return None
     ends = [end if np.isinf(end) else slope * Fraction(end) + offset for end in (low, high)]
-    return moved, _rounded(ends[0], -np.inf), _rounded(ends[1], np.inf)
+    return moved, _round_towards(ends[0], -np.inf), _round_towards(ends[1], np.inf)
 
 
-def _rounded(number: Fraction | float, towards: float) -> float:
+def _round_towards(number: Fraction | float, towards: float) -> float:
     if isinstance(number, float):
         return number
-    return (exact.down if towards < 0 else exact.up)(Fraction(number))
+    return (exact.round_down if towards < 0 else exact.round_up)(Fraction(number))
 
 
-def _pieces(
+def _split_at_switches(
     h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None
 ) -> tuple[list[Fraction | None], list[ca.SX], dict[Fraction, tuple[int, ...]]] | None:
     """The ends of the pieces, h on each with its cases put in, and what jumps at each end; None where that fails."""
@@ -205,17 +211,17 @@ def _pieces(
     left = [(low, high)]
     while left:
         a, b = left.pop()
-        settled, cut, failed = _settled(h, s, a, b, points)
-        if failed or len(left) + len(done) > MOST_PIECES:
+        resolved, cut, failed = _resolve_switches(h, s, a, b, points)
+        if failed or len(left) + len(done) > MAX_MONOTONE_PIECES:
             return None
         if cut is None:
-            done.append((a, b, settled))
+            done.append((a, b, resolved))
         else:
             left += [(cut, b), (a, cut)]
-    return [done[0][0], *(b for _, b, _ in done)], [settled for _, _, settled in done], points
+    return [done[0][0], *(b for _, b, _ in done)], [resolved for _, _, resolved in done], points
 
 
-def _settled(
+def _resolve_switches(
     h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None, points: dict[Fraction, tuple[int, ...]]
 ) -> tuple[ca.SX, Fraction | None, bool]:
     """h with the cases of (low, high) put in, or a place inside where one of them changes; whether that failed."""
@@ -228,59 +234,63 @@ def _settled(
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
         if op == ca.OP_IF_ELSE_ZERO:
             return (args[1] if float(args[0]) else ca.SX(0)) if args[0].is_constant() else None
-        (p,) = polynomial.read(args[0] if len(args) == 1 else args[0] - args[1], s)
-        if p is None or polynomial.degree(p) > 1 or op not in (*KINKS, *STEPS):
+        (p,) = polynomial.read_polynomials(args[0] if len(args) == 1 else args[0] - args[1], s)
+        if p is None or polynomial.degree(p) > 1 or op not in (*SWITCHING_KINKS, *SWITCHING_STEPS):
             failed.extend([] if cuts else [op])
             return None
         slope = p.get(((0, 1),), Fraction(0))
         if slope:
             root = -p.get((), Fraction(0)) / slope
-            points[root] = tuple({*points.get(root, ()), *((op,) if op in STEPS else ())})
+            points[root] = tuple({*points.get(root, ()), *((op,) if op in SWITCHING_STEPS else ())})
             if (low is None or low < root) and (high is None or root < high):
                 cuts.append(root)
                 return None
-        value = polynomial.value(p, {0: middle})
+        value = polynomial.evaluate_polynomial(p, {0: middle})
         if op == ca.OP_SIGN:
             return ca.SX(float((value > 0) - (value < 0)))
-        if op in STEPS:
+        if op in SWITCHING_STEPS:
             return ca.SX(float(value < 0 or (op == ca.OP_LE and value == 0)))
         if op == ca.OP_FABS:
             return -args[0] if value < 0 else args[0]
         return args[int((value < 0) == (op == ca.OP_FMAX))]
 
     others = (ca.OP_FLOOR, ca.OP_CEIL, ca.OP_EQ, ca.OP_NE, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
-    settled = replay(h, rule, (*KINKS, *STEPS, ca.OP_IF_ELSE_ZERO, *others), s, "expression")
-    return settled, (cuts[0] if cuts else None), bool(failed) and not cuts
+    resolved = rewrite_nodes(h, rule, (*SWITCHING_KINKS, *SWITCHING_STEPS, ca.OP_IF_ELSE_ZERO, *others), s, "expression")
+    return resolved, (cuts[0] if cuts else None), bool(failed) and not cuts
 
 
-def _rises_between(h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None) -> bool:
+def _is_nondecreasing_between(h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None) -> bool:
     a, b = (np.array([-np.inf if low is None else float(low)]), np.array([np.inf if high is None else float(high)]))
     if (low is not None and Fraction(a[0]) > low) or (high is not None and Fraction(b[0]) < high):
         return False
-    quotient = polynomial.ratio(h, s)
+    quotient = polynomial.read_quotient(h, s)
     if quotient is not None:
-        top, bottom = (polynomial.coefficients(part) for part in quotient)
-        rate = _slope_of_ratio(top, bottom)
+        top, bottom = (polynomial.univariate_coefficients(part) for part in quotient)
+        rate = _quotient_derivative_numerator(top, bottom)
         defined = len(bottom) == 1 or not polynomial_signs.real_roots(bottom, low, high)
         if defined:
             return polynomial_signs.negative_point(rate, low, high) is None
     if not interval.is_continuous(h, s, a, b):
         return False
-    if a[0] < 0 < b[0] and _rises_between(h, s, low, Fraction(0)) and _rises_between(h, s, Fraction(0), high):
+    if (
+        a[0] < 0 < b[0]
+        and _is_nondecreasing_between(h, s, low, Fraction(0))
+        and _is_nondecreasing_between(h, s, Fraction(0), high)
+    ):
         return True
     return bool(extremum.supremum(-ca.gradient(h, s), s, a, b, bound_to=0.0, quick=True).bound <= 0) or bool(
         extremum.supremum(-ca.gradient(h, s), s, a, b, bound_to=0.0).bound <= 0
     )
 
 
-def _slope_of_ratio(top: list[Fraction], bottom: list[Fraction]) -> list[Fraction]:
+def _quotient_derivative_numerator(top: list[Fraction], bottom: list[Fraction]) -> list[Fraction]:
     """N'D - N D'."""
-    one, two = (_times(polynomial_signs.derivative(x), y) for x, y in ((top, bottom), (bottom, top)))
+    one, two = (_multiply_coefficients(polynomial_signs.derivative_coefficients(x), y) for x, y in ((top, bottom), (bottom, top)))
     size = max(len(one), len(two))
     return [(one[k] if k < len(one) else Fraction(0)) - (two[k] if k < len(two) else Fraction(0)) for k in range(size)]
 
 
-def _times(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+def _multiply_coefficients(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
     out = [Fraction(0)] * max(len(a) + len(b) - 1, 0)
     for i, x in enumerate(a):
         for j, y in enumerate(b):

@@ -16,15 +16,15 @@ import numpy as np
 
 from nsmodel.proof import interval, polynomial
 from nsmodel.proof.exact import zeros
-from nsmodel.proof.graph import applied, column, fold
+from nsmodel.proof.graph import apply_operation, fold_graph, stack_column
 from nsmodel.proof.polynomial import Polynomial
 
-MOST_CORNERS, MOST_ENTRIES = 256, 2000
+MAX_MATRIX_CORNERS, MAX_MATRIX_ENTRIES = 256, 2000
 
-Part = tuple[ca.SX, Polynomial | None]  # A node, and what it is in the numbers.
+NodePolynomial = tuple[ca.SX, Polynomial | None]  # A node, and what it is in the numbers.
 
 
-def corners(matrices: Sequence[ca.SX], p: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[list[np.ndarray]] | None:
+def matrix_corners(matrices: Sequence[ca.SX], p: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[list[np.ndarray]] | None:
     """Return the corners [[M_1, M_2, ...], ...] of matrices that depend on p alone, each with entries in Fractions.
 
     The point (M_1(p), M_2(p), ...) lies in the convex hull of the corners for each p (k,) in the box lower <= p <= upper.
@@ -33,29 +33,33 @@ def corners(matrices: Sequence[ca.SX], p: ca.SX, lower: np.ndarray, upper: np.nd
         None where a part is not finite on the box, or where the corners are too many.
 
     >>> p = ca.SX.sym("p")
-    >>> [float(M[0, 0]) for (M,) in corners([2 / p + 1], p, np.array([1.0]), np.array([4.0]))]
+    >>> [float(M[0, 0]) for (M,) in matrix_corners([2 / p + 1], p, np.array([1.0]), np.array([4.0]))]
     [1.5, 3.0]
     """
-    entries = column(ca.vec(ca.densify(matrix)) for matrix in matrices)
-    reader = _Reader(p, np.asarray(lower, float), np.asarray(upper, float))
-    if entries.numel() > MOST_ENTRIES or not np.isfinite(interval.enclose(entries, p, lower, upper)).all():
+    entries = stack_column(ca.vec(ca.densify(matrix)) for matrix in matrices)
+    reader = _MultiaffineReader(p, np.asarray(lower, float), np.asarray(upper, float))
+    if entries.numel() > MAX_MATRIX_ENTRIES or not np.isfinite(interval.enclose(entries, p, lower, upper)).all():
         return None
     read = [reader.quotient(entry) for entry in ca.vertsplit(entries)] if entries.numel() else []
     others = iter(
-        fold(column(entries[k] for k, part in enumerate(read) if part is None), reader.symbol, reader.number, reader.apply)
+        fold_graph(
+            stack_column(entries[k] for k, part in enumerate(read) if part is None), reader.symbol, reader.number, reader.apply
+        )
     )
     parts = [reader.affine(next(others)[1] if part is None else part) for part in read]
     used = sorted({variable for part in parts if part is not None for variable in polynomial.variables(part)})
-    if any(part is None for part in parts) or prod(len(set(reader.ends[variable])) for variable in used) > MOST_CORNERS:
+    if any(part is None for part in parts) or prod(len(set(reader.ends[variable])) for variable in used) > MAX_MATRIX_CORNERS:
         return None
     found = []
     for ends in product(*(sorted(set(reader.ends[variable])) for variable in used)):
         at = dict(zip(used, ends, strict=True))
-        found.append(_shaped([polynomial.value(part, at) for part in parts if part is not None], matrices))
+        found.append(
+            _matrices_from_entries([polynomial.evaluate_polynomial(part, at) for part in parts if part is not None], matrices)
+        )
     return found
 
 
-class _Reader:
+class _MultiaffineReader:
     """Reads a graph; ``ends[k]`` are the bounds of number k, ``known`` and ``inverses`` say what has one."""
 
     def __init__(self, p: ca.SX, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -68,52 +72,52 @@ class _Reader:
 
     def quotient(self, entry: ca.SX) -> Polynomial | None:
         """A quotient of polynomials in p, reduced, as a polynomial and a number for what it is divided by."""
-        found = polynomial.ratio(entry, self.p)
+        found = polynomial.read_quotient(entry, self.p)
         if found is None:
             return None
-        top, bottom = polynomial.reduced(*found, self.p.numel())
+        top, bottom = polynomial.cancel_common_factors(*found, self.p.numel())
         if len(bottom) == 1:
             (powers, size), through_zero = next(iter(bottom.items())), [low <= 0 <= high for low, high in self.ends]
             if any(through_zero[variable] for variable, _ in powers):
                 return None
-            return {_divided(monomial, powers): factor / size for monomial, factor in top.items()}
+            return {_divide_monomial(monomial, powers): factor / size for monomial, factor in top.items()}
         size = next(iter(bottom.values()))
-        key = frozenset(polynomial.scaled(bottom, 1 / size).items())
+        key = frozenset(polynomial.scale_polynomial(bottom, 1 / size).items())
         if key not in self.inverses:
-            low, high = self._bounds(dict(key))
+            low, high = self._polynomial_bounds(dict(key))
             if low <= 0 <= high:
                 return None
             self.inverses[key] = len(self.ends)
             self.ends.append((1 / high, 1 / low))
         return polynomial.multiply(top, {((self.inverses[key], 1),): 1 / size})
 
-    def _bounds(self, part: Polynomial) -> tuple[Fraction, Fraction]:
+    def _polynomial_bounds(self, part: Polynomial) -> tuple[Fraction, Fraction]:
         """Bounds of a polynomial over the box, monomial by monomial."""
         low = high = Fraction(0)
         for monomial, factor in part.items():
             term = (factor, factor)
             for variable, power in monomial:
-                term = _times(term, _raised(self.ends[variable], power))
+                term = _product_bounds(term, _power_bounds(self.ends[variable], power))
             low, high = low + min(term), high + max(term)
         return low, high
 
-    def symbol(self, symbol: ca.SX) -> Part:
+    def symbol(self, symbol: ca.SX) -> NodePolynomial:
         return symbol, {((self.place[symbol.element_hash()], 1),): Fraction(1)}
 
-    def number(self, value: float) -> Part:
-        return ca.SX(value), polynomial.constant(value)
+    def number(self, value: float) -> NodePolynomial:
+        return ca.SX(value), polynomial.constant_polynomial(value)
 
-    def apply(self, op: int, args: list[Part]) -> Part:
+    def apply(self, op: int, args: list[NodePolynomial]) -> NodePolynomial:
         if op == ca.OP_CALL:
             return ca.SX(0), None
-        node, parts = applied(op, [part[0] for part in args]), [part[1] for part in args]
+        node, parts = apply_operation(op, [part[0] for part in args]), [part[1] for part in args]
         if any(part is None for part in parts):
             return node, None
-        plain = polynomial.apply(op, [part for part in parts if part is not None])
+        plain = polynomial.apply_to_polynomials(op, [part for part in parts if part is not None])
         if plain is None and op == ca.OP_DIV:
-            inverse = self._own(applied(ca.OP_INV, [args[1][0]]))
+            inverse = self._node_variable(apply_operation(ca.OP_INV, [args[1][0]]))
             plain = inverse and polynomial.multiply(parts[0] or {}, inverse)
-        return node, self._own(node) if plain is None else plain
+        return node, self._node_variable(node) if plain is None else plain
 
     def affine(self, part: Polynomial | None) -> Polynomial | None:
         """The part with powers as numbers of their own."""
@@ -121,11 +125,13 @@ class _Reader:
             return None
         found: Polynomial = {}
         for monomial, factor in part.items():
-            names = tuple(sorted((variable if power == 1 else self._power(variable, power), 1) for variable, power in monomial))
+            names = tuple(
+                sorted((variable if power == 1 else self._power_variable(variable, power), 1) for variable, power in monomial)
+            )
             found[names] = found.get(names, Fraction(0)) + factor
         return found
 
-    def _own(self, node: ca.SX) -> Polynomial | None:
+    def _node_variable(self, node: ca.SX) -> Polynomial | None:
         """A number that stands for a node; None where it has no bounds."""
         for other, variable in self.known:
             if ca.is_equal(node, other, 20):
@@ -137,15 +143,15 @@ class _Reader:
         self.ends.append((Fraction(low), Fraction(high)))
         return {((self.known[-1][1], 1),): Fraction(1)}
 
-    def _power(self, variable: int, power: int) -> int:
+    def _power_variable(self, variable: int, power: int) -> int:
         key = (variable, power)
         if key not in self.powers:
             self.powers[key] = len(self.ends)
-            self.ends.append(_raised(self.ends[variable], power))
+            self.ends.append(_power_bounds(self.ends[variable], power))
         return self.powers[key]
 
 
-def _divided(monomial: polynomial.Monomial, by: polynomial.Monomial) -> polynomial.Monomial:
+def _divide_monomial(monomial: polynomial.Monomial, by: polynomial.Monomial) -> polynomial.Monomial:
     """A monomial whose powers may be negative."""
     powers = dict(monomial)
     for variable, power in by:
@@ -153,17 +159,17 @@ def _divided(monomial: polynomial.Monomial, by: polynomial.Monomial) -> polynomi
     return tuple(sorted((variable, power) for variable, power in powers.items() if power))
 
 
-def _raised(ends: tuple[Fraction, Fraction], power: int) -> tuple[Fraction, Fraction]:
+def _power_bounds(ends: tuple[Fraction, Fraction], power: int) -> tuple[Fraction, Fraction]:
     low, high = sorted(end**power for end in ends)
     return (Fraction(0) if power % 2 == 0 and ends[0] < 0 < ends[1] else low), high
 
 
-def _times(a: tuple[Fraction, Fraction], b: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
+def _product_bounds(a: tuple[Fraction, Fraction], b: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:
     products = [x * y for x in a for y in b]
     return min(products), max(products)
 
 
-def _shaped(entries: list[Fraction], matrices: Sequence[ca.SX]) -> list[np.ndarray]:
+def _matrices_from_entries(entries: list[Fraction], matrices: Sequence[ca.SX]) -> list[np.ndarray]:
     """The entries, column by column, as matrices."""
     found, first = [], 0
     for matrix in matrices:

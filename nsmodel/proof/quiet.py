@@ -8,17 +8,17 @@ import sys
 import threading
 from collections.abc import Iterator
 
-_ONE_AT_A_TIME = threading.RLock()  # The descriptors are the process's.
+_OUTPUT_LOCK = threading.RLock()  # The descriptors are the process's.
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def suppress_output() -> Iterator[None]:
     """Solvers print banners from C: send file descriptors 1 and 2 to nowhere while one runs; other threads wait to do so."""
-    with _ONE_AT_A_TIME:
-        yield from _quietly()
+    with _OUTPUT_LOCK:
+        yield from _redirect_output()
 
 
-def _quietly() -> Iterator[None]:
+def _redirect_output() -> Iterator[None]:
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     saved, null = [(fd, os.dup(fd)) for fd in (1, 2)], os.open(os.devnull, os.O_WRONLY)

@@ -12,12 +12,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval
-from nsmodel.proof.at_infinity import curve, orders
-from nsmodel.proof.orders import natural, times
+from nsmodel.proof.at_infinity import asymptotic_orders, polynomial_order
+from nsmodel.proof.orders import multiply_orders, value_interval
 from nsmodel.proof.straight_line import program
 
-CELLS = 16  # Parts of each octave of [-T, T].
-UP = 1 + 1e-12
+CELLS_PER_OCTAVE = 16  # Parts of each octave of [-T, T].
+REACH_ROUNDING = 1 + 1e-12
 
 
 class Sector(NamedTuple):
@@ -45,11 +45,11 @@ def sector(h: ca.SX, s: ca.SX, low: float, high: float, k: int) -> Sector | None
         if np.isfinite(end):
             continue
         t = ca.SX.sym("t")
-        (order,) = orders(ca.substitute(h, s, sign * t), t, [curve([0, 1], k)], k)
-        slope = times(order, curve([0, Fraction(sign)], k))  # sign h / t, but for t^2
+        (order,) = asymptotic_orders(ca.substitute(h, s, sign * t), t, [polynomial_order([0, 1], k)], k)
+        slope = multiply_orders(order, polynomial_order([0, Fraction(sign)], k))  # sign h / t, but for t^2
         if slope is None:
             return None
-        ends = natural(slope._replace(p=slope.p - 2), k)
+        ends = value_interval(slope._replace(p=slope.p - 2), k)
         slopes.append((float(ends[0][0]), float(ends[1][0])))
     least, most = (min(a for a, _ in slopes), max(b for _, b in slopes)) if slopes else (0.0, 0.0)
     if least == np.inf or most == -np.inf or (least, most) == (-np.inf, np.inf):
@@ -57,21 +57,21 @@ def sector(h: ca.SX, s: ca.SX, low: float, high: float, k: int) -> Sector | None
     ends = low if np.isfinite(low) else -T, high if np.isfinite(high) else T
     if ends[0] > ends[1]:
         return Sector(least, most, 0.0)
-    octaves = 2.0 ** np.arange(-8, np.log2(max(1.0, *np.abs(ends))) + 1, 1 / CELLS)
+    octaves = 2.0 ** np.arange(-8, np.log2(max(1.0, *np.abs(ends))) + 1, 1 / CELLS_PER_OCTAVE)
     inner = np.concatenate([-octaves, [0.0], octaves])
     edges = np.unique(np.concatenate([inner[(inner > ends[0]) & (inner < ends[1])], ends]))
-    reach = _reach(h, s, edges, least, most)
+    reach = _sector_reach(h, s, edges, least, most)
     return None if reach is None else Sector(least, most, reach)
 
 
-def _reach(h: ca.SX, s: ca.SX, edges: np.ndarray, least: float, most: float) -> float | None:
+def _sector_reach(h: ca.SX, s: ca.SX, edges: np.ndarray, least: float, most: float) -> float | None:
     """The largest s/|s| (h - most s) and s/|s| (least s - h) between the edges, 0 being one of them or outside; 0 at least."""
     low, high = (edges[:-1], edges[1:]) if edges.size > 1 else (edges, edges)
     out = 0.0
     for slope, sign in ((least, -1.0), (most, 1.0)):
         if np.isfinite(slope):
             gap = ca.vertcat(h - slope * s, slope * s - h) * sign
-            right, left = interval.mean_value(program(gap, s), low[:, None], high[:, None]).hi
+            right, left = interval.mean_value_form(program(gap, s), low[:, None], high[:, None]).hi
             out = max(out, float(np.where(low >= 0, right, left).max()), float(right[0] if edges.size == 1 else 0.0))
             out = max(out, float(np.where(high <= 0, left, right).max()))
-    return out * UP if np.isfinite(out) else None
+    return out * REACH_ROUNDING if np.isfinite(out) else None

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-MEMORY = 4_000_000  # Numbers kept at once while a program runs.
-HIGH = 64  # Powers beyond this are left as they are.
+MAX_STORED_NUMBERS = 4_000_000  # Numbers kept at once while a program runs.
+MAX_POWER = 64  # Powers beyond this are left as they are.
 
 
-class Step(NamedTuple):
+class Instruction(NamedTuple):
     """One instruction: values[target] = op(values[sources]); ``number`` of a constant; ``slot`` of an input."""
 
     op: int
@@ -34,16 +34,16 @@ class Program:
         uses: for each step the slots of z that it depends on.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[Instruction, ...]
     outputs: tuple[int, ...]
     shape: tuple[int, int]
     inputs: int
     uses: tuple[frozenset[int], ...]
 
     @property
-    def rows_at_once(self) -> int:
+    def boxes_per_run(self) -> int:
         """How many boxes are worth running together."""
-        return max(16, MEMORY // (2 * len(self.steps) + 1))
+        return max(16, MAX_STORED_NUMBERS // (2 * len(self.steps) + 1))
 
 
 def program(expr: ca.SX, z: ca.SX) -> Program:
@@ -62,24 +62,24 @@ def program(expr: ca.SX, z: ca.SX) -> Program:
         raise ValueError(f"the expression holds {', '.join(strange)}, which are not among the symbols of the box")
     function = ca.Function("program", [ca.vec(z)], [ca.densify(ca.vec(expr))], {"live_variables": False, "cse": True})
     outputs = [0] * expr.numel()
-    list_ = _List()
+    list_ = _InstructionList()
     register: dict[int, int] = {}
     for i in range(function.n_instructions()):
         op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
         if op == ca.OP_OUTPUT:
             outputs[target[1]] = register[source[0]]
         elif op == ca.OP_INPUT:
-            register[target[0]] = list_.put(Step(op, (), 0.0, source[1]))
+            register[target[0]] = list_.put(Instruction(op, (), 0.0, source[1]))
         elif op == ca.OP_CONST:
             register[target[0]] = list_.constant(function.instruction_constant(i))
         else:
             sources = tuple(register[j] for j in source)
             for j in target:
-                register[j] = list_.result(op, sources) if len(target) == 1 else list_.put(Step(-1, sources, 0.0, -1))
+                register[j] = list_.result(op, sources) if len(target) == 1 else list_.put(Instruction(-1, sources, 0.0, -1))
     return Program(tuple(list_.steps), tuple(outputs), expr.shape, z.numel(), tuple(list_.uses))
 
 
-class _Power(NamedTuple):
+class _PowerOfValue(NamedTuple):
     """factor times the value ``base`` to a power."""
 
     base: int
@@ -87,16 +87,16 @@ class _Power(NamedTuple):
     factor: Fraction
 
 
-class _List:
+class _InstructionList:
     """Values written so far, and which of them are known to be powers of another."""
 
     def __init__(self) -> None:
-        self.steps: list[Step] = []
+        self.steps: list[Instruction] = []
         self.uses: list[frozenset[int]] = []
-        self._known: dict[Step, int] = {}
-        self._powers: dict[int, _Power] = {}
+        self._known: dict[Instruction, int] = {}
+        self._powers: dict[int, _PowerOfValue] = {}
 
-    def put(self, step: Step) -> int:
+    def put(self, step: Instruction) -> int:
         """Return the index of a step; one that was written already is not written again."""
         if step.op >= 0 and step in self._known:
             return self._known[step]
@@ -107,22 +107,22 @@ class _List:
 
     def constant(self, number: float) -> int:
         """Return the index of a constant."""
-        return self.put(Step(ca.OP_CONST, (), number, -1))
+        return self.put(Instruction(ca.OP_CONST, (), number, -1))
 
     def result(self, op: int, sources: tuple[int, ...]) -> int:
         """Return the index of the result of an operation."""
-        power = self._power(op, sources)
+        power = self._as_power(op, sources)
         several = op in (ca.OP_MUL, ca.OP_ADD, ca.OP_SUB) and all(self.uses[j] for j in sources)
-        index = self._written(power) if power is not None and several else self.put(Step(op, sources, 0.0, -1))
+        index = self._write_power(power) if power is not None and several else self.put(Instruction(op, sources, 0.0, -1))
         if power is not None:
             self._powers[index] = power
         return index
 
-    def _power(self, op: int, sources: tuple[int, ...]) -> _Power | None:
+    def _as_power(self, op: int, sources: tuple[int, ...]) -> _PowerOfValue | None:
         """Return the result as a power of one value with a factor that is a double; None if it is not seen to be one."""
-        first, last = (self._powers.get(j, _Power(j, 1, Fraction(1))) for j in (sources[0], sources[-1]))
+        first, last = (self._powers.get(j, _PowerOfValue(j, 1, Fraction(1))) for j in (sources[0], sources[-1]))
         if op == ca.OP_SQ:
-            found = _Power(first.base, 2 * first.power, first.factor**2)
+            found = _PowerOfValue(first.base, 2 * first.power, first.factor**2)
         elif op in (ca.OP_NEG, ca.OP_TWICE):
             found = first._replace(factor=first.factor * (-1 if op == ca.OP_NEG else 2))
         elif op == ca.OP_MUL and not (self.uses[sources[0]] and self.uses[sources[1]]):
@@ -132,23 +132,23 @@ class _List:
                 return None
             found = other._replace(factor=other.factor * Fraction(step.number))
         elif op == ca.OP_MUL and first.base == last.base:
-            found = _Power(first.base, first.power + last.power, first.factor * last.factor)
+            found = _PowerOfValue(first.base, first.power + last.power, first.factor * last.factor)
         elif op in (ca.OP_ADD, ca.OP_SUB) and first[:2] == last[:2]:
             found = first._replace(factor=first.factor + last.factor * (1 if op == ca.OP_ADD else -1))
         else:
             return None
-        return found if found.factor and found.power <= HIGH and is_double(found.factor) else None
+        return found if found.factor and found.power <= MAX_POWER and is_double(found.factor) else None
 
-    def _written(self, power: _Power) -> int:
+    def _write_power(self, power: _PowerOfValue) -> int:
         """Return the index of a power."""
         index = power.base
         if power.power == 2:
-            index = self.put(Step(ca.OP_SQ, (index,), 0.0, -1))
+            index = self.put(Instruction(ca.OP_SQ, (index,), 0.0, -1))
         elif power.power > 2:
-            index = self.put(Step(ca.OP_CONSTPOW, (index, self.constant(float(power.power))), 0.0, -1))
+            index = self.put(Instruction(ca.OP_CONSTPOW, (index, self.constant(float(power.power))), 0.0, -1))
         if power.factor == 1:
             return index
-        return self.put(Step(ca.OP_MUL, (self.constant(float(power.factor)), index), 0.0, -1))
+        return self.put(Instruction(ca.OP_MUL, (self.constant(float(power.factor)), index), 0.0, -1))
 
 
 def is_double(number: Fraction) -> bool:

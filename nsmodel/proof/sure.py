@@ -7,7 +7,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def sure(value: T | None) -> T:
+def not_none(value: T | None) -> T:
     """Return the value; LookupError where it is missing, which is a defect of the caller."""
     if value is None:
         raise LookupError("a value that was to be there is missing")

@@ -8,7 +8,7 @@ HOLDS, SAMPLED, VIOLATED, UNKNOWN = "holds", "sampled", "violated", "unknown"
 VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
 
 
-class Part(NamedTuple):
+class HypothesisPart(NamedTuple):
     """One part of a hypothesis: verdict, reason, numbers, witness; ``local``: decided on the box looked at alone."""
 
     verdict: str

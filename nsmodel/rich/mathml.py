@@ -28,20 +28,20 @@ SIGNS = {
     "neg": "¬", "Vert": "‖", "lfloor": "⌊", "rfloor": "⌋", "lceil": "⌈", "rceil": "⌉",
     "{": "{", "}": "}", "|": "‖", "-": "−",
 }  # fmt: skip
-NAMED = frozenset("exp log sin cos tan sinh cosh tanh arcsin arccos arctan min max".split())
+FUNCTION_NAMES = frozenset("exp log sin cos tan sinh cosh tanh arcsin arccos arctan min max".split())
 SPACES = {",": "0.17em", " ": "0.25em", "quad": "1em"}
-MARKS = {"dot": "˙", "ddot": "¨"}
-CLOSING = (")</mo>", "]</mo>", "|</mo>", "‖</mo>")
-UPRIGHT = {"mathit": "", "mathrm": ' mathvariant="normal"', "mathsf": ' mathvariant="normal"'}
+ACCENTS = {"dot": "˙", "ddot": "¨"}
+CLOSING_FENCES = (")</mo>", "]</mo>", "|</mo>", "‖</mo>")
+LETTER_STYLES = {"mathit": "", "mathrm": ' mathvariant="normal"', "mathsf": ' mathvariant="normal"'}
 NOT_LETTERS = "0123456789.,;:+-=<>()[]/|!'*"
 
 
 def mathml(latex: str) -> str:
     """Return a line of LaTeX as an element of MathML; a command that is not known stands there by its name."""
-    return f'<math displaystyle="true"><mrow>{_Reader(one_line(latex)).row()}</mrow></math>'
+    return f'<math displaystyle="true"><mrow>{_LatexReader(one_line(latex)).row()}</mrow></math>'
 
 
-class _Reader:
+class _LatexReader:
     """Goes through the tokens once."""
 
     def __init__(self, latex: str) -> None:
@@ -58,10 +58,12 @@ class _Reader:
                 return "".join(found)
             if token in ("_", "^"):
                 found.append(self._scripts(found.pop() if found else "<mrow></mrow>", token))
-            elif token in "+-" and (not found or (found[-1].startswith(("<mo", "<ms")) and not found[-1].endswith(CLOSING))):
+            elif token in "+-" and (
+                not found or (found[-1].startswith(("<mo", "<ms")) and not found[-1].endswith(CLOSING_FENCES))
+            ):
                 found.append(f'<mo form="prefix">{SIGNS.get(token, token)}</mo>')
             elif not token.isspace():
-                found.append(self._one(token))
+                found.append(self._read_token(token))
         self.last = ""
         return "".join(found)
 
@@ -76,7 +78,7 @@ class _Reader:
         while self._peek().isspace():
             self.at += 1
         token = self._next() if self._peek() else "}"
-        return f"<mrow>{self.row('}')}</mrow>" if token == "{" else self._one(token)
+        return f"<mrow>{self.row('}')}</mrow>" if token == "{" else self._read_token(token)
 
     def _scripts(self, base: str, token: str) -> str:
         first = self._argument()
@@ -87,61 +89,61 @@ class _Reader:
         low, high = (first, second) if token == "_" else (second, first)
         return f"<msubsup>{base}{low}{high}</msubsup>"
 
-    def _one(self, token: str) -> str:
+    def _read_token(self, token: str) -> str:
         if token == "{":
             return f"<mrow>{self.row('}')}</mrow>"
         if token.startswith(r"\begin"):
-            return self._rows(token[7:-1])
+            return self._read_table(token[7:-1])
         if token.startswith("\\"):
             return self._command(token[1:])
         if token[0].isdigit():
             return f"<mn>{token}</mn>"
         if token in NOT_LETTERS:
-            return f'<mo stretchy="false">{html.escape(SIGNS.get(token, token))}</mo>' if token in "()[]|" else _sign(token)
+            return f'<mo stretchy="false">{html.escape(SIGNS.get(token, token))}</mo>' if token in "()[]|" else _operator(token)
         return f"<mi>{html.escape(token)}</mi>"
 
     def _command(self, name: str) -> str:
         if name in LETTERS:
             return f"<mi>{LETTERS[name]}</mi>"
         if name in SIGNS:
-            return _sign(name)
+            return _operator(name)
         if name in SPACES:
             return f'<mspace width="{SPACES[name]}"></mspace>'
         if name == "left":
-            return self._fenced()
+            return self._read_fenced()
         if name == "text":
-            return f"<mtext>{html.escape(self._text()).replace(' ', chr(0xA0))}</mtext>"
+            return f"<mtext>{html.escape(self._read_text()).replace(' ', chr(0xA0))}</mtext>"
         if name == "frac":
             return f"<mfrac>{self._argument()}{self._argument()}</mfrac>"
         if name == "sqrt":
             return f"<msqrt>{self._argument()}</msqrt>"
-        if name in MARKS:
-            return f'<mover accent="true">{self._argument()}<mo stretchy="false">{MARKS[name]}</mo></mover>'
-        if name in UPRIGHT:
-            return f"<mi{UPRIGHT[name]}>{html.escape(self._text())}</mi>"
+        if name in ACCENTS:
+            return f'<mover accent="true">{self._argument()}<mo stretchy="false">{ACCENTS[name]}</mo></mover>'
+        if name in LETTER_STYLES:
+            return f"<mi{LETTER_STYLES[name]}>{html.escape(self._read_text())}</mi>"
         if name == "mathbb":
-            return f"<mi>{'ℝ' if (letter := self._text()) == 'R' else html.escape(letter)}</mi>"
-        return f'<mi mathvariant="normal">{name}</mi>' if name in NAMED else f"<mtext>{html.escape(name)}</mtext>"
+            return f"<mi>{'ℝ' if (letter := self._read_text()) == 'R' else html.escape(letter)}</mi>"
+        return f'<mi mathvariant="normal">{name}</mi>' if name in FUNCTION_NAMES else f"<mtext>{html.escape(name)}</mtext>"
 
-    def _text(self) -> str:
+    def _read_text(self) -> str:
         """Words in brackets, as `notation.words` wrote them."""
-        depth, words = 0, []
+        depth, tokens = 0, []
         while self.at < len(self.tokens):
             token = self._next()
             depth += (token == "{") - (token == "}")
             if not depth:
                 break
-            words.append(token)
-        text = "".join(words[1:])
+            tokens.append(token)
+        text = "".join(tokens[1:])
         return re.sub(r"\\(backslash ?|.)", lambda found: "\\" if found[1].startswith("backslash") else found[1], text)
 
-    def _fenced(self) -> str:
+    def _read_fenced(self) -> str:
         left = _fence(self._next())
         inner = self.row((r"\right",))
         right = _fence(self._next()) if self._peek() else ""
         return f"<mrow>{left}{inner}{right}</mrow>"
 
-    def _rows(self, kind: str) -> str:
+    def _read_table(self, kind: str) -> str:
         rows: list[list[str]] = [[]]
         end = rf"\end{{{kind}}}"
         while True:
@@ -154,7 +156,7 @@ class _Reader:
         return f'<mtable class="{html.escape(kind)}">{body}</mtable>'
 
 
-def _sign(name: str) -> str:
+def _operator(name: str) -> str:
     return f"<mo>{html.escape(SIGNS.get(name, name))}</mo>"
 
 

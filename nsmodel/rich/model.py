@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nsmodel.brief import cut, listed
-from nsmodel.hypotheses.report.typeset import equations
-from nsmodel.model.facts import facts
+from nsmodel.brief import join_within_width, truncate_text
+from nsmodel.hypotheses.report.typeset import model_equations
+from nsmodel.model.facts import model_facts
 from nsmodel.rich import page
 
 if TYPE_CHECKING:
     from nsmodel.model.base import Model
 
-ENTRIES = 320  # Characters of a row.
-LONG = 2500  # Characters of LaTeX in one formula.
+MAX_ROW_TEXT = 320  # Characters of a row.
+MAX_FORMULA_LENGTH = 2500  # Characters of LaTeX in one formula.
 
 
 def html(model: Model) -> str:
     """The model as HTML."""
     rows = []
-    for label, entries in facts(model).items():
+    for label, entries in model_facts(model).items():
         count = f"{len(entries)}: " if len(entries) > 1 else ""
-        rows.append((label, page.escaped(count + listed(map(cut, entries), ENTRIES), ENTRIES + 20)))
-    shown = [page.formula(line) if len(line) < LONG else page.aside("a formula too long to be read") for line in equations(model)]
-    return page.page(model.title or "untitled", type(model).__name__, *shown, page.facts(rows))
+        rows.append(
+            (label, page.escape_text(count + join_within_width(map(truncate_text, entries), MAX_ROW_TEXT), MAX_ROW_TEXT + 20))
+        )
+    formulas = [
+        page.formula(line) if len(line) < MAX_FORMULA_LENGTH else page.aside_paragraph("a formula too long to be read")
+        for line in model_equations(model)
+    ]
+    return page.result_page(model.title or "untitled", type(model).__name__, *formulas, page.facts_table(rows))

@@ -12,18 +12,18 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-from nsmodel.brief import cut
+from nsmodel.brief import truncate_text
 from nsmodel.rich.mathml import mathml
-from nsmodel.words import one_line, shown
+from nsmodel.words import escape_invisible, one_line
 
-NAME = 200  # Characters of one text.
+MAX_TEXT_LENGTH = 200  # Characters of one text.
 GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"
 LEVELS = {
     "holds": GOOD, "done": GOOD, "right": GOOD, "finished": GOOD,
     "sampled": FAIR, "stopped": FAIR, "interrupted": FAIR, "warned": FAIR,
     "violated": BAD, "wrong": BAD, "failed": BAD,
 }  # fmt: skip
-MARKS = {GOOD: "✓", FAIR: "!", BAD: "✗", OPEN: "?", "sampled": "≈"}
+VERDICT_MARKS = {GOOD: "✓", FAIR: "!", BAD: "✗", OPEN: "?", "sampled": "≈"}
 # Blue, amber, vermilion and grey: told apart by who sees no red, no green or no blue, and by their lightness.
 # What notebooks say of all tables is overruled.
 STYLE = """
@@ -55,51 +55,51 @@ class Html(str):
     """What stands in a page as it is."""
 
 
-def escaped(text: str, width: int = NAME) -> Html:
+def escape_text(text: str, width: int = MAX_TEXT_LENGTH) -> Html:
     """Text on one line, cut where it is too long; what would be markup, or a formula, is neither."""
-    safe = html.escape(cut(one_line(str(text)), width))
+    safe = html.escape(truncate_text(one_line(str(text)), width))
     return Html(re.sub(r"([$\\`])", r"<span>\1</span>", safe))
 
 
-def cell(content: str, width: int = NAME) -> Html:
+def as_html(content: str, width: int = MAX_TEXT_LENGTH) -> Html:
     """What is text, escaped; what is an element already, as it is."""
-    return content if isinstance(content, Html) else escaped(content, width)
+    return content if isinstance(content, Html) else escape_text(content, width)
 
 
 def element(name: str, *content: str, cls: str = "") -> Html:
     """An element around others; text in it is escaped."""
     attribute = f' class="{cls}"' if cls else ""
-    return Html(f"<{name}{attribute}>{''.join(map(cell, content))}</{name}>")
+    return Html(f"<{name}{attribute}>{''.join(map(as_html, content))}</{name}>")
 
 
-def page(title: str, kind: str, *parts: str) -> str:
+def result_page(title: str, kind: str, *parts: str) -> str:
     """The whole: a title, and behind it what it is."""
     head = element("div", title, Html(" "), element("span", kind, cls="kind"), cls="head")
-    body = "".join([head, *map(cell, (part for part in parts if part))])
+    body = "".join([head, *map(as_html, (part for part in parts if part))])
     return f'<div class="nsm tex2jax_ignore mathjax_ignore"><style>{STYLE}</style>{body}</div>'
 
 
-def status(text: str, verdict: str | None = None) -> Html:
+def status_badge(text: str, verdict: str | None = None) -> Html:
     """Text with the mark and the colour of a verdict; left out, the text is one."""
     verdict = verdict or text
     level = LEVELS.get(verdict, OPEN)
-    return element("span", f"{MARKS.get(verdict, MARKS[level])} {text}", cls=f"st {level}")
+    return element("span", f"{VERDICT_MARKS.get(verdict, VERDICT_MARKS[level])} {text}", cls=f"st {level}")
 
 
-def counted(counts: Mapping[str, int], words: Mapping[str, str] = MappingProxyType({})) -> Html:
+def verdict_counts(counts: Mapping[str, int], labels: Mapping[str, str] = MappingProxyType({})) -> Html:
     """How many have which verdict; of what there is none without a colour. ``words``: what stands for a verdict."""
-    shown = [(f"{count} {words.get(verdict, verdict)}", verdict if count else "") for verdict, count in counts.items()]
-    return joined([status(text, verdict) if verdict else text for text, verdict in shown], " ")
+    texts = [(f"{count} {labels.get(verdict, verdict)}", verdict if count else "") for verdict, count in counts.items()]
+    return join_html([status_badge(text, verdict) if verdict else text for text, verdict in texts], " ")
 
 
-def facts(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
+def facts_table(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
     """A row for each label that has something to say; several entries stand below each other."""
     found = [(label, [content] if isinstance(content, str) else list(content)) for label, content in rows if content]
-    lines = [element("tr", element("th", label), element("td", *_stacked(entries))) for label, entries in found]
+    lines = [element("tr", element("th", label), element("td", *_with_line_breaks(entries))) for label, entries in found]
     return element("table", element("tbody", *lines)) if lines else Html("")
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
+def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
     """A table."""
     head = element("thead", element("tr", *(element("th", one) for one in header)))
     body = [element("tr", *(element("td", one) for one in row)) for row in rows]
@@ -111,32 +111,32 @@ def formula(latex: str) -> Html:
     return element("div", Html(mathml(latex)), cls="eq")
 
 
-def folded(summary: str, *content: str) -> Html:
+def folded_section(summary: str, *content: str) -> Html:
     """What opens at a click."""
     return element("details", element("summary", summary), *content)
 
 
-def first(rows: Sequence[Sequence[str]], count: int, what: str, header: Sequence[str]) -> Html:
+def first_rows_table(rows: Sequence[Sequence[str]], count: int, what: str, header: Sequence[str]) -> Html:
     """A table of the first rows; the others behind a click."""
-    shown = table(header, rows[:count])
+    head_table = html_table(header, rows[:count])
     if len(rows) <= count:
-        return shown
-    return joined([shown, folded(f"{len(rows) - count} more {what}", table(header, rows[count:]))], "")
+        return head_table
+    return join_html([head_table, folded_section(f"{len(rows) - count} more {what}", html_table(header, rows[count:]))], "")
 
 
-def aside(text: str) -> Html:
+def aside_paragraph(text: str) -> Html:
     """A paragraph that is less than the others."""
     return element("p", text, cls="aside")
 
 
-def verbatim(text: str) -> Html:
+def verbatim_text(text: str) -> Html:
     """Lines as they stand."""
-    return Html(f"<pre>{html.escape(shown(text))}</pre>")
+    return Html(f"<pre>{html.escape(escape_invisible(text))}</pre>")
 
 
-def joined(items: Iterable[str], between: str = ", ") -> Html:
+def join_html(items: Iterable[str], between: str = ", ") -> Html:
     """Elements and texts side by side."""
-    return Html(between.join(map(cell, items)))
+    return Html(between.join(map(as_html, items)))
 
 
 def picture(draw: Callable[[], bytes], alt: str) -> Html:
@@ -144,10 +144,10 @@ def picture(draw: Callable[[], bytes], alt: str) -> Html:
     try:
         data = base64.b64encode(draw()).decode()
     except Exception as error:
-        return aside(f"no picture: {type(error).__name__}: {error}")
-    return Html(f'<img alt="{html.escape(cut(alt), quote=True)}" src="data:image/png;base64,{data}">')
+        return aside_paragraph(f"no picture: {type(error).__name__}: {error}")
+    return Html(f'<img alt="{html.escape(truncate_text(alt), quote=True)}" src="data:image/png;base64,{data}">')
 
 
-def _stacked(entries: Sequence[str]) -> list[str]:
+def _with_line_breaks(entries: Sequence[str]) -> list[str]:
     between = Html("<br>")
     return [part for k, entry in enumerate(entries) for part in ([between, entry] if k else [entry])]

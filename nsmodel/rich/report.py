@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from nsmodel.brief import cut
+from nsmodel.brief import truncate_text
 from nsmodel.hypotheses.report import table
-from nsmodel.hypotheses.report.typeset import equations
+from nsmodel.hypotheses.report.typeset import model_equations
 from nsmodel.proof.verdict import HOLDS, VERDICTS
 from nsmodel.rich import page
 
@@ -15,52 +15,70 @@ if TYPE_CHECKING:
     from nsmodel.hypotheses.findings import Consequence, Finding
     from nsmodel.hypotheses.report.report import Report
 
-ROWS = 14  # More are folded.
-FIRST = {verdict: k for k, verdict in enumerate(("violated", "unknown", "sampled", "holds"))}
-SHORT = 90  # Characters of what stands unfolded.
+REPORT_ROWS = 14  # More are folded.
+VERDICT_ORDER = {verdict: k for k, verdict in enumerate(("violated", "unknown", "sampled", "holds"))}
+MAX_UNFOLDED_TEXT = 90  # Characters of what stands unfolded.
 
 
 def html(report: Report) -> str:
     """The report as HTML; violated findings come first."""
-    findings = sorted(report.findings, key=lambda finding: FIRST.get(finding.verdict, 0))
-    shown = [_finding(finding) for finding in findings]
+    findings = sorted(report.findings, key=lambda finding: VERDICT_ORDER.get(finding.verdict, 0))
+    finding_rows = [_finding_cells(finding) for finding in findings]
     rows = [
-        ("findings", page.counted({word: len(report.having(word)) for word in VERDICTS}, {HOLDS: "proved"})),
+        ("findings", page.verdict_counts({word: len(report.having(word)) for word in VERDICTS}, {HOLDS: "proved"})),
         ("paper", report.paper),
         ("region", report.region),
-        ("parameters", ", ".join(table.parameters(report))),
+        ("parameters", ", ".join(table.parameter_texts(report))),
         ("inputs", list(report.inputs)),
         ("notes", list(report.notes)),
     ]
-    parts = [page.facts(rows)]
-    parts.append(page.first(shown, ROWS, "findings", ("id", "verdict", "hypothesis", "numbers", "where and how")))
+    parts = [page.facts_table(rows)]
+    parts.append(
+        page.first_rows_table(finding_rows, REPORT_ROWS, "findings", ("id", "verdict", "hypothesis", "numbers", "where and how"))
+    )
     if report.consequences:
         parts.append(page.element("p", page.element("b", "What follows")))
         header = ("", "verdict", "statement", "numbers", "where; rests on")
-        parts.append(page.first([_consequence(one, report) for one in report.consequences], ROWS, "consequences", header))
-    parts.append(page.folded("the model", *map(page.formula, equations(report.model))))
-    return page.page(report.title, f"report on a {report.model_class}", *parts)
+        parts.append(
+            page.first_rows_table(
+                [_consequence_cells(one, report) for one in report.consequences], REPORT_ROWS, "consequences", header
+            )
+        )
+    parts.append(page.folded_section("the model", *map(page.formula, model_equations(report.model))))
+    return page.result_page(report.title, f"report on a {report.model_class}", *parts)
 
 
-def _finding(finding: Finding) -> list[str]:
-    at = [f"at {text}" for text in table.witness(finding)] if finding.verdict != "holds" else []
-    outside = [f"outside it fails at {', '.join(table.pairs(finding.outside))}"] if finding.outside else []
-    how = _short("; ".join([table.told(finding), *at, *outside]), finding.source)
-    return [finding.id, page.status(finding.verdict), page.escaped(finding.statement, 400), _numbers(finding.value), how]
+def _finding_cells(finding: Finding) -> list[str]:
+    at = [f"at {text}" for text in table.witness_texts(finding)] if finding.verdict != "holds" else []
+    outside = [f"outside it fails at {', '.join(table.name_value_pairs(finding.outside))}"] if finding.outside else []
+    how = _foldable_text("; ".join([table.decision_text(finding), *at, *outside]), finding.source)
+    return [
+        finding.id,
+        page.status_badge(finding.verdict),
+        page.escape_text(finding.statement, 400),
+        _value_cell(finding.value),
+        how,
+    ]
 
 
-def _consequence(one: Consequence, report: Report) -> list[str]:
-    told = "; ".join(part for part in (table.conditions(one), table.rests(one, report)) if part)
-    return [one.name, page.status(one.verdict), page.escaped(one.statement, 400), _numbers(one.value), _short(told, one.source)]
+def _consequence_cells(one: Consequence, report: Report) -> list[str]:
+    grounds = "; ".join(part for part in (table.validity_text(one), table.premises_text(one, report)) if part)
+    return [
+        one.name,
+        page.status_badge(one.verdict),
+        page.escape_text(one.statement, 400),
+        _value_cell(one.value),
+        _foldable_text(grounds, one.source),
+    ]
 
 
-def _numbers(value: Mapping[str, float]) -> page.Html:
-    return page.joined(table.pairs(value), "<br>")
+def _value_cell(value: Mapping[str, float]) -> page.Html:
+    return page.join_html(table.name_value_pairs(value), "<br>")
 
 
-def _short(text: str, source: str) -> page.Html:
+def _foldable_text(text: str, source: str) -> page.Html:
     """What is long folds behind its beginning."""
     source = f" [{source}]" if source else ""
-    if len(text) + len(source) <= SHORT:
-        return page.escaped(text + source)
-    return page.folded(cut(text, SHORT), page.escaped(text + source, 2000))
+    if len(text) + len(source) <= MAX_UNFOLDED_TEXT:
+        return page.escape_text(text + source)
+    return page.folded_section(truncate_text(text, MAX_UNFOLDED_TEXT), page.escape_text(text + source, 2000))

@@ -14,4 +14,4 @@ if TYPE_CHECKING:
 def html(found: Statistics | Share) -> str:
     """The table as HTML."""
     head, _, rest = found.text.partition("\n")
-    return page.page(head, type(found).__name__.lower(), page.verbatim(rest))
+    return page.result_page(head, type(found).__name__.lower(), page.verbatim_text(rest))

@@ -15,24 +15,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.impacts import Watch
+from nsmodel.hypotheses.impacts import ImpactRow
 
-NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
+NEGLIGIBLE_STATE_SHARE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
 
 
-class Beside(NamedTuple):
+class ErrorScale(NamedTuple):
     """States ``at`` (k,), which are measured beside ``part`` of the largest of them, in ``unit`` (k,)."""
 
     at: np.ndarray
     part: float
     unit: np.ndarray
 
-    def raised(self, size: np.ndarray) -> np.ndarray:
+    def apply_floor(self, size: np.ndarray) -> np.ndarray:
         """The sizes (..., k) of its states, none below what it is measured beside."""
         return np.maximum(size, self.part * self.unit * (size / self.unit).max(axis=-1, keepdims=True))
 
 
-def groups(symbols: Sequence[np.ndarray], cones: Sequence[Watch], tolerance: float, rtol: float) -> list[Beside]:
+def error_scale_groups(
+    symbols: Sequence[np.ndarray], cones: Sequence[ImpactRow], tolerance: float, rtol: float
+) -> list[ErrorScale]:
     """Return the groups of states, each state in one at most.
 
     Args:
@@ -40,11 +42,13 @@ def groups(symbols: Sequence[np.ndarray], cones: Sequence[Watch], tolerance: flo
         cones: those that call for impulses.
         tolerance: of a step; rtol: of the run.
     """
-    part = max(NEGLIGIBLE, min(1.0, math.sqrt(tolerance) / (2 * rtol)) if rtol else 1.0)
+    part = max(NEGLIGIBLE_STATE_SHARE, min(1.0, math.sqrt(tolerance) / (2 * rtol)) if rtol else 1.0)
     found, taken = [], np.zeros(0, int)
     for cone in cones:
         at = np.setdiff1d(np.flatnonzero(cone.pushed), taken)
-        found.append(Beside(at, part, cone.pushed[at]))
+        found.append(ErrorScale(at, part, cone.pushed[at]))
         taken = np.append(taken, at)
     rest = [np.setdiff1d(symbol, taken) for symbol in symbols]
-    return [group for group in (*found, *(Beside(at, NEGLIGIBLE, np.ones(at.size)) for at in rest)) if group.at.size]
+    return [
+        group for group in (*found, *(ErrorScale(at, NEGLIGIBLE_STATE_SHARE, np.ones(at.size)) for at in rest)) if group.at.size
+    ]

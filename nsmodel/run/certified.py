@@ -8,22 +8,29 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.bounds import Stored
-from nsmodel.pieces.certificate import SHOWN, Allowed, Certificate, Failure, certify, values
+from nsmodel.pieces.bounds import StoredPieces
+from nsmodel.pieces.certificate import (
+    MAX_REPORTED_FAILURES,
+    AllowedErrors,
+    IntervalProof,
+    ProofFailure,
+    certify_pieces,
+    state_enclosures,
+)
 from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.names import undecided
+from nsmodel.pieces.names import describe_undecided
 from nsmodel.pieces.piece import Piece
-from nsmodel.proof.interval_number import Interval, exactly
-from nsmodel.run.global_error import GlobalError, NoBound, global_error
+from nsmodel.proof.interval_number import Interval, point_intervals
+from nsmodel.run.global_error import GlobalError, NoErrorBound, global_error
 
 
 @dataclass(frozen=True)
-class Certified:
+class CertifiedRun:
     """Pieces with their certificate, and a bound of the global error, or why there is none."""
 
-    stored: Stored
-    certificate: Certificate
-    error: GlobalError | NoBound
+    stored: StoredPieces
+    certificate: IntervalProof
+    error: GlobalError | NoErrorBound
 
     def arrays(self, number: np.ndarray, t: np.ndarray, x: np.ndarray) -> dict[str, np.ndarray]:
         """Columns of the rows t (k,), x (k, states), by the piece that each ends or lies in, and lists of pieces."""
@@ -36,8 +43,8 @@ class Certified:
             "piece_reach": bounds.reach,
         }  # fmt: skip
         if isinstance(self.error, GlobalError):
-            off = values(self.stored, number, t)
-            off = (Interval(off.lo[:, : x.shape[1]], off.hi[:, : x.shape[1]]) - exactly(x)).magnitude
+            off = state_enclosures(self.stored, number, t)
+            off = (Interval(off.lo[:, : x.shape[1]], off.hi[:, : x.shape[1]]) - point_intervals(x)).magnitude
             off = np.nextafter(self.error.states[number, : x.shape[1]] + off, np.inf)
             off[0] = 0.0
             arrays |= {"error_bound": off, "piece_error": self.error.states}
@@ -54,10 +61,11 @@ class Certified:
             "depth": float(deep.max(initial=0.0)), "reach": float(bounds.reach.max(initial=0.0)),
             "conditions": list(certificate.conditions), "not_proved": len(certificate.failures),
             "failures": [
-                f"t = {f.t:.10g} to {f.until:.10g}, piece {f.piece}: {f.what}" for f in certificate.failures[:SHOWN]
+                f"t = {f.t:.10g} to {f.until:.10g}, piece {f.piece}: {f.what}"
+                for f in certificate.failures[:MAX_REPORTED_FAILURES]
             ],
         }  # fmt: skip
-        if isinstance(error, NoBound):
+        if isinstance(error, NoErrorBound):
             return about | {"error": None, "no_error_bound": str(error)}
         known = np.isfinite(error.states).all(axis=1)
         largest = error.states[known].max(axis=0)
@@ -68,39 +76,41 @@ class Certified:
         }  # fmt: skip
 
 
-def certified(integrator: Integrator, pieces: list[Piece], T: float, rtol: float) -> Certified:
+def certify_run(integrator: Integrator, pieces: list[Piece], T: float, rtol: float) -> CertifiedRun:
     """Certify the pieces, the last up to T at most."""
     problem, system, sizes = integrator.problem, integrator.system, integrator.sizes
-    stored = _stored(pieces, T)
+    stored = _stored_pieces(pieces, T)
     terms = np.array([system.size_y(i) for i in range(system.m)])
-    allowed = Allowed.of(rtol, np.array(integrator.atol), np.array(sizes.x), terms)
-    certificate = _with_undecided(certify(problem, stored, np.array(ca.DM(problem.x0)).ravel(), allowed), stored, integrator)
+    allowed = AllowedErrors.of(rtol, np.array(integrator.atol), np.array(sizes.x), terms)
+    certificate = _mark_undecided_piece(
+        certify_pieces(problem, stored, np.array(ca.DM(problem.x0)).ravel(), allowed), stored, integrator
+    )
     try:
         if any(piece.event and any(piece.event.impulse) for piece in pieces):
-            raise NoBound("the run starts with an impulse, of which nothing is proved")
+            raise NoErrorBound("the run starts with an impulse, of which nothing is proved")
         error = global_error(problem, stored, certificate.bounds, certificate.jump)
-    except NoBound as reason:
+    except NoErrorBound as reason:
         error = reason
-    return Certified(stored, certificate, error)
+    return CertifiedRun(stored, certificate, error)
 
 
-def _with_undecided(certificate: Certificate, stored: Stored, integrator: Integrator) -> Certificate:
+def _mark_undecided_piece(certificate: IntervalProof, stored: StoredPieces, integrator: Integrator) -> IntervalProof:
     """Without the piece of the first event or dip that the run does not know well enough for rtol."""
     system, record = integrator.system, integrator.undecided
-    about = undecided(record, integrator.problem.rows, [part for part, _ in system.branches])
+    about = describe_undecided(record, integrator.problem.rows, [part for part, _ in system.branches])
     if not about["count"]:
         return certificate
     piece = max(int(np.searchsorted(stored.start, about["t"])) - 1, 0)
     what = f"when '{about['of']}' switches, or whether it does, is known to {about['width']:.2g} of time alone"
-    failure = Failure(piece, float(stored.start[piece]), float(stored.end[piece]), what)
+    failure = ProofFailure(piece, float(stored.start[piece]), float(stored.end[piece]), what)
     proved = certificate.proved.copy()
     proved[piece] = False
     return replace(certificate, proved=proved, failures=(*certificate.failures, failure))
 
 
-def _stored(pieces: list[Piece], T: float) -> Stored:
+def _stored_pieces(pieces: list[Piece], T: float) -> StoredPieces:
     start = np.array([piece.t for piece in pieces])
     x, l, y = (np.array([getattr(piece, name) for piece in pieces]) for name in ("x", "l", "y"))
     codes = np.array([piece.codes for piece in pieces], int).reshape(len(pieces), l.shape[1])
     end = np.append(start[1:], min(pieces[-1].end, T))
-    return Stored(start, end, np.array([piece.tau for piece in pieces]), x, l, y, codes)
+    return StoredPieces(start, end, np.array([piece.tau for piece in pieces]), x, l, y, codes)

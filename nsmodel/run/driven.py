@@ -9,40 +9,42 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.grid import SAME, Grid, parted, steps_within
+from nsmodel.grid import SAME_STEP_TOLERANCE, TimeGrid, count_equal_steps, subdivide_intervals
 from nsmodel.model.base import Model
-from nsmodel.model.driven import entries_of_blocks
-from nsmodel.model.ticks import Ticks
-from nsmodel.signals.drive import Drive
-from nsmodel.signals.signal import earlier
+from nsmodel.model.driven import block_input_entries
+from nsmodel.model.ticks import BlockTicks
+from nsmodel.signals.drive import InputSchedule
+from nsmodel.signals.signal import just_before
 from nsmodel.trajectory import Trajectory
 
-BLOCK, MOST = 4096, 65536  # Steps whose inputs are computed at a time: one by one, and in C at most.
+INPUT_BLOCK_STEPS, MAX_INPUT_BLOCK_STEPS = 4096, 65536  # Steps whose inputs are computed at a time: one by one, and in C at most.
 
-Put = Callable[[np.ndarray], np.ndarray]
-Starter = Callable[[float, float, np.ndarray], np.ndarray]  # (t, h, state) -> the state whose carried reaction is that at t.
+StateMap = Callable[[np.ndarray], np.ndarray]
+StateInitialiser = Callable[
+    [float, float, np.ndarray], np.ndarray
+]  # (t, h, state) -> the state whose carried reaction is that at t.
 
 
-def begun_anew(model: Model, run: Trajectory) -> np.ndarray:
+def reinitialised_step_mask(model: Model, run: Trajectory) -> np.ndarray:
     """The steps (N,) of a run that begin with a jump of an input: with a reaction that is no row's."""
-    jumps, at = Drive.of(model.inputs, float(run.t[-1])).jumps, entries_of_blocks(model)
-    turned = (run.inputs_begin[1:, at] != run.inputs[:-1, at]).any(axis=1)
-    return turned | (np.abs(run.t[:-1, None] - jumps) <= SAME * jumps).any(axis=1)
+    jumps, at = InputSchedule.of(model.inputs, float(run.t[-1])).jumps, block_input_entries(model)
+    changed = (run.inputs_begin[1:, at] != run.inputs[:-1, at]).any(axis=1)
+    return changed | (np.abs(run.t[:-1, None] - jumps) <= SAME_STEP_TOLERANCE * jumps).any(axis=1)
 
 
-class OnSteps:
+class GridInputs:
     """The inputs of the steps of a grid; ``starter``: None where no reaction is carried, ``ticks``: no blocks."""
 
-    def __init__(self, grid: Grid, drive: Drive, starter: Starter | None, ticks: Ticks | None) -> None:
+    def __init__(self, grid: TimeGrid, drive: InputSchedule, starter: StateInitialiser | None, ticks: BlockTicks | None) -> None:
         self._grid, self._drive, self._starter = grid, drive, starter
         self._first, self._limits = 0, np.zeros((0, 2 * drive.size))
-        self._jumps = [] if starter is None else drive.turns(grid.times)
-        self._blocks = None if ticks is None else AtTicks(grid, drive, ticks)
+        self._jumps = [] if starter is None else drive.jump_steps(grid.times)
+        self._blocks = None if ticks is None else TickingBlocks(grid, drive, ticks)
 
     def state(self, state: np.ndarray, k: int, l: np.ndarray) -> np.ndarray:
         """The state that step k starts from; ``l``: of the step before."""
-        jumps = self._ticked(self._blocks, state, k, l) if self._blocks is not None else False
-        limits = self._of(k, 1)[0]
+        jumps = self._tick_blocks(self._blocks, state, k, l) if self._blocks is not None else False
+        limits = self._step_limits(k, 1)[0]
         started = np.concatenate([state[: state.size - limits.size], limits])
         if self._starter is None or not (jumps or self._next_jump(k - 1) == k):
             return started
@@ -52,16 +54,16 @@ class OnSteps:
         """The state that step k starts from, and the limits (K, 2 nu) of at most so many steps that need no other start."""
         started, end = self.state(state, k, l), self._next_jump(k)
         end = end if self._blocks is None else min(end, self._blocks.next(k))
-        return started, self._of(k, min(steps, MOST, end - k))
+        return started, self._step_limits(k, min(steps, MAX_INPUT_BLOCK_STEPS, end - k))
 
-    def stand(self, state: np.ndarray, k: int) -> None:
+    def seek(self, state: np.ndarray, k: int) -> None:
         """Take up a run before step k."""
         if self._blocks is not None:
-            self._blocks.stand(state, k)
+            self._blocks.seek(state, k)
 
-    def _ticked(self, blocks: AtTicks, state: np.ndarray, k: int, l: np.ndarray) -> bool:
+    def _tick_blocks(self, blocks: TickingBlocks, state: np.ndarray, k: int, l: np.ndarray) -> bool:
         """Let the blocks tick that do before step k; whether it begins with another value or edge of theirs."""
-        signals = self._of(k, 1)[0, : self._drive.size] if blocks.due(k) else None
+        signals = self._step_limits(k, 1)[0, : self._drive.size] if blocks.due_blocks(k) else None
         jumps, planned = blocks.before(state, k, l, signals)
         if planned:  # with other times, from k on
             self._first, self._limits = k, self._limits[:0]
@@ -72,12 +74,12 @@ class OnSteps:
         at = bisect_right(self._jumps, k)
         return self._jumps[at] if at < len(self._jumps) else self._grid.N
 
-    def _of(self, k: int, steps: int) -> np.ndarray:
+    def _step_limits(self, k: int, steps: int) -> np.ndarray:
         """u(a+), u(b-) side by side (K, 2 nu) of ``steps`` steps from number k."""
         first, count = self._first, len(self._limits)
         if not first <= k <= k + steps <= first + count:
-            drive, end = (self._drive, self._grid.N) if self._blocks is None else self._blocks.planned(k)
-            count = min(max(steps, BLOCK), end - k)
+            drive, end = (self._drive, self._grid.N) if self._blocks is None else self._blocks.planned_signals(k)
+            count = min(max(steps, INPUT_BLOCK_STEPS), end - k)
             self._first, self._limits = k, drive.limits(self._grid.between(k, k + count), k)
         found = self._limits[k - self._first : k - self._first + steps]
         if self._blocks is not None:
@@ -85,22 +87,22 @@ class OnSteps:
         return found
 
 
-class AtTicks:
+class TickingBlocks:
     """Blocks along a grid: what they hold, and the times between its points that they place."""
 
-    def __init__(self, grid: Grid, drive: Drive, ticks: Ticks) -> None:
+    def __init__(self, grid: TimeGrid, drive: InputSchedule, ticks: BlockTicks) -> None:
         self._grid, self._drive, self._ticks, self._now = grid, drive, ticks, drive
         times = np.zeros(1) if grid.times is None else grid.times
-        self._due = [set(numbers.tolist()) - {0} for numbers in ticks.due_at(times)]  # Of each block, numbers of steps.
+        self._due = [set(numbers.tolist()) - {0} for numbers in ticks.tick_rows(times)]  # Of each block, numbers of steps.
         self._at = np.concatenate([ticks.at, ticks.at + drive.size])
-        points = [] if grid.times is None else np.searchsorted(times, earlier(drive.points)).tolist()
+        points = [] if grid.times is None else np.searchsorted(times, just_before(drive.points)).tolist()
         self._spans = [0, *points, grid.N] if drive.moving else [0, grid.N]  # Numbers of the steps between which edges move.
         self._begins = set(self._spans)
         self._stops = [*sorted(set().union(*self._due, self._spans if drive.moving else ())), grid.N]
         self._edges: set[int] = set()
         self._held = np.zeros(ticks.at.size)
 
-    def due(self, k: int) -> list[int]:
+    def due_blocks(self, k: int) -> list[int]:
         """The blocks that tick before step k."""
         return [i for i, numbers in enumerate(self._due) if k in numbers or (k and i in self._ticks.each_step)]
 
@@ -121,20 +123,20 @@ class AtTicks:
         if signals is not None:
             u = signals.copy()
             u[self._ticks.at] = held
-            u = self._ticks.after(self.due(k), self._grid.time(k), state[: self._ticks.states], l, u)
+            u = self._ticks.after(self.due_blocks(k), self._grid.time(k), state[: self._ticks.states], l, u)
             self._held = u[self._ticks.at]
         placed = bool(self._drive.moving) and k in self._begins
         if placed:
-            self._place(k)
+            self._place_edges(k)
         return bool((self._held != was).any()) or k in self._edges, placed
 
-    def stand(self, state: np.ndarray, k: int) -> None:
+    def seek(self, state: np.ndarray, k: int) -> None:
         """Take up a run before step k, in the middle of what was placed."""
         self._held = state[-self._drive.size :][self._ticks.at]
         if self._drive.moving and k not in self._begins:
-            self._place(k)
+            self._place_edges(k)
 
-    def planned(self, k: int) -> tuple[Drive, int]:
+    def planned_signals(self, k: int) -> tuple[InputSchedule, int]:
         """The signals with what blocks hold, and the number of the step up to which these are known."""
         return self._now, self._spans[bisect_right(self._spans, k)]
 
@@ -142,32 +144,32 @@ class AtTicks:
         """Write what is held into the limits (K, 2 nu) of steps."""
         limits[:, self._at] = np.concatenate([self._held, self._held])
 
-    def _place(self, k: int) -> None:
+    def _place_edges(self, k: int) -> None:
         """Place the times of the span of step k: a step ends at each edge, and there are as many steps as the grid has."""
         i = bisect_right(self._spans, k) - 1
         first, last = self._spans[i], self._spans[i + 1]
         grid: Any = self._grid  # One that was made for edges.
-        times, steps, h = grid.times, grid.steps, grid.asked
+        times, steps, h = grid.times, grid.steps, grid.requested_step
         u = np.zeros(self._drive.size)
         u[self._ticks.at] = self._held
         self._now = self._drive.holding(self._ticks.kept(u))
         ends = self._now.within(times[first], times[last])
-        counts = steps_within(np.diff(ends), h)
+        counts = count_equal_steps(np.diff(ends), h)
         for _ in range(last - first - counts.sum()):
             longest = np.diff(ends) / counts
             counts[np.argmax(longest > longest.max() * (1 - 1e-9))] += 1  # The first of those that rounding tells apart.
-        times[first:last], steps[first:last] = parted(ends, counts, h)
+        times[first:last], steps[first:last] = subdivide_intervals(ends, counts, h)
         self._edges = set((first + np.cumsum(counts)[:-1]).tolist())
 
 
-class OverSpans:
+class SpanInputs:
     """The inputs of steps of any length between the points of a drive; ``at``: where a state has them.
 
     Raises:
         UsageError: a signal, or a block, of steps that are known beforehand.
     """
 
-    def __init__(self, drive: Drive, at: slice, starter: Starter | None, ticks: Ticks | None) -> None:
+    def __init__(self, drive: InputSchedule, at: slice, starter: StateInitialiser | None, ticks: BlockTicks | None) -> None:
         self._drive, self._now, self._at, self._starter, self._ticks = drive, drive, at, starter, ticks
         for name, signal in drive.signals.items():
             if signal.count is not None:
@@ -185,7 +187,7 @@ class OverSpans:
         """Whether inputs are constant between the points: then the states of a span have them."""
         return all(signal.flat for signal in self._drive.signals.values())
 
-    def begun(self, state: np.ndarray, t: float, length: float, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def begin_span(self, state: np.ndarray, t: float, length: float, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state at the begin of a span, its reaction found anew where an input jumps; the span's ends, and edges in it.
 
         ``l``: multipliers of the step before.
@@ -193,34 +195,37 @@ class OverSpans:
         ticks, was, ends = self._ticks, state[self._at], np.array([t, t + length])
         if ticks is not None:
             nu = self._drive.size
-            u = self._limits(state, ends)[0, :nu]
-            u = ticks.after(ticks.due(t) if t else [], t, state[: ticks.states], l, u)
-            state = self._put(state, np.tile(u, 2))
+            u = self._input_limits(state, ends)[0, :nu]
+            u = ticks.after(ticks.due_blocks(t) if t else [], t, state[: ticks.states], l, u)
+            state = self._set_inputs(state, np.tile(u, 2))
             self._now = self._drive.holding(ticks.kept(u))
             ends = self._now.within(*ends)
-        state = self._put(state, self._limits(state, ends[:2])[0])
-        jumps = bool((np.abs(self._drive.jumps - t) <= SAME * t).any() or (state[self._at][self._kept] != was[self._kept]).any())
+        state = self._set_inputs(state, self._input_limits(state, ends[:2])[0])
+        jumps = bool(
+            (np.abs(self._drive.jumps - t) <= SAME_STEP_TOLERANCE * t).any()
+            or (state[self._at][self._kept] != was[self._kept]).any()
+        )
         return (self._starter(t, length, state) if self._starter is not None and jumps else state), ends
 
-    def halves(self, state: np.ndarray, times: list[float]) -> tuple[np.ndarray, np.ndarray, Put]:
+    def halves(self, state: np.ndarray, times: list[float]) -> tuple[np.ndarray, np.ndarray, StateMap]:
         """Of a step with begin, middle and end: the state for its first half, for all of it; what makes that for its second."""
-        first, second = self._limits(state, np.array(times))
+        first, second = self._input_limits(state, np.array(times))
         nu = first.size // 2
         whole = np.concatenate([first[:nu], second[nu:]])
-        return self._put(state, first), self._put(state, whole), lambda middle: self._put(middle, second)
+        return self._set_inputs(state, first), self._set_inputs(state, whole), lambda middle: self._set_inputs(middle, second)
 
-    def closing(self, state: np.ndarray) -> np.ndarray:
+    def state_at_end(self, state: np.ndarray) -> np.ndarray:
         """The state with u of the end of its step at both ends."""
         u = state[self._at]
-        return self._put(state, np.tile(u[u.size // 2 :], 2))
+        return self._set_inputs(state, np.tile(u[u.size // 2 :], 2))
 
-    def _limits(self, state: np.ndarray, times: np.ndarray) -> np.ndarray:
+    def _input_limits(self, state: np.ndarray, times: np.ndarray) -> np.ndarray:
         """u(a+), u(b-) side by side (K, 2 nu) between times (K + 1,), with what blocks hold in a state."""
         limits = self._now.limits(times)
         limits[:, self._kept] = state[self._at][self._kept]
         return limits
 
-    def _put(self, state: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    def _set_inputs(self, state: np.ndarray, limits: np.ndarray) -> np.ndarray:
         state = state.copy()
         state[self._at] = limits
         return state

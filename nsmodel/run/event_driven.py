@@ -11,37 +11,37 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, StorageError
-from nsmodel.grid import Grid, check_times, driving
-from nsmodel.hypotheses.quick import refuse_start, warnings
-from nsmodel.identity import INTERPRETED, WAY, digest_of, settings
+from nsmodel.grid import TimeGrid, check_times, input_schedule
+from nsmodel.hypotheses.quick import check_start, warnings
+from nsmodel.identity import BACKEND_SETTING, INTERPRETED_BACKEND, content_digest, run_settings
 from nsmodel.model.base import Model
-from nsmodel.once import once
-from nsmodel.pieces.asked import LARGE, times, tolerances
-from nsmodel.pieces.course import time_of
+from nsmodel.once import cached_per_object
+from nsmodel.pieces.asked import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances
+from nsmodel.pieces.course import checkpoint_time
 from nsmodel.pieces.exponentials import without_overflow
-from nsmodel.pieces.known_of import known_of
+from nsmodel.pieces.known_of import switch_times_of
 from nsmodel.pieces.lengths import MULTIPLIERS
-from nsmodel.pieces.sliding import with_modes
-from nsmodel.quantities import Outputs
+from nsmodel.pieces.sliding import with_stick_slip_modes
+from nsmodel.quantities import OutputColumns
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.piece_block import Block
-from nsmodel.run.piece_choice import MOST, chosen_maker
+from nsmodel.run.piece_block import PieceBuffer
+from nsmodel.run.piece_choice import MAX_RUN_PIECES, choose_piece_backend
 from nsmodel.run.piece_rows import PieceRows
-from nsmodel.run.row_facts import facts
-from nsmodel.run.told import of_scene
-from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
+from nsmodel.run.row_facts import row_properties
+from nsmodel.run.told import scene_metadata
+from nsmodel.run.walk import PERCENT_PROGRESS, ResumedBackend, check_exact_function, find_runaway_state, update_exact_error
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
-from nsmodel.scheme.driven import between_rows, driven, kinds, set_by_blocks
+from nsmodel.scheme.driven import block_set_entries, inputs_between_rows, signal_kinds, with_input_states
 from nsmodel.solve.choose import Plan
 
 if TYPE_CHECKING:
-    from nsmodel.run.certified import Certified
+    from nsmodel.run.certified import CertifiedRun
 
-METHOD = METHODS[1]
+EVENT_DRIVEN_METHOD = METHODS[1]
 
 
-@once
-def problem_of(model: Model) -> ContinuousProblem:
+@cached_per_object
+def event_driven_problem(model: Model) -> ContinuousProblem:
     """Return the model in continuous time, as this method takes it.
 
     Raises:
@@ -50,44 +50,51 @@ def problem_of(model: Model) -> ContinuousProblem:
     module = class_of(model).optional("continuous")
     if module is None:
         raise NotEventDriven("many bodies change their contacts at nearly every step; they are for time stepping")
-    return with_modes(without_overflow(driven(module.continuous_problem(model), model)))
+    return with_stick_slip_modes(without_overflow(with_input_states(module.continuous_problem(model), model)))
 
 
-class EventDriven:
-    """The walk of event-driven integration; see `walk.Walk`. Rows and pieces stay in memory."""
+class EventDrivenPropagator:
+    """The walk of event-driven integration; see `walk.Propagator`. Rows and pieces stay in memory."""
 
-    N: int = MOST
-    torn: bool = False
+    N: int = MAX_RUN_PIECES
+    rows_lost: bool = False
 
     def __init__(
-        self, model: Model, options: Options, problem: ContinuousProblem, there: There, whole: Model | None = None
+        self,
+        model: Model,
+        options: Options,
+        problem: ContinuousProblem,
+        resumed_backend: ResumedBackend,
+        symbolic_model: Model | None = None,
     ) -> None:
         """``whole``: the model with its parameters as symbols."""
         check_times(t_end=options.t_end)
         self.model: Any = model
         self.options, self.problem = options, problem
         self.T = float(model.t_end if options.t_end is None else options.t_end)
-        rtol, atol = tolerances(problem, options.rtol, options.atol)
-        self.times = None if options.times is None else times(options.times, self.T)
-        found = _looked_at(model)
-        check_exact(model)
-        _refuse_large(problem, options)
-        _refuse_unproved(problem, options)
-        same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, INTERPRETED)
-        known = known_of(model, self.T)
-        own = [*kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
-        mark = digest_of([same["model"], *own]) if model.inputs else same["model"]
-        self._drive = driving(model, self.T) if model.inputs else None
-        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known, whole)
+        rtol, atol = checked_tolerances(problem, options.rtol, options.atol)
+        self.times = None if options.times is None else checked_row_times(options.times, self.T)
+        found = _checked_start_warnings(model)
+        check_exact_function(model)
+        _check_size(problem, options)
+        _check_provable(problem, options)
+        same = run_settings(
+            model, TimeGrid(1, 1.0, 1.0), EVENT_DRIVEN_METHOD, options.tolerance, options.save_every, INTERPRETED_BACKEND
+        )
+        known = switch_times_of(model, self.T)
+        own = [*signal_kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
+        mark = content_digest([same["model"], *own]) if model.inputs else same["model"]
+        self._drive = input_schedule(model, self.T) if model.inputs else None
+        chosen = choose_piece_backend(problem, options, resumed_backend(), (rtol, atol), model, mark, known, symbolic_model)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record = PieceRows(problem, self.maker.order, options.save_every, self.T, self.times, chosen.columns)
         self._in_chunks = options.folder is not None and not options.certified
         self.k = self._made = 0  # Rows, and pieces.
-        self._new: list[Block] = []  # Pieces that are not counted yet.
-        self._outputs = Outputs.of(model, problem.rows if problem.multipliers is None else problem.declared)
-        self._outputs(self._start())  # An unknown name is refused before the first piece.
+        self._new: list[PieceBuffer] = []  # Pieces that are not counted yet.
+        self._outputs = OutputColumns.of(model, problem.rows if problem.multipliers is None else problem.declared)
+        self._outputs(self._sample_columns())  # An unknown name is refused before the first piece.
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
-        self.certified: Certified | None = None
+        self.certified: CertifiedRun | None = None
         self.warnings = [*found, *chosen.warnings]
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
@@ -96,22 +103,22 @@ class EventDriven:
             "stretches": [],
         }  # fmt: skip
         own = {"step": "pieces", "rtol": rtol, "atol": atol, "rows": "ends of pieces" if self.times is None else "times"}
-        self.settings = same | {WAY: chosen.way} | own
+        self.settings = same | {BACKEND_SETTING: chosen.way} | own
 
     # -- as the loop sees it
 
     @property
     def bar(self) -> dict[str, Any]:
         """Per cent."""
-        return PER_CENT
+        return PERCENT_PROGRESS
 
     @property
-    def passed(self) -> float:
+    def progress(self) -> float:
         """Per cent of the time."""
         return 100 * min(self.time / self.T, 1.0)
 
     @property
-    def ended(self) -> bool:
+    def finished(self) -> bool:
         """Whether the pieces reach the end of the time."""
         return self.time >= self.T
 
@@ -128,7 +135,7 @@ class EventDriven:
     @property
     def runaway(self) -> tuple[str, float] | None:
         """Name and value of the largest state, where it is beyond what can be computed with."""
-        return runaway(self.problem.names, self.maker.x)
+        return find_runaway_state(self.problem.names, self.maker.x)
 
     def warm_up(self) -> None:
         """Everything is built."""
@@ -138,40 +145,40 @@ class EventDriven:
         try:
             self._advance(steps, stop)
         except Exception as error:
-            self.torn = self.torn and not isinstance(error, StepError)
-            self._count(self.maker.counts())
+            self.rows_lost = self.rows_lost and not isinstance(error, StepError)
+            self._update_totals(self.maker.counts())
             raise
 
     def _advance(self, left: int, stop: Sequence[float]) -> None:
-        while left > 0 and not (self.ended or stop or (self._in_chunks and self.record.full)):
-            self.torn = True
-            block = self.maker.make(self.T, left)
+        while left > 0 and not (self.finished or stop or (self._in_chunks and self.record.full)):
+            self.rows_lost = True
+            block = self.maker.make_pieces(self.T, left)
             left -= block.count
             behind = self.maker.behind
             cut = self.options.folder is not None and self.time > self.T
             if cut and block.count > behind:
-                self._take(block.cut(slice(-behind)))
+                self._take_pieces(block.cut(slice(-behind)))
             if cut:
-                self._count(self.maker.counts(before=True))
-                self._cut = self._checkpoint(before=True) | {"cut": {"rows": self.record.filled, "listed": behind}}
+                self._update_totals(self.maker.counts(before=True))
+                self._cut = self._build_checkpoint(before=True) | {"cut": {"rows": self.record.filled, "listed": behind}}
                 block = block.cut(slice(-behind, None))
-            self._take(block)
+            self._take_pieces(block)
             if self._cut is not None:
                 self._cut["cut"]["rows"] = self.record.filled - self._cut["cut"]["rows"]
-            self.torn = False
+            self.rows_lost = False
 
-    def _take(self, block: Block) -> None:
+    def _take_pieces(self, block: PieceBuffer) -> None:
         self.record.take(block)
         self._new.append(block)
         self._made += block.count
-        if self._made > MOST:
-            raise StepError(f"{MOST:,} pieces, and more are needed: ask for less accuracy (rtol)")
+        if self._made > MAX_RUN_PIECES:
+            raise StepError(f"{MAX_RUN_PIECES:,} pieces, and more are needed: ask for less accuracy (rtol)")
 
-    def _count(self, counts: dict[str, Any]) -> None:
+    def _update_totals(self, counts: dict[str, Any]) -> None:
         """Bring the totals to the pieces that were taken."""
         totals, self.k = self.totals, self.record.carried.rows
         if self._new:
-            block, self._new = Block.joined(self._new), []
+            block, self._new = PieceBuffer.concatenate(self._new), []
             estimates = np.where(block.stepped, 0.0, block.defect)
             worst = int(estimates.argmax())
             if estimates[worst] > totals["worst_estimate"]:
@@ -182,20 +189,20 @@ class EventDriven:
 
     def note(self) -> None:
         """The totals: counts, the distance to the exact state, the worst residual; the certificate that was asked for."""
-        self._count(self.maker.counts())
+        self._update_totals(self.maker.counts())
         if self.options.certified and self.record.pieces:
-            from nsmodel.run.certified import certified
+            from nsmodel.run.certified import certify_run
 
-            self.certified = certified(self.maker.integrator, self.record.pieces, self.T, self.totals["rtol"])
-        self._note(self.totals, self.record.filled)
+            self.certified = certify_run(self.maker.integrator, self.record.pieces, self.T, self.totals["rtol"])
+        self._accumulate_rows(self.totals, self.record.filled)
         if self._cut is not None:
-            self._note(self._cut["totals"], self.record.filled - self._cut["cut"]["rows"])
+            self._accumulate_rows(self._cut["totals"], self.record.filled - self._cut["cut"]["rows"])
 
-    def _note(self, totals: dict[str, Any], rows: int) -> None:
+    def _accumulate_rows(self, totals: dict[str, Any], rows: int) -> None:
         if rows:
             arrays = self.columns()
             t, x, residual = (arrays[name][:rows] for name in ("t", "x", "residual"))
-            note_distance_to_exact(self.model, totals, t, x)
+            update_exact_error(self.model, totals, t, x)
             larger = residual > totals["worst_residual"]
             if larger.any():
                 row = int(np.where(larger, residual, 0.0).argmax())
@@ -208,22 +215,26 @@ class EventDriven:
             t = arrays["t"]
             before = np.concatenate([np.nan_to_num(t[:1] - arrays["step"][:1]), t[:-1]])
             arrays |= self._drive.rows(t, before)
-            self._put_held(arrays, t, before)
+            self._fill_block_inputs(arrays, t, before)
         arrays |= self._outputs(arrays)
         return arrays if self.certified is None else arrays | self.certified.arrays(self.record.numbers, arrays["t"], arrays["x"])
 
-    def _start(self) -> dict[str, np.ndarray]:
+    def _sample_columns(self) -> dict[str, np.ndarray]:
         """Columns as runs have them, of one row."""
-        sizes = {**facts(self.problem).columns, "multipliers": facts(self.problem).shown, "x": self.problem.states}
+        sizes = {
+            **row_properties(self.problem).columns,
+            "multipliers": row_properties(self.problem).visible_multipliers,
+            "x": self.problem.states,
+        }
         sizes |= {"inputs": self.model.u.numel()} if self.model.inputs else {}
         sizes |= {"reactions": sizes["multipliers"]} if self.problem.impulses else {}
         return {name: np.zeros(1) for name in ("t", "step", "residual", "energy") if name != "energy" or name in sizes} | {
             name: np.zeros((1, size)) for name, size in sizes.items() if name != "energy"
         }
 
-    def _put_held(self, arrays: dict[str, np.ndarray], t: np.ndarray, before: np.ndarray) -> None:
+    def _fill_block_inputs(self, arrays: dict[str, np.ndarray], t: np.ndarray, before: np.ndarray) -> None:
         """What blocks hold, in the columns of the inputs: as in the piece that ends at a row, and in that which begins before."""
-        entries, places = set_by_blocks(self.model)
+        entries, places = block_set_entries(self.model)
         if not (entries.size and len(arrays["piece_start"])):
             return
         starts, values = arrays["piece_start"], arrays["piece_x"][:, :, 0][:, places + self.problem.x.numel() - self.problem.held]
@@ -233,21 +244,21 @@ class EventDriven:
 
     # -- for files
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What to continue from; ``cut``: how many rows and pieces before the end, where a piece goes beyond it."""
-        return self._checkpoint() if self._cut is None else self._cut
+        return self._build_checkpoint() if self._cut is None else self._cut
 
-    def _checkpoint(self, *, before: bool = False) -> dict[str, Any]:
-        standing = self.maker.standing(before=before)
+    def _build_checkpoint(self, *, before: bool = False) -> dict[str, Any]:
+        saved = self.maker.checkpoint(before=before)
         return {
-            "k": self.k, "t": time_of(standing), "totals": dict(self.totals), "rows": self.record.standing(),
-            "course": standing, "cut": None,
+            "k": self.k, "t": checkpoint_time(saved), "totals": dict(self.totals), "rows": self.record.checkpoint(),
+            "course": saved, "cut": None,
         }  # fmt: skip
 
-    def stand(self, saved: dict[str, Any]) -> None:
+    def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        self.maker.stand(saved["course"])
-        self.record.stand(saved["rows"])
+        self.maker.restore(saved["course"])
+        self.record.restore(saved["rows"])
         self._made = self.totals["pieces"]
         if self.time > self.T:
             raise StorageError(f"the run there has reached t = {self.time:.10g}, past this run's end; give a later end")
@@ -263,12 +274,17 @@ class EventDriven:
             "index_names": list(p.rows),
             "law_kinds": p.law.labels,
             "tolerance": self.options.tolerance,
-            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"]), *self._missed(), *self._unclear()],
-            **({"between_rows": between_rows(p, self.model)} if self.model.inputs else {}),
-            **of_scene(self.model),
+            "warnings": [
+                *self.warnings,
+                *_fallback_warnings(self.totals["stretches"]),
+                *self._residual_warnings(),
+                *self._undecided_warnings(),
+            ],
+            **({"between_rows": inputs_between_rows(p, self.model)} if self.model.inputs else {}),
+            **scene_metadata(self.model),
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
 
-    def _unclear(self) -> list[str]:
+    def _undecided_warnings(self) -> list[str]:
         """The events whose time is not known well enough for rtol, and the dips that are not decided."""
         one = self.totals.get("undecided")
         if not one or not one["count"]:
@@ -277,7 +293,7 @@ class EventDriven:
         more = f"; {one['count'] - 1} more" if one["count"] > 1 else ""
         return [f"{one['of']}: {what} at t = {one['t']:.10g} is not known, within {one['width']:.2g} of time{more}"]
 
-    def _missed(self) -> list[str]:
+    def _residual_warnings(self) -> list[str]:
         """That rows are further from the law than a run of this rtol can be, where they are."""
         worst, rtol = self.totals["worst_residual"], self.totals["rtol"]
         if worst <= max(MULTIPLIERS * rtol, self.options.tolerance):
@@ -286,40 +302,42 @@ class EventDriven:
         return [f"the law is missed by {worst:.2g} of its size at {at}, {worst / rtol:.2g} rtol: the run is no solution there"]
 
 
-def _of_stretches(stretches: list[dict[str, Any]]) -> list[str]:
+def _fallback_warnings(intervals: list[dict[str, Any]]) -> list[str]:
     """What a user must know of the stretches: that there are some and why, and whether rtol is missed."""
-    if not stretches:
+    if not intervals:
         return []
-    first, steps, error = stretches[0], sum(one["steps"] for one in stretches), sum(one["estimate"] for one in stretches)
-    count = "once" if len(stretches) == 1 else f"{len(stretches)} times"
+    first, steps, error = intervals[0], sum(one["steps"] for one in intervals), sum(one["estimate"] for one in intervals)
+    count = "once" if len(intervals) == 1 else f"{len(intervals)} times"
     found = [
         f"event-driven integration stopped {count}, first: {first['why']}; {steps} time steps, from t = {first['start']:.10g} to "
-        f"{first['until']:.10g}{' and later' if len(stretches) > 1 else ''} (run.stepped)"
+        f"{first['until']:.10g}{' and later' if len(intervals) > 1 else ''} (run.stepped)"
     ]
     return found + ([f"rtol is missed: the errors of these steps add up to about {error:.2g} rtol"] if error > 1 else [])
 
 
-def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
+def _check_size(problem: ContinuousProblem, options: Options) -> None:
     """Refuse what would take longer than steps, unless it is asked for."""
-    if options.method != METHOD and (size := facts(problem).operations) > LARGE:
+    if options.method != EVENT_DRIVEN_METHOD and (size := row_properties(problem).operations) > MAX_EVENT_DRIVEN_OPERATIONS:
         raise NotEventDriven(f"f, g and h have {size} operations, and each event ends a piece of all of them; steps cost less")
 
 
-def _refuse_unproved(problem: ContinuousProblem, options: Options) -> None:
+def _check_provable(problem: ContinuousProblem, options: Options) -> None:
     """Refuse to prove what interval arithmetic has no form of."""
     if options.certified and problem.held:
         raise NotEventDriven("certify='interval' proves models without inputs alone")
-    if options.certified and problem.sliding:
-        raise NotEventDriven(f"certify='interval' proves boxes alone; while '{problem.sliding[0]}' slips, its l is a series of y")
+    if options.certified and problem.sliding_law_names:
+        raise NotEventDriven(
+            f"certify='interval' proves boxes alone; while '{problem.sliding_law_names[0]}' slips, its l is a series of y"
+        )
 
 
-@once
-def _looked_at(model: Model) -> tuple[str, ...]:
+@cached_per_object
+def _checked_start_warnings(model: Model) -> tuple[str, ...]:
     """The warnings of a model, whose start is not refused."""
-    refuse_start(model)
+    check_start(model)
     return tuple(warnings(model))
 
 
-def with_reason(plan: Plan, reason: str) -> Plan:
+def plan_with_reason(plan: Plan, reason: str) -> Plan:
     """A plan of time stepping that says why event-driven integration was left out."""
-    return replace(plan, left_out=(*plan.left_out, f"{METHOD} integration: {reason}"))
+    return replace(plan, left_out=(*plan.left_out, f"{EVENT_DRIVEN_METHOD} integration: {reason}"))

@@ -7,16 +7,16 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from nsmodel.errors import CodegenError, StorageError
-from nsmodel.identity import FOR_ALL, INTERPRETED
+from nsmodel.identity import ALL_VALUES_SUFFIX, INTERPRETED_BACKEND
 from nsmodel.run.options import Options
 from nsmodel.solve.choose import Plan
-from nsmodel.solve.cost import Cost
+from nsmodel.solve.cost import CompilationCost
 
-IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
-IN_C_FOR_ALL = "steps in C, compiled once for all values of the parameters; a step that C cannot certify is taken as above"
+STEPS_IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
+STEPS_IN_C_FOR_ALL = "steps in C, compiled once for all values of the parameters; a step that C cannot certify is taken as above"
 
 
-class Chosen(NamedTuple):
+class StepBackend(NamedTuple):
     """The steps in C, None where they are interpreted; the plan, and a warning, that say so."""
 
     steps: Any
@@ -26,13 +26,13 @@ class Chosen(NamedTuple):
     @property
     def way(self) -> str:
         """How the run is stepped, a setting of it."""
-        return INTERPRETED if self.steps is None else self.steps.way
+        return INTERPRETED_BACKEND if self.steps is None else self.steps.way
 
 
-def chosen(
-    options: Options, plan: Plan, there: str | None, N: int, cost: Callable[[], Cost], build: Callable[[], Any],
-    words: str = IN_C, what: str = "steps",
-) -> Chosen:  # fmt: skip
+def choose_step_backend(
+    options: Options, plan: Plan, resumed_backend: str | None, N: int, cost: Callable[[], CompilationCost],
+    build: Callable[[], Any], description: str = STEPS_IN_C, what: str = "steps",
+) -> StepBackend:  # fmt: skip
     """Decide.
 
     Args:
@@ -47,18 +47,20 @@ def chosen(
     wanted = options.compiled is True
     if options.compiled == "auto":
         pays = options.solver == "auto" and cost().pays(N)
-        wanted = pays if there is None else there != INTERPRETED
+        wanted = pays if resumed_backend is None else resumed_backend != INTERPRETED_BACKEND
         if options.solver == "auto" and not (pays or wanted):
             plan = replace(plan, left_out=(*plan.left_out, cost().text(N, what)))
     if not wanted:
-        return Chosen(None, plan, [])
+        return StepBackend(None, plan, [])
     try:
         steps = build()
     except CodegenError as error:
-        if there not in (None, INTERPRETED):
-            raise StorageError(f"{options.folder}: the run there is {there}, which it cannot be here: {error}") from error
+        if resumed_backend not in (None, INTERPRETED_BACKEND):
+            raise StorageError(
+                f"{options.folder}: the run there is {resumed_backend}, which it cannot be here: {error}"
+            ) from error
         plan = replace(plan, left_out=(*plan.left_out, f"{what} in C: {error}"))
-        asked = options.compiled is True
-        return Chosen(None, plan, [f"not compiled, the {what} are interpreted: {error}"] if asked else [])
-    words = IN_C_FOR_ALL if steps.way.endswith(FOR_ALL) else words
-    return Chosen(steps, replace(plan, used=(*plan.used, words)), [])
+        requested = options.compiled is True
+        return StepBackend(None, plan, [f"not compiled, the {what} are interpreted: {error}"] if requested else [])
+    description = STEPS_IN_C_FOR_ALL if steps.way.endswith(ALL_VALUES_SUFFIX) else description
+    return StepBackend(steps, replace(plan, used=(*plan.used, description)), [])

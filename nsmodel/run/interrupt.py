@@ -11,10 +11,10 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from nsmodel.notebook import in_notebook, watched
+from nsmodel.notebook import has_live_display, in_notebook
 
 
-class Signals(list[float]):
+class PendingSignals(list[float]):
     """The times at which signals came, and the number of the last; once ``patient`` no signal raises."""
 
     number = signal.SIGINT
@@ -22,24 +22,24 @@ class Signals(list[float]):
 
 
 @contextlib.contextmanager
-def deferred_signals() -> Iterator[Signals]:
+def deferred_signals() -> Iterator[PendingSignals]:
     """Ctrl-C and SIGTERM inside put their time into the list instead of cutting a step in two; one more a second later raises.
 
     Outside the main thread signals are not for us. Whatever was to be done with them before is so again afterwards.
     """
-    signals = Signals()
+    signals = PendingSignals()
     if threading.current_thread() is not threading.main_thread():
         yield signals
         return
 
-    def note(number: int, frame: Any) -> None:
+    def record_signal(number: int, frame: Any) -> None:
         signals.append(time.monotonic())
         signals.number = signal.Signals(number)
         if signals[-1] - signals[0] > 1 and not signals.patient:
             raise KeyboardInterrupt
 
     taken = [signal.SIGINT] if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN else [signal.SIGINT, signal.SIGTERM]
-    usual = {number: signal.signal(number, note) for number in taken}
+    usual = {number: signal.signal(number, record_signal) for number in taken}
     try:
         yield signals
     finally:
@@ -52,7 +52,7 @@ def progress_bar(**options: Any) -> Any:
 
     In a notebook it is a widget where ipywidgets is installed, else text.
     """
-    if not watched():
+    if not has_live_display():
         return None
     widgets = in_notebook() and find_spec("ipywidgets") is not None
     tqdm: Any = import_module("tqdm.notebook" if widgets else "tqdm").tqdm

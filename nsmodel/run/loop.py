@@ -12,19 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.chunks import WHOLE, ChunkStore, unfinished
+from nsmodel.chunks import JOINED_FILE, ChunkStore, unfinished_manifest
 from nsmodel.errors import StepError, StorageError, UsageError
-from nsmodel.fields import CHECKPOINT, refuse_other_types
-from nsmodel.identity import WAY, difference
-from nsmodel.manifest import bound_to
+from nsmodel.fields import CHECKPOINT_FIELDS, check_field_types
+from nsmodel.identity import BACKEND_SETTING, settings_difference
+from nsmodel.manifest import settings_digest
 from nsmodel.run import told
 from nsmodel.run.interrupt import deferred_signals, progress_bar
 from nsmodel.run.options import Options
-from nsmodel.run.walk import CHUNK_SECONDS, Walk, is_numerical, unsolvable
+from nsmodel.run.walk import CHUNK_SECONDS, Propagator, is_numerical_error, unsolvable_step_error
 from nsmodel.trajectory import Trajectory
 from nsmodel.version import VERSION
 
-MOST_AT_ONCE, QUICKLY = 64, 0.01  # Steps between two looks at the clock: twice as many after those that took less than this.
+MAX_STEPS_PER_CALL, QUICK_CALL_SECONDS = (
+    64,
+    0.01,
+)  # Steps between two looks at the clock: twice as many after those that took less than this.
 
 
 class RunInterrupted(KeyboardInterrupt):
@@ -39,11 +42,11 @@ class RunInterrupted(KeyboardInterrupt):
         return type(self), (self.trajectory,)
 
 
-class Run:
+class RunLoop:
     """A walk, and the folder that it is written to; ``store`` is None where its rows stay in memory."""
 
-    def __init__(self, walk: Walk, options: Options, store: ChunkStore | None) -> None:
-        self.walk, self.options, self.store = walk, options, store
+    def __init__(self, propagator: Propagator, options: Options, store: ChunkStore | None) -> None:
+        self.propagator, self.options, self.store = propagator, options, store
         self.cpu_seconds = 0.0
         self._flushed, self._resumed = time.monotonic(), False
         if options.resume and store is not None:
@@ -55,7 +58,7 @@ class Run:
         Numbers that cannot be computed with end in a StepError, whatever library says so; a fault of the program stays what
         it is.
         """
-        bar = progress_bar(**self.walk.bar) if progress else None
+        bar = progress_bar(**self.propagator.bar) if progress else None
         # What overflows is for the certificate to judge.
         with deferred_signals() as signals, np.errstate(all="ignore"):
             start = time.process_time()
@@ -68,84 +71,86 @@ class Run:
                     if bar is not None:
                         bar.close()
             except StepError as error:
-                self._stop(error)
+                self._step_failure(error)
                 raise
             except StorageError as error:
-                error.trajectory = self._in_memory("failed", str(error))
+                error.trajectory = self._partial_trajectory("failed", str(error))
                 raise
             except MemoryError as error:
-                raise self._stop(StepError(f"{self._span}: not enough memory ({error})")) from error
+                raise self._step_failure(StepError(f"{self._span_text}: not enough memory ({error})")) from error
             except Exception as error:
-                if is_numerical(error) or self.walk.runaway is not None:
-                    raise self._stop(unsolvable(self._span, error)) from error
+                if is_numerical_error(error) or self.propagator.runaway is not None:
+                    raise self._step_failure(unsolvable_step_error(self._span_text, error)) from error
                 self._finish("failed", f"{type(error).__name__}: {error}")
                 raise
             except KeyboardInterrupt:  # a second signal, in the middle of a step: the step did not happen
                 pass
-            if not self.walk.ended:
-                run = self._finish("interrupted", f"interrupted at t = {self.walk.time:.10g}")
+            if not self.propagator.finished:
+                run = self._finish("interrupted", f"interrupted at t = {self.propagator.time:.10g}")
                 raise RunInterrupted(run, signals.number)
             return self._finish("done", "")
 
     def _advance(self, bar: Any, signals: Sequence[float]) -> None:
         """Go on until the run has ended or is interrupted."""
-        walk, steps = self.walk, 1
-        while not (walk.ended or signals):
-            began, passed = time.monotonic(), walk.passed
-            with self._from_checkpoint() if self._resumed else contextlib.nullcontext():
-                walk.advance(steps, signals)
+        propagator, steps = self.propagator, 1
+        while not (propagator.finished or signals):
+            began, passed = time.monotonic(), propagator.progress
+            with self._checkpoint_errors() if self._resumed else contextlib.nullcontext():
+                propagator.advance(steps, signals)
             self._resumed = False
             now = time.monotonic()
-            steps = min(2 * steps, MOST_AT_ONCE) if now - began < QUICKLY else max(steps // 2, 1)
-            if self.store is not None and (walk.record.full or (now - self._flushed >= CHUNK_SECONDS and walk.record.filled)):
+            steps = min(2 * steps, MAX_STEPS_PER_CALL) if now - began < QUICK_CALL_SECONDS else max(steps // 2, 1)
+            if self.store is not None and (
+                propagator.record.full or (now - self._flushed >= CHUNK_SECONDS and propagator.record.filled)
+            ):
                 self._flush(self.store, "running", "")
             if bar is not None:
-                bar.update(walk.passed - passed)
+                bar.update(propagator.progress - passed)
 
     @property
-    def _span(self) -> str:
-        t = self.walk.time
-        return f"no verified step from t = {t:.10g} to {t + self.walk.h:.10g}"
+    def _span_text(self) -> str:
+        t = self.propagator.time
+        return f"no verified step from t = {t:.10g} to {t + self.propagator.h:.10g}"
 
-    def _stop(self, error: StepError) -> StepError:
+    def _step_failure(self, error: StepError) -> StepError:
         """Complete what is known of a failed step, and save the run before it."""
-        walk, runaway = self.walk, self.walk.runaway
+        propagator, runaway = self.propagator, self.propagator.runaway
         grown = "" if runaway is None else f". The run has diverged: {runaway[0]} = {runaway[1]:.3g}"
-        error.step, error.time = walk.k, walk.time + walk.h
-        error.args = (f"step {walk.k}: {error.args[0]}{grown}",)
+        error.step, error.time = propagator.k, propagator.time + propagator.h
+        error.args = (f"step {propagator.k}: {error.args[0]}{grown}",)
         with contextlib.suppress(MemoryError):  # of a run in a folder the chunks are there
             error.trajectory = self._finish("failed", str(error))
         return error
 
     def _flush(self, store: ChunkStore, status: str, message: str) -> None:
         """Write the rows in memory as a chunk, with the checkpoint to continue from."""
-        walk = self.walk
-        walk.note()
+        propagator = self.propagator
+        propagator.note()
         checkpoint = {
-            "k": walk.k, "t": walk.time, "totals": walk.totals, "counts": dict(walk.counts), "settings": walk.settings,
-            **walk.standing(),
+            "k": propagator.k, "t": propagator.time, "totals": propagator.totals, "counts": dict(propagator.counts),
+            "settings": propagator.settings, **propagator.checkpoint(),
         }  # fmt: skip
-        store.append(walk.columns(), checkpoint, self._metadata(status, message))
-        walk.record.clear()
+        store.append(propagator.columns(), checkpoint, self._metadata(status, message))
+        propagator.record.clear()
         self._flushed = time.monotonic()
 
     def _restore(self, store: ChunkStore) -> None:
         """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
-        walk, saved, out = self.walk, store.manifest["checkpoint"], self.options.folder
-        refuse_other_types(saved, CHECKPOINT, f"{out}: checkpoint")
-        other = difference(saved["settings"], walk.settings)
+        propagator, saved, out = self.propagator, store.manifest["checkpoint"], self.options.folder
+        check_field_types(saved, CHECKPOINT_FIELDS, f"{out}: checkpoint")
+        other = settings_difference(saved["settings"], propagator.settings)
         if other is not None:
-            same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
+            same_way = "leave compiled (--compiled) out to go on as it began, or " if BACKEND_SETTING in other else ""
             raise StorageError(f"{out}: the run there was made with {other}; {same_way}start afresh without resuming")
-        if saved["k"] > walk.N:
+        if saved["k"] > propagator.N:
             raise StorageError(f"{out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
-        missing = sorted(walk.totals.keys() - saved["totals"].keys())
+        missing = sorted(propagator.totals.keys() - saved["totals"].keys())
         if missing:
             raise StorageError(f"{out}: the checkpoint there has no totals['{missing[0]}']: it was changed")
-        walk.k, walk.counts, walk.totals = saved["k"], Counter(saved["counts"]), dict(saved["totals"])
-        with self._from_checkpoint():
-            walk.stand(saved)
-        if abs(walk.time - saved["t"]) > 1e-9 * saved["t"]:
+        propagator.k, propagator.counts, propagator.totals = saved["k"], Counter(saved["counts"]), dict(saved["totals"])
+        with self._checkpoint_errors():
+            propagator.restore(saved)
+        if abs(propagator.time - saved["t"]) > 1e-9 * saved["t"]:
             raise StorageError(
                 f"{out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
                 "grid; start afresh without resuming"
@@ -155,7 +160,7 @@ class Run:
         self._resumed = True
 
     @contextlib.contextmanager
-    def _from_checkpoint(self) -> Iterator[None]:
+    def _checkpoint_errors(self) -> Iterator[None]:
         """Whatever fails in here does so because a checkpoint is not what a walk of this kind has written."""
         try:
             yield
@@ -168,57 +173,57 @@ class Run:
 
     def _finish(self, status: str, message: str) -> Trajectory:
         """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""
-        walk, store, folder = self.walk, self.store, self.options.folder
+        propagator, store, folder = self.propagator, self.store, self.options.folder
         if store is None:
-            walk.note()
-            run = Trajectory(walk.columns(), self._metadata(status, message))
+            propagator.note()
+            run = Trajectory(propagator.columns(), self._metadata(status, message))
             if folder is not None:
-                _save(run, folder / WHOLE)
+                _save_trajectory(run, folder / JOINED_FILE)
             return run
-        if walk.torn and (run := self._in_memory(status, message)) is not None:
+        if propagator.rows_lost and (run := self._partial_trajectory(status, message)) is not None:
             if not store.manifest["chunks"]:
-                _save(run, store.directory / WHOLE)
+                _save_trajectory(run, store.directory / JOINED_FILE)
             return run  # What goes on goes on from where the folder was last written.
         try:
-            if walk.record.filled:
+            if propagator.record.filled:
                 self._flush(store, status, message)
             store.join(self._metadata(status, message))
         except StorageError as error:
-            error.trajectory = self._in_memory(status, message)
+            error.trajectory = self._partial_trajectory(status, message)
             raise
-        return Trajectory.load(store.directory / WHOLE)
+        return Trajectory.load(store.directory / JOINED_FILE)
 
-    def _in_memory(self, status: str, message: str) -> Trajectory | None:
+    def _partial_trajectory(self, status: str, message: str) -> Trajectory | None:
         """The run so far without writing: what is in the folder, if it can be read, and the rows not yet written."""
         parts = []
         with contextlib.suppress(StorageError, MemoryError):
             parts = [self.store.read()] if self.store and self.store.manifest["chunks"] else []
-        if self.walk.record.filled:
-            parts.append(self.walk.columns())
+        if self.propagator.record.filled:
+            parts.append(self.propagator.columns())
         if not parts:
             return None
         arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         return Trajectory(arrays, self._metadata(status, message))
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
-        walk, plan = self.walk, self.walk.plan
+        propagator, plan = self.propagator, self.propagator.plan
         data = {
             "save_every": self.options.save_every,
-            "steps": walk.totals["steps"],
+            "steps": propagator.totals["steps"],
             "used": list(plan.used),
             "left_out": list(plan.left_out),
-            "solver_counts": dict(sorted(walk.counts.items())),
-            "totals": dict(walk.totals),
-            "warnings": list(walk.warnings),
+            "solver_counts": dict(sorted(propagator.counts.items())),
+            "totals": dict(propagator.totals),
+            "warnings": list(propagator.warnings),
             "status": status,
             "message": message,
-            "model_hash": walk.settings["model"],
-            "run": bound_to(walk.settings),
+            "model_hash": propagator.settings["model"],
+            "run": settings_digest(propagator.settings),
         }
-        return told.of_model(walk.model) | data | walk.metadata()
+        return told.model_metadata(propagator.model) | data | propagator.metadata()
 
 
-def _save(run: Trajectory, path: Path) -> None:
+def _save_trajectory(run: Trajectory, path: Path) -> None:
     try:
         run.save(path)
     except StorageError as error:
@@ -226,9 +231,9 @@ def _save(run: Trajectory, path: Path) -> None:
         raise
 
 
-def keep_unfinished(out: Path) -> None:
+def check_not_unfinished(out: Path) -> None:
     """Refuse to overwrite a run that can be continued."""
-    manifest = unfinished(out)
+    manifest = unfinished_manifest(out)
     if manifest is not None:
         by = manifest["metadata"]["versions"]["nsmodel"]
         of, how = ("", "resume=True (--resume)") if by == VERSION else (f" of nsmodel {by}", "that version")

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nsmodel.defaults import TOLERANCE
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import UsageError
-from nsmodel.grid import is_number, refuse_tolerance, written
+from nsmodel.grid import check_tolerance, format_value, is_number
 from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 
-CERTIFICATES = ("estimate", "interval")
+CERTIFY_CHOICES = ("estimate", "interval")
 METHODS = ("auto", "event-driven", "time-stepping")
 
 
@@ -30,7 +30,7 @@ class Options:
     t_end: float | None = None
     parameters: Values | None = None
     solver: str = "auto"
-    tolerance: float = TOLERANCE
+    tolerance: float = DEFAULT_TOLERANCE
     save_every: int = 1
     out: str | Path | None = None
     resume: bool = False
@@ -44,7 +44,7 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse what does not depend on the model; numbers become a float and an int."""
-        refuse_tolerance(self.tolerance)
+        check_tolerance(self.tolerance)
         if not (isinstance(self.compiled, bool) or (isinstance(self.compiled, str) and self.compiled == "auto")):
             raise UsageError(f"compiled = {self.compiled!r}; expected True, False or 'auto'")
         if self.compiled is True and self.solver != "auto":
@@ -52,15 +52,15 @@ class Options:
                 f"solver '{self.solver}' and compiled=True are both given: compiled steps bring their own solvers; keep one"
             )
         if not (is_number(self.save_every) and self.save_every >= 1 and float(self.save_every).is_integer()):
-            raise UsageError(f"save_every = {written(self.save_every)}; expected a whole number >= 1")
+            raise UsageError(f"save_every = {format_value(self.save_every)}; expected a whole number >= 1")
         if self.method not in METHODS:
             raise UsageError(f"method = {self.method!r}; expected one of {', '.join(METHODS)}")
         if self.method == METHODS[1] and self.rtol is None:
             raise UsageError(f"method '{self.method}' needs rtol (--rtol), the error that is allowed")
         if self.times is not None and (self.rtol is None or self.method == METHODS[2]):
             raise UsageError("times are rows of an event-driven run: give rtol, and leave method out; else take step or steps")
-        if self.certify not in CERTIFICATES:
-            raise UsageError(f"certify = {self.certify!r}; expected one of {', '.join(CERTIFICATES)}")
+        if self.certify not in CERTIFY_CHOICES:
+            raise UsageError(f"certify = {self.certify!r}; expected one of {', '.join(CERTIFY_CHOICES)}")
         if self.certified and (self.rtol is None or self.method == METHODS[2]):
             raise UsageError(
                 "certify='interval' (--certify interval) proves the pieces of an event-driven run, and time steps have none: "
@@ -78,7 +78,7 @@ class Options:
     @property
     def certified(self) -> bool:
         """Whether pieces are to be proved."""
-        return self.certify == CERTIFICATES[1]
+        return self.certify == CERTIFY_CHOICES[1]
 
     @property
     def folder(self) -> Path | None:

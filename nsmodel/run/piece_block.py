@@ -9,12 +9,12 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from nsmodel.pieces.piece import Begin, Piece
+from nsmodel.pieces.piece import Piece, StartEvent
 
-HEAD = 7  # t, tau, s, defect, whether an event begins it, within what its time is known, residual.
+HEAD_NUMBERS = 7  # t, tau, s, defect, whether an event begins it, within what its time is known, residual.
 
 
-class Layout(NamedTuple):
+class PieceLayout(NamedTuple):
     """Where a record, of n + 2m polynomials with so many coefficients, has what: as in `c/pieces.c`."""
 
     n: int
@@ -24,41 +24,41 @@ class Layout(NamedTuple):
     @property
     def width(self) -> int:
         """Numbers of a record."""
-        return HEAD + 4 * self.m + self.n + self.coefficients * (self.n + 2 * self.m)
+        return HEAD_NUMBERS + 4 * self.m + self.n + self.coefficients * (self.n + 2 * self.m)
 
     def of(self, k: int) -> slice:
         """The k-th list of m numbers: impulse, codes, sizes of y and of l."""
-        return slice(HEAD + k * self.m, HEAD + (k + 1) * self.m)
+        return slice(HEAD_NUMBERS + k * self.m, HEAD_NUMBERS + (k + 1) * self.m)
 
     @property
     def last(self) -> slice:
         """The state at the end."""
-        return slice(HEAD + 4 * self.m, HEAD + 4 * self.m + self.n)
+        return slice(HEAD_NUMBERS + 4 * self.m, HEAD_NUMBERS + 4 * self.m + self.n)
 
 
 @dataclass(frozen=True)
-class Block:
+class PieceBuffer:
     """Pieces (K), see `pieces.piece`, one record (K, width) each; and what residuals of y and l are measured beside."""
 
     rows: np.ndarray
-    layout: Layout
+    layout: PieceLayout
 
     @classmethod
-    def of(cls, pieces: Sequence[Piece], size_y: Sequence[list[float]], size_l: Sequence[list[float]]) -> Self:
+    def of(cls, pieces: Sequence[Piece], y_scales: Sequence[list[float]], l_scales: Sequence[list[float]]) -> Self:
         """Some pieces, and the sizes at their ends."""
         count, (n, coefficients), m = len(pieces), np.shape(pieces[0].x), len(pieces[0].codes)
         t, tau, s, x, l, y, codes, defect, last, event, residual = zip(*pieces, strict=True)
-        of_events = [one or Begin((0.0,) * m) for one in event]
+        of_events = [one or StartEvent((0.0,) * m) for one in event]
         impulse, widths = [one.impulse for one in of_events], [one.width for one in of_events]
         begins, of_steps = [one is not None for one in event], [math.nan if one is None else one for one in residual]
         head = np.array([t, tau, s, defect, begins, widths, of_steps], float).T
-        lists = [np.array(part, float).reshape(count, m) for part in (impulse, codes, size_y, size_l)]
+        lists = [np.array(part, float).reshape(count, m) for part in (impulse, codes, y_scales, l_scales)]
         series = [np.array(part, float).reshape(count, k, coefficients) for part, k in ((x, n), (l, m), (y, m))]
         whole = np.concatenate(series, axis=1).transpose(0, 2, 1).reshape(count, -1)
-        return cls(np.concatenate([head, *lists, np.array(last, float), whole], axis=1), Layout(n, m, coefficients))
+        return cls(np.concatenate([head, *lists, np.array(last, float), whole], axis=1), PieceLayout(n, m, coefficients))
 
     @classmethod
-    def joined(cls, blocks: Sequence[Self]) -> Self:
+    def concatenate(cls, blocks: Sequence[Self]) -> Self:
         """One after the other."""
         first = blocks[0]
         return first if len(blocks) == 1 else cls(np.concatenate([block.rows for block in blocks]), first.layout)
@@ -156,7 +156,7 @@ class Block:
         for row, codes, last, impulse, c in zip(
             self.rows, self.codes.tolist(), self.last.tolist(), self.impulse.tolist(), self.series, strict=True
         ):
-            t, tau, s, defect, event, width, residual = row[:HEAD].tolist()
-            series, of = (c[:n], c[n : n + m], c[n + m :], tuple(codes)), Begin(tuple(impulse), width) if event else None
+            t, tau, s, defect, event, width, residual = row[:HEAD_NUMBERS].tolist()
+            series, of = (c[:n], c[n : n + m], c[n + m :], tuple(codes)), StartEvent(tuple(impulse), width) if event else None
             found.append(Piece(t, tau, s, *series, defect, last, of, None if math.isnan(residual) else residual))
         return found

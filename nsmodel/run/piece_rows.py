@@ -12,20 +12,20 @@ import casadi as ca
 import numpy as np
 
 from nsmodel import dense, laws
-from nsmodel.pieces.expansion import Expansion
-from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.expansion import TaylorExpansion
+from nsmodel.pieces.jets import taylor_decompose
 from nsmodel.pieces.known import SAME_TIME
 from nsmodel.pieces.piece import Piece
-from nsmodel.run.piece_block import Block, Layout
-from nsmodel.run.row_facts import columns_of, facts
+from nsmodel.run.piece_block import PieceBuffer, PieceLayout
+from nsmodel.run.row_facts import row_columns_function, row_properties
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
-Columns = Callable[[np.ndarray], np.ndarray]
+ColumnFunction = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Carried:
+class CarriedState:
     """What the rows that are written leave for the next: how many, the last one's time and integral of the multipliers.
 
     ``until``: that integral up to the next piece; ``worst``: the largest estimate of the pieces since the last row.
@@ -38,7 +38,7 @@ class Carried:
     worst: float = 0.0
 
 
-class _Rows(NamedTuple):
+class _EventDrivenRows(NamedTuple):
     """Rows: times, pieces among those in memory, the largest estimate since the row before; integrals of l where asked."""
 
     t: np.ndarray
@@ -47,7 +47,7 @@ class _Rows(NamedTuple):
     integral: np.ndarray | None
 
     @classmethod
-    def joined(cls, rows: Sequence[_Rows]) -> _Rows:
+    def concatenate(cls, rows: Sequence[_EventDrivenRows]) -> _EventDrivenRows:
         """One after the other."""
         if len(rows) == 1:
             return rows[0]
@@ -61,55 +61,55 @@ class PieceRows:
 
     def __init__(
         self, problem: ContinuousProblem, orders: int, every: int, until: float, times: list[float] | None,
-        columns: Columns | None,
+        columns: ColumnFunction | None,
     ) -> None:  # fmt: skip
         """``until``: the end of the run, and the last of the ``times`` of its rows; None: the ends of pieces.
 
         ``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere.
         """
         self.problem, self.orders, self.every, self.until, self.times = problem, orders, every, until, times
-        self._out = _outputs(problem, orders)
-        self._facts = facts(problem)
+        self._out = _output_expansion(problem, orders)
+        self._facts = row_properties(problem)
         self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
-        self._tell = columns or columns_of(problem)
-        nothing = np.zeros(self._facts.shown)
-        self._carried = Carried(0, 0.0, nothing, nothing)
+        self._evaluate_columns = columns or row_columns_function(problem)
+        nothing = np.zeros(self._facts.visible_multipliers)
+        self._carried = CarriedState(0, 0.0, nothing, nothing)
         self.starts = True  # Whether the row of the start is among those in memory.
-        self._blocks: list[Block] = []
-        self._new: list[Block] = []  # Of which the rows are not known yet.
+        self._blocks: list[PieceBuffer] = []
+        self._new: list[PieceBuffer] = []  # Of which the rows are not known yet.
         self.clear()
 
     def clear(self) -> None:
         """Forget the rows."""
         if self._blocks:
             self.starts = False
-        self._blocks, self._rows, self._shown = [], [], []
-        self.count = self._settled = self._count_rows = 0
+        self._blocks, self._rows, self._user_series = [], [], []
+        self.count = self._counted_pieces = self._count_rows = 0
         self._before = self._carried
         self._columns: dict[str, np.ndarray] | None = None
 
     @property
-    def carried(self) -> Carried:
+    def carried(self) -> CarriedState:
         """What the rows so far leave for the next."""
-        self._settle()
+        self._process_new_pieces()
         return self._carried
 
     @property
     def pieces(self) -> list[Piece]:
         """The pieces in memory, one by one."""
-        self._settle()
+        self._process_new_pieces()
         return [piece for block in self._blocks for piece in block.pieces()]
 
     @property
     def filled(self) -> int:
         """Rows in memory."""
-        self._settle()
+        self._process_new_pieces()
         return self._count_rows + self.starts
 
     @property
     def numbers(self) -> np.ndarray:
         """The piece of each row, among those in memory."""
-        self._settle()
+        self._process_new_pieces()
         return np.concatenate([np.zeros(int(self.starts), int), *(rows.piece for rows in self._rows)])
 
     @property
@@ -118,18 +118,23 @@ class PieceRows:
         n, m = self._facts.n, self._facts.m
         return self.count * (n + 2 * m) * 8 * (self.orders + 1) > CHUNK_BYTES
 
-    def take(self, block: Block) -> None:
+    def take(self, block: PieceBuffer) -> None:
         """Keep pieces, and of the rows in them every n-th, and the last one of the run."""
         self._new.append(block)
         self.count += block.count
 
-    def _settle(self) -> None:
+    def _process_new_pieces(self) -> None:
         """Find the rows of the pieces that were taken."""
         if not self._new:
             return
-        block, before = Block.joined(self._new), self._carried
-        end, shown = block.end, _shown(block) if self._out is None else _expanded(self._out, block, self._facts.shown)
-        times, last = self._times(end)
+        block, before = PieceBuffer.concatenate(self._new), self._carried
+        end, series = (
+            block.end,
+            _multiplier_output_series(block)
+            if self._out is None
+            else _expand_outputs(self._out, block, self._facts.visible_multipliers),
+        )
+        times, last = self._row_times(end)
         t = times
         if self.every > 1:
             keep = (before.rows + np.arange(1, len(times) + 1)) % self.every == 0
@@ -137,53 +142,57 @@ class PieceRows:
                 keep[-1] = True
             t = times[keep]
         piece = np.minimum(np.searchsorted(end, t, side="left"), len(end) - 1)
-        until, integral = self._integrals(block, shown[0], t, piece) if self.problem.impulses else (before.until, None)
-        worst, rest = _worst(before.worst, block.defect, piece)
-        rows, now = _Rows(t, piece + self._settled, worst, integral), float(t[-1]) if len(t) else before.t
+        until, integral = (
+            self._multiplier_integrals(block, series[0], t, piece) if self.problem.impulses else (before.until, None)
+        )
+        worst, rest = _largest_estimates(before.worst, block.defect, piece)
+        rows, now = _EventDrivenRows(t, piece + self._counted_pieces, worst, integral), float(t[-1]) if len(t) else before.t
         own = integral[-1] if integral is not None and len(t) else before.integral
-        self._carried = Carried(before.rows + len(times), now, own, until, rest)
+        self._carried = CarriedState(before.rows + len(times), now, own, until, rest)
         self._new, self._columns = [], None
         self._blocks.append(block)
-        self._shown.append(shown)
+        self._user_series.append(series)
         self._rows.append(rows)
-        self._settled += block.count
+        self._counted_pieces += block.count
         self._count_rows += len(t)
 
-    def _times(self, end: np.ndarray) -> tuple[np.ndarray, bool]:
+    def _row_times(self, end: np.ndarray) -> tuple[np.ndarray, bool]:
         """The rows of pieces with these ends, and whether the last one of the run is among them."""
         if self.times is None:
             return np.minimum(end, self.until), bool(end[-1] >= self.until)
         stop = bisect_right(self.times, end[-1])
         return np.array(self.times[self._carried.rows : stop]), stop == len(self.times)
 
-    def _integrals(self, block: Block, l: np.ndarray, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _multiplier_integrals(
+        self, block: PieceBuffer, l: np.ndarray, t: np.ndarray, piece: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The integral of the multipliers up to the end of the pieces, and up to times (k,) in them."""
         tau = block.tau
-        whole = block.impulse + tau[:, None] * dense.integrals(l, np.arange(len(l)), (block.end - block.t) / tau)
+        whole = block.impulse + tau[:, None] * dense.integrate_polynomials(l, np.arange(len(l)), (block.end - block.t) / tau)
         until = np.cumsum(np.vstack([self._carried.until[None], whole]), axis=0)
-        part = tau[piece, None] * dense.integrals(l, piece, (t - block.t[piece]) / tau[piece])
+        part = tau[piece, None] * dense.integrate_polynomials(l, piece, (t - block.t[piece]) / tau[piece])
         return until[-1], until[piece] + (block.impulse[piece] + part)
 
     # -- columns
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows as the arrays of a trajectory, and the pieces as lists."""
-        self._settle()
+        self._process_new_pieces()
         if self._columns is None:
-            self._columns = self._read()
+            self._columns = self._build_columns()
         return dict(self._columns)
 
-    def _read(self) -> dict[str, np.ndarray]:
+    def _build_columns(self) -> dict[str, np.ndarray]:
         states, first, own = self.problem.states, int(self.starts), self._facts
         if not self._blocks:
-            return self._start_alone() | self._lists(_nothing(self.problem, self.orders))
-        block, rows = Block.joined(self._blocks), _Rows.joined(self._rows)
-        lists = self._lists(block)
+            return self._start_row() | self._piece_lists(_empty_buffer(self.problem, self.orders))
+        block, rows = PieceBuffer.concatenate(self._blocks), _EventDrivenRows.concatenate(self._rows)
+        lists = self._piece_lists(block)
         t, number = np.concatenate([np.zeros(first), rows.t]), np.concatenate([np.zeros(first, int), rows.piece])
-        s = dense.local(lists, number, t)
-        both = dense.polynomials(block.series[:, : own.n + own.m], number, s)
+        s = dense.local_times(lists, number, t)
+        both = dense.evaluate_polynomials(block.series[:, : own.n + own.m], number, s)
         full, l = both[:, : own.n], both[:, own.n :]
-        multipliers = l.copy() if self._out is None else dense.polynomials(lists["piece_multipliers"], number, s)
+        multipliers = l.copy() if self._out is None else dense.evaluate_polynomials(lists["piece_multipliers"], number, s)
         full[:first] = own.x0
         ends = np.flatnonzero(rows.t == block.end[rows.piece])
         free = own.n - self.problem.held  # What is held has jumped at an edge.
@@ -193,8 +202,8 @@ class PieceRows:
             "step": t - np.concatenate([[math.nan if first else self._before.t], t[:-1]]),
             "stepped": lists["piece_stepped"][number], "error_estimate": np.concatenate([np.zeros(first), rows.worst]),
         }  # fmt: skip
-        h, records = self._records(t, both)
-        residual = self._residuals(l[first:], h[first:], block, rows.piece)
+        h, records = self._evaluate_records(t, both)
+        residual = self._row_residuals(l[first:], h[first:], block, rows.piece)
         arrays |= {"residual": np.concatenate([np.zeros(first), residual]), **records}
         if rows.integral is not None:
             arrays["reactions"] = multipliers
@@ -204,29 +213,33 @@ class PieceRows:
             for name in ("multipliers", "y", "residual", "error_estimate", "reactions"):
                 if name in arrays:
                     arrays[name][0] = np.nan
-            arrays["index_set"][0], arrays["stepped"][0] = dense.UNKNOWN, False
+            arrays["index_set"][0], arrays["stepped"][0] = dense.UNKNOWN_INDEX, False
         return arrays | lists
 
-    def _start_alone(self) -> dict[str, np.ndarray]:
+    def _start_row(self) -> dict[str, np.ndarray]:
         """The one row of a run that has no piece yet."""
         p, own = self.problem, self._facts
         unknown = {name: np.full(1, np.nan) for name in ("residual", "step", "error_estimate")}
         return {
             "t": np.zeros(1), "x": own.x0[None, : p.states].copy(),
-            **{name: np.full((1, own.shown), np.nan) for name in ("multipliers", "y")},
-            "index_set": np.full((1, own.m), dense.UNKNOWN, np.int8), "stepped": np.zeros(1, bool), **unknown,
+            **{name: np.full((1, own.visible_multipliers), np.nan) for name in ("multipliers", "y")},
+            "index_set": np.full((1, own.m), dense.UNKNOWN_INDEX, np.int8), "stepped": np.zeros(1, bool), **unknown,
         }  # fmt: skip
 
-    def _lists(self, block: Block) -> dict[str, np.ndarray]:
-        none = (np.zeros((0, self._facts.shown, self.orders + 1)),) * 2
-        l, y = self._shown[0] if len(self._shown) == 1 else map(np.concatenate, zip(*(self._shown or [none]), strict=True))
+    def _piece_lists(self, block: PieceBuffer) -> dict[str, np.ndarray]:
+        none = (np.zeros((0, self._facts.visible_multipliers, self.orders + 1)),) * 2
+        l, y = (
+            self._user_series[0]
+            if len(self._user_series) == 1
+            else map(np.concatenate, zip(*(self._user_series or [none]), strict=True))
+        )
         return {
             "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.series[:, : self._facts.n]),
             "piece_multipliers": l, "piece_y": y, "piece_codes": block.codes, "piece_event": block.event,
             "piece_event_width": block.event_width, "piece_impulse": block.impulse, "piece_stepped": block.stepped,
         }  # fmt: skip
 
-    def _residuals(self, l: np.ndarray, y: np.ndarray, block: Block, number: np.ndarray) -> np.ndarray:
+    def _row_residuals(self, l: np.ndarray, y: np.ndarray, block: PieceBuffer, number: np.ndarray) -> np.ndarray:
         """How far each row is from its law where that is algebraic (y depends on l) or curved, beside the sizes of y and l.
 
         Of a row by a time step it is the residual of that.
@@ -238,13 +251,13 @@ class PieceRows:
             out = np.maximum(np.maximum(own.lower - l, l - own.upper), 0) / np.maximum(block.size_l[number], 1e-300)
             of_law = (np.maximum(off, out) * own.direct).max(axis=1)
         for at, part in self._curved:
-            of_law = np.maximum(of_law, _missed(part, l[:, at], y[:, at], block.size_y[number][:, at]))
+            of_law = np.maximum(of_law, _curved_law_residual(part, l[:, at], y[:, at], block.size_y[number][:, at]))
         return np.where(block.stepped[number], block.residual[number], of_law)
 
-    def _records(self, t: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _evaluate_records(self, t: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Rows of h, and the columns that are expressions of t, x and l: y, and those of the class; ``both``: x and l."""
         before = t * (1 - SAME_TIME)  # At an edge a row has the values before it.
-        values, at, found = self._tell(np.column_stack([before, both])), self._facts.m, {}
+        values, at, found = self._evaluate_columns(np.column_stack([before, both])), self._facts.m, {}
         for name, size in self._facts.columns.items():
             found[name] = values[:, at] if name == "energy" else values[:, at : at + size]
             at += size
@@ -252,26 +265,26 @@ class PieceRows:
 
     # -- for files
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What is carried on to the next rows."""
         c = self.carried
         return {"rows": c.rows, "t": c.t, "integral": c.integral.tolist(), "until": c.until.tolist(), "worst": c.worst}
 
-    def stand(self, saved: dict[str, Any]) -> None:
+    def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         integral, until = (np.array(saved[name], float) for name in ("integral", "until"))
-        self._carried = self._before = Carried(saved["rows"], saved["t"], integral, until, saved["worst"])
+        self._carried = self._before = CarriedState(saved["rows"], saved["t"], integral, until, saved["worst"])
         self.starts = False
 
 
-def _missed(part: laws.Block, l: np.ndarray, y: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _curved_law_residual(part: laws.LawFactor, l: np.ndarray, y: np.ndarray, size: np.ndarray) -> np.ndarray:
     """How far rows are from -y ∈ N_K(l): l outside K, beside K, and the largest <l - l', y>, l' ∈ K, beside K and y."""
     outside = part.excess(l).max(axis=1) / part.extent
     least = np.einsum("kni,ni->kn", part.rivals(l, y), y).min(axis=0)
     return np.maximum(outside, ((l * y).sum(axis=1) - least) / (part.extent * np.maximum(size.max(axis=1), 1e-300)))
 
 
-def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:
+def _largest_estimates(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:
     """The largest estimate from the piece of the row before to that of each row; and since the last row."""
     all_of = np.zeros(len(defects) + 2)
     all_of[0], all_of[1:-1] = before, defects
@@ -284,32 +297,32 @@ def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.nd
     return np.maximum.reduceat(all_of, pairs.ravel())[::2], float(all_of[piece[-1] + 1 :].max())
 
 
-def _nothing(p: ContinuousProblem, orders: int) -> Block:
-    layout = Layout(p.x.numel(), p.l.numel(), orders + 1)
-    return Block(np.zeros((0, layout.width)), layout)
+def _empty_buffer(p: ContinuousProblem, orders: int) -> PieceBuffer:
+    layout = PieceLayout(p.x.numel(), p.l.numel(), orders + 1)
+    return PieceBuffer(np.zeros((0, layout.width)), layout)
 
 
-def _shown(block: Block) -> tuple[np.ndarray, np.ndarray]:
+def _multiplier_output_series(block: PieceBuffer) -> tuple[np.ndarray, np.ndarray]:
     """The series of l and y."""
     n, m, _ = block.layout
     series = block.series
     return np.ascontiguousarray(series[:, n : n + m]), np.ascontiguousarray(series[:, n + m :])
 
 
-def _outputs(p: ContinuousProblem, orders: int) -> Expansion | None:
+def _output_expansion(p: ContinuousProblem, orders: int) -> TaylorExpansion | None:
     """The series of the user's own multipliers and outputs, where they are not those of the rows."""
     if p.multipliers is None or p.outputs is None:
         return None
-    jets = jets_of(ca.vertcat(p.multipliers, p.outputs), [p.t, p.x, p.l], "multipliers and outputs")
-    return Expansion(jets, orders, None)
+    jets = taylor_decompose(ca.vertcat(p.multipliers, p.outputs), [p.t, p.x, p.l], "multipliers and outputs")
+    return TaylorExpansion(jets, orders, None)
 
 
-def _expanded(out: Expansion, block: Block, count: int) -> tuple[np.ndarray, np.ndarray]:
-    rows = np.stack([_series(out, piece) for piece in block.pieces()])
+def _expand_outputs(out: TaylorExpansion, block: PieceBuffer, count: int) -> tuple[np.ndarray, np.ndarray]:
+    rows = np.stack([_expanded_series(out, piece) for piece in block.pieces()])
     return rows[:, :count], rows[:, count:]
 
 
-def _series(out: Expansion, piece: Piece) -> np.ndarray:
+def _expanded_series(out: TaylorExpansion, piece: Piece) -> np.ndarray:
     count = piece.x.shape[1]
     given = {(0, 0): [piece.t, piece.tau, *[0.0] * (count - 2)]}
     given |= {(1, i): row for i, row in enumerate(piece.x.tolist())} | {(2, i): row for i, row in enumerate(piece.l.tolist())}

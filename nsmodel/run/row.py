@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.solve.layout import Layout
+from nsmodel.solve.layout import RowLayout
 
 
 class Row:
@@ -12,7 +12,7 @@ class Row:
 
     __slots__ = ("_layout", "_packed", "_states", "index_set", "t")
 
-    def __init__(self, t: float, packed: np.ndarray, index_set: np.ndarray, layout: Layout, states: int) -> None:
+    def __init__(self, t: float, packed: np.ndarray, index_set: np.ndarray, layout: RowLayout, states: int) -> None:
         self.t, self.index_set = t, index_set
         self._packed, self._layout, self._states = packed, layout, states
 
@@ -24,12 +24,12 @@ class Row:
     @property
     def multipliers(self) -> np.ndarray:
         """The multipliers (m,), as they are declared."""
-        return self._of("multipliers", "l")
+        return self._quantity("multipliers", "l")
 
     @property
     def y(self) -> np.ndarray:
         """The outputs of the law (m,)."""
-        return self._of("outputs", "y")
+        return self._quantity("outputs", "y")
 
     @property
     def residual(self) -> float:
@@ -42,7 +42,7 @@ class Row:
         both = self._packed[self._layout.inputs]
         return both[both.size // 2 :]
 
-    def _of(self, name: str, else_of: str) -> np.ndarray:
+    def _quantity(self, name: str, else_of: str) -> np.ndarray:
         slices = self._layout.slices
         return self._packed[slices.get(name, slices[else_of])]
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.once import once
-from nsmodel.pieces.asked import operations
+from nsmodel.once import cached_per_object
+from nsmodel.pieces.asked import operation_count
 from nsmodel.pieces.jets import is_switched
-from nsmodel.proof.buffered import attached
+from nsmodel.proof.buffered import attach_buffers
 from nsmodel.scheme.continuous import ContinuousProblem
 
 
 @dataclass(frozen=True)
-class Facts:
+class RowProperties:
     """Of a problem with n states of the motion and m rows of the law.
 
     Attributes:
@@ -31,7 +31,7 @@ class Facts:
 
     n: int
     m: int
-    shown: int
+    visible_multipliers: int
     x0: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
@@ -41,38 +41,38 @@ class Facts:
     is_switched: bool
 
 
-@once
-def facts(p: ContinuousProblem) -> Facts:
+@cached_per_object
+def row_properties(p: ContinuousProblem) -> RowProperties:
     """Return them."""
     m = p.l.numel()
     direct = set(ca.jacobian_sparsity(p.h, p.l).row()) if m else set()
     x0, lower, upper = (np.array(ca.DM(column)).ravel() for column in (p.x0, p.law.lower, p.law.upper))
-    return Facts(
+    return RowProperties(
         p.x.numel(), m, len(p.rows if p.multipliers is None else p.declared), x0, lower, upper,
         np.array([i in direct for i in range(m)], bool), {name: e.numel() for name, e in p.columns.items()},
-        operations(p), is_switched(ca.veccat(p.f, p.g, p.h)),
+        operation_count(p), is_switched(ca.veccat(p.f, p.g, p.h)),
     )  # fmt: skip
 
 
-def columns_of(p: ContinuousProblem) -> Callable[[np.ndarray], np.ndarray]:
+def row_columns_function(p: ContinuousProblem) -> Callable[[np.ndarray], np.ndarray]:
     """(h, y, records) of rows (t, x, l), evaluated by CasADi."""
-    function, of_many = _records_of(p)
+    function, of_many = _row_record_functions(p)
 
-    def at(rows: np.ndarray) -> np.ndarray:
+    def evaluate_columns(rows: np.ndarray) -> np.ndarray:
         if not (count := len(rows)):
             return np.zeros((0, function.numel_out()))
         if count not in of_many:
             of_many.clear()
             of_many[count] = function.map(count)
         given, found = np.asfortranarray(rows.T, float), np.zeros((function.numel_out(), count), order="F")
-        _buffer, call = attached(of_many[count], [given], [found])  # as long as these three live
+        _buffer, call = attach_buffers(of_many[count], [given], [found])  # as long as these three live
         call()
         return found.T
 
-    return at
+    return evaluate_columns
 
 
-@once
-def _records_of(p: ContinuousProblem) -> tuple[ca.Function, dict[int, ca.Function]]:
+@cached_per_object
+def _row_record_functions(p: ContinuousProblem) -> tuple[ca.Function, dict[int, ca.Function]]:
     """The function of (t, x, l), and the same of the last number of rows."""
     return ca.Function("records", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(ca.veccat(p.h, *p.columns.values()))]), {}

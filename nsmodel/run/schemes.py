@@ -12,28 +12,28 @@ import numpy as np
 
 from nsmodel import cache_folder
 from nsmodel.errors import CodegenError, StepError, UsageError
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.hypotheses import impacts
-from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
+from nsmodel.hypotheses.quick import UNIQUENESS_WARNING, check_start, start_warnings
 from nsmodel.hypotheses.rest import finite_convergence
-from nsmodel.identity import FOR_ALL, INTERPRETED, settings
+from nsmodel.identity import ALL_VALUES_SUFFIX, INTERPRETED_BACKEND, run_settings
 from nsmodel.model.base import Model
-from nsmodel.quantities import Outputs
-from nsmodel.record import Record
+from nsmodel.quantities import OutputColumns
+from nsmodel.record import RowRecord
 from nsmodel.run import driven
-from nsmodel.run.in_c import chosen
+from nsmodel.run.in_c import choose_step_backend
 from nsmodel.run.options import Options
-from nsmodel.run.told import of_scene, of_scheme
-from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, runaway
-from nsmodel.scheme import constraints, initial_rows, one_step_problem
-from nsmodel.solve.build import Starter, Stepper, start_state
-from nsmodel.solve.by_mode import ByMode, mode_places
-from nsmodel.solve.cost import REPEATED, Cost, building, fixed_pays, interpreted
-from nsmodel.solve.projection import CatchingUp
-from nsmodel.solve.stepper import PackedStep, Warm
-from nsmodel.solve.structure import is_monotone
+from nsmodel.run.told import scene_metadata, scheme_metadata
+from nsmodel.run.walk import ResumedBackend, check_exact_function, find_runaway_state, overrun_warnings, update_exact_error
+from nsmodel.scheme import initial_rows, one_step_problem, state_constraints
+from nsmodel.solve.build import ReactionInitialiser, Stepper, completed_start_state
+from nsmodel.solve.by_mode import ModewiseStepper, mode_state_indices
+from nsmodel.solve.cost import REPEATED_PATH, CompilationCost, build_seconds, interpreted_step_seconds, is_fixed_code_faster
+from nsmodel.solve.projection import CatchingUpStepper
+from nsmodel.solve.stepper import PackedStep, WarmStart
+from nsmodel.solve.structure import is_eigenvalue_nonnegative
 
-FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
+MAX_FACTORED_STEP_SIZES = 8  # Different step sizes up to which constant matrices are factored once for each.
 
 
 def make_stepper(
@@ -42,27 +42,28 @@ def make_stepper(
     """Return the stepper of a bound model."""
     problem = one_step_problem(model)
     if problem.prediction is not None:
-        return CatchingUp(problem, problem.prediction, solver, tolerance, h=h, state=state)
-    if at := mode_places(problem, model.values_taken, state):
+        return CatchingUpStepper(problem, problem.prediction, solver, tolerance, h=h, state=state)
+    if at := mode_state_indices(problem, model.values_taken, state):
         names = dict.fromkeys((model.input_names * 2)[place - problem.state.numel()] for place in at)
-        return ByMode(problem, at, list(names), solver, tolerance, h=h, state=state, few_steps=few_steps)
+        return ModewiseStepper(problem, at, list(names), solver, tolerance, h=h, state=state, few_steps=few_steps)
     return Stepper(problem, solver, tolerance, h=h, state=state, few_steps=few_steps)
 
 
-class OfScheme:
+class SchemePropagator:
     """The part of a walk that does not depend on how its steps are chosen: it stands at (k, state, warm).
 
-    Attributes beside those of `walk.Walk`:
+    Attributes beside those of `walk.Propagator`:
         problem, stepper: of the scheme; rollout: the compiled steps, None where they are interpreted.
         state, warm: what the next step starts from; last_index: the index set of the last step.
         watches: multipliers that may call for an impulse.
     """
 
-    record: Record
-    torn: bool = False
+    record: RowRecord
+    rows_lost: bool = False
 
     def __init__(
-        self, model: Model, options: Options, grid: Grid, in_c: Grid, there: There, whole: Model | None = None
+        self, model: Model, options: Options, grid: TimeGrid, compiled_grid: TimeGrid, resumed_backend: ResumedBackend,
+        symbolic_model: Model | None = None
     ) -> None:  # fmt: skip
         """Prepare steps.
 
@@ -74,62 +75,64 @@ class OfScheme:
             there: tells how the run that is resumed was stepped; asked once the model is known to run.
             whole: the model with its parameters as symbols, where its library for all values may be taken.
         """
-        refuse_start(model)
-        check_exact(model)
+        check_start(model)
+        check_exact_function(model)
         given = getattr(model, "tolerances", None)
         if given is not None and not callable(given) and 1 < np.size(given) < grid.N:
             raise UsageError(f"tolerances: {np.size(given)} values for {grid.N} steps; give one for each, or one for all")
         self.model: Any = model
-        self.options, self.in_c, tolerance = options, in_c, options.tolerance
+        self.options, self.in_c, tolerance = options, compiled_grid, options.tolerance
         self.problem, h = one_step_problem(model), grid.step(0)
         self._first = h
         self.known = initial_rows(model, h)
-        self.k, self.state = len(self.known) - 1, start_state(self.problem, self.known[-1][0], h, tolerance)
-        few = grid.steps is None or (np.unique(grid.steps).size <= FEW_STEPS and not (grid.drive and grid.drive.moving))
+        self.k, self.state = len(self.known) - 1, completed_start_state(self.problem, self.known[-1][0], h, tolerance)
+        few = grid.steps is None or (
+            np.unique(grid.steps).size <= MAX_FACTORED_STEP_SIZES and not (grid.drive and grid.drive.moving)
+        )
         self.stepper: Any = make_stepper(model, options.solver, tolerance, h=h, state=self.state, few_steps=few)
-        self.warm, self.last_index = self.stepper.cold(), None
-        self.watches = impacts.watched(model)
-        self.outputs = Outputs.of(model, self.problem.multiplier_names)
+        self.warm, self.last_index = self.stepper.cold_start(), None
+        self.impact_rows = impacts.impact_rows(model)
+        self.outputs = OutputColumns.of(model, self.problem.multiplier_names)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
-        way = there()
-        self.whole = whole if whole is not None and self._takes_all(way, grid.N) else None
-        steps = chosen(options, self.stepper.plan, way, grid.N, self._cost, self._build)
+        way = resumed_backend()
+        self.whole = symbolic_model if symbolic_model is not None and self._uses_library_for_all(way, grid.N) else None
+        steps = choose_step_backend(options, self.stepper.plan, way, grid.N, self._cost, self._build)
         self.rollout, self.plan = steps.steps, steps.plan
-        self.warnings = [*warnings_of(model, self.stepper.plan), *steps.warnings]
-        self.settings = settings(model, grid, options.solver, tolerance, options.save_every, steps.way)
+        self.warnings = [*start_warnings(model, self.stepper.plan), *steps.warnings]
+        self.settings = run_settings(model, grid, options.solver, tolerance, options.save_every, steps.way)
 
-    def start(self, grid: Grid, capacity: int) -> Record:
+    def start(self, grid: TimeGrid, capacity: int) -> RowRecord:
         """Return the rows of a run that begins: those that are known before the first step."""
-        record = Record(self.model, self.stepper.layout, self.warm.index.size, capacity)
+        record = RowRecord(self.model, self.stepper.layout, self.warm.index.size, capacity)
         if not self.options.resume:
             for k, (state, records) in enumerate(self.known):
                 record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
-            self.outputs(record.columns(newton=self.counting))  # An unknown name is refused before the first step.
+            self.outputs(record.columns(newton=self.counts_iterations))  # An unknown name is refused before the first step.
         return record
 
     @property
-    def counting(self) -> bool:
+    def counts_iterations(self) -> bool:
         """Whether Newton iterations are counted."""
         return self.plan.path == "newton"
 
     @cached_property
-    def starter(self) -> driven.Starter | None:
+    def starter(self) -> driven.StateInitialiser | None:
         """What finds the reaction that a state carries anew, where it carries one."""
         start = self.problem.start
         if start is None:
             return None
-        interpreted = Starter(start, self.stepper.tolerance, h=self._first, state=self.state)
+        interpreted = ReactionInitialiser(start, self.stepper.tolerance, h=self._first, state=self.state)
         return interpreted if self.rollout is None else self.rollout.starter(interpreted)
 
-    def _takes_all(self, way: str | None, steps: int) -> bool:
+    def _uses_library_for_all(self, way: str | None, steps: int) -> bool:
         """Whether compiled steps are those of all values of the parameters: as the run began, else by its model and length."""
-        if way not in (None, INTERPRETED):
-            return way.endswith(FOR_ALL)
+        if way not in (None, INTERPRETED_BACKEND):
+            return way.endswith(ALL_VALUES_SUFFIX)
         structure = getattr(self.stepper, "structure", None)
-        return not fixed_pays(self.stepper.plan.path, structure, self.problem, steps)
+        return not is_fixed_code_faster(self.stepper.plan.path, structure, self.problem, steps)
 
     def _build(self) -> Any:
         """Compile the steps; CodegenError where that cannot be."""
@@ -141,18 +144,21 @@ class OfScheme:
             self.whole = None
         return Rollout(self.model, self.in_c, self.stepper.tolerance)
 
-    def _cost(self) -> Cost:
+    def _cost(self) -> CompilationCost:
         """What an interpreted step takes, and building the compiled one."""
         path, structure = self.stepper.plan.path, getattr(self.stepper, "structure", None)
         moving = self.in_c.drive is not None and self.in_c.drive.moving  # Each period has lengths of its own: few steps repeat.
-        own = REPEATED if getattr(self.stepper, "repeats", False) and not moving else path
+        own = REPEATED_PATH if getattr(self.stepper, "repeats", False) and not moving else path
         if path == "sparse" and self.in_c.steps is not None:  # C has it for one time step
-            return Cost(interpreted(own, structure), lambda: np.inf)
-        return Cost(interpreted(own, structure), lambda: 0.0 if self._is_built() else building(path, structure, self.problem))
+            return CompilationCost(interpreted_step_seconds(own, structure), lambda: np.inf)
+        return CompilationCost(
+            interpreted_step_seconds(own, structure),
+            lambda: 0.0 if self._is_built() else build_seconds(path, structure, self.problem),
+        )
 
     def _is_built(self) -> bool:
         """Whether the compiled steps are in the cache."""
-        if cache_folder.is_empty():
+        if cache_folder.is_cache_empty():
             return False
         from nsmodel.codegen import cache, library
 
@@ -166,22 +172,22 @@ class OfScheme:
     @property
     def runaway(self) -> tuple[str, float] | None:
         """Name and value of the largest state, where it is beyond what can be computed with."""
-        return runaway(self.model.names, self.state[: len(self.model.names)])
+        return find_runaway_state(self.model.names, self.state[: len(self.model.names)])
 
     def warm_up(self) -> None:
         """Take a step and forget it."""
         with contextlib.suppress(StepError):
             self.stepper(0.0, self._first, self.state, self.warm)
 
-    def _least(self) -> float:
+    def _known_least_eigenvalue(self) -> float:
         """The least eigenvalue known of W + W'; -inf where none is looked for."""
-        if not self.counting or self.problem.scale is not None:
+        if not self.counts_iterations or self.problem.scale is not None:
             return -np.inf
         return min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
 
-    def _put(
-        self, k: int, state: np.ndarray, warm: Warm, last: np.ndarray | None, worst: float, worst_t: float | None, newton: float,
-        newton_max: float, changes: int,
+    def _update_state(
+        self, k: int, state: np.ndarray, warm: WarmStart, last: np.ndarray | None, worst: float, worst_t: float | None,
+        newton: float, newton_max: float, changes: int,
     ) -> None:  # fmt: skip
         """Stand after step k; ``worst_t`` is the time of a residual that is worse than those before."""
         self.k, self.state, self.warm, self.last_index = k, state, warm, last
@@ -198,22 +204,22 @@ class OfScheme:
         if not self.record.filled:
             return
         t, x = self.record.t[: self.record.filled], self.record.states
-        note_distance_to_exact(self.model, self.totals, t, x)
+        update_exact_error(self.model, self.totals, t, x)
         least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
         if np.isfinite(least):
             self.totals["least_eigenvalue"] = float(least)
         if self.problem.gap:
-            self._note_overrun(t, x)
-        if self.watches:
+            self._accumulate_overrun(t, x)
+        if self.impact_rows:
             names = {"multipliers": "multipliers" if "multipliers" in self.stepper.layout.slices else "l"}
             names |= {"v": self.problem.velocity} if self.problem.velocity else {}
             names |= {"inputs": "inputs"} if self.problem.inputs else {}
             columns = {"t": t, "x": x, **{name: self.record.column(own) for name, own in names.items()}}
-            self.totals["impacts"] = impacts.met(self.watches, columns, self.totals.get("impacts", {}))
+            self.totals["impacts"] = impacts.update_impacts(self.impact_rows, columns, self.totals.get("impacts", {}))
         if self.problem.velocity:
-            self._note_rest(t, x)
+            self._accumulate_rest(t, x)
 
-    def _note_rest(self, t: np.ndarray, x: np.ndarray) -> None:
+    def _accumulate_rest(self, t: np.ndarray, x: np.ndarray) -> None:
         v = self.record.column(self.problem.velocity)
         moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
         rest = moving[-1] + 1 if moving.size else 0
@@ -224,48 +230,48 @@ class OfScheme:
         self.totals["last_x"] = x[-1].tolist()
         self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
 
-    def _note_overrun(self, t: np.ndarray, x: np.ndarray) -> None:
+    def _accumulate_overrun(self, t: np.ndarray, x: np.ndarray) -> None:
         """Keep the worst gap below 0, beyond rounding: a linearised constraint can be overrun where it is not convex."""
         gap, model = self.record.column(self.problem.gap), self.model
         if not gap.min() < 0:
             return
         given, u = [model.t, model.state, model.u], self.record.column("inputs") if self.problem.inputs else np.zeros((len(t), 0))
-        slopes = ca.Function("slopes", given, [ca.densify(ca.jacobian(constraints(model), model.state))])
+        slopes = ca.Function("slopes", given, [ca.densify(ca.jacobian(state_constraints(model), model.state))])
         for i, k in enumerate(gap.argmin(axis=0)):
             rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k], u[k]))[i]) * (1 + np.linalg.norm(x[k]))
             if gap[k, i] < min(-rounding, self.totals.get("overrun", {"gap": 0.0})["gap"]):
                 self.totals["overrun"] = {"gap": float(gap[k, i]), "constraint": model.multiplier_names[i], "t": float(t[k])}
 
-    def _lost_monotonicity(self) -> list[str]:
+    def _monotonicity_warnings(self) -> list[str]:
         least = self.totals.get("least_eigenvalue", np.inf)
-        if not self.stepper.plan.monotone or is_monotone(least, self.warm.index.size):
+        if not self.stepper.plan.monotone or is_eigenvalue_nonnegative(least, self.warm.index.size):
             return []
-        return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
+        return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS_WARNING}"]
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows in memory as the arrays of a trajectory."""
         arrays = self.record.columns(self.stepper.plan.path == "newton")
         return arrays | self.outputs(arrays)
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What to continue from."""
         last = None if self.last_index is None else self.last_index.tolist()
         return {"state": self.state.tolist(), "l": self.warm.l.tolist(), "index": self.warm.index.tolist(), "last_index": last}
 
-    def stand(self, saved: dict[str, Any]) -> None:
+    def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         self.state = np.array(saved["state"], float).reshape(self.state.shape)
         l, index = np.array(saved["l"], float), np.array(saved["index"], np.int8)
-        self.warm = Warm(l.reshape(self.warm.l.shape), index.reshape(self.warm.index.shape))
+        self.warm = WarmStart(l.reshape(self.warm.l.shape), index.reshape(self.warm.index.shape))
         self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
 
     def metadata(self) -> dict[str, Any]:
         """The scheme, the names of rows, warnings, when an oscillator rests."""
         model = self.model
-        met = impacts.told(self.watches, self.totals.get("impacts", {}), model)
-        data = of_scheme(self.problem, self.stepper.tolerance)
-        data["warnings"] = [*self.warnings, *self._lost_monotonicity(), *overrun(self.totals), *met]
+        met = impacts.describe_impacts(self.impact_rows, self.totals.get("impacts", {}), model)
+        data = scheme_metadata(self.problem, self.stepper.tolerance)
+        data["warnings"] = [*self.warnings, *self._monotonicity_warnings(), *overrun_warnings(self.totals), *met]
         if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
             data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
-        return data | of_scene(model)
+        return data | scene_metadata(model)

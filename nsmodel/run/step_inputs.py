@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.grid import SAME, driving
-from nsmodel.model.driven import inputs_at_start
-from nsmodel.model.inputs import by_name
-from nsmodel.model.ticks import ticks_of
-from nsmodel.signals.drive import Drive
-from nsmodel.signals.signal import Held, earlier, later
+from nsmodel.grid import SAME_STEP_TOLERANCE, input_schedule
+from nsmodel.model.driven import initial_inputs
+from nsmodel.model.inputs import signals_by_name
+from nsmodel.model.ticks import model_ticks
+from nsmodel.signals.drive import InputSchedule
+from nsmodel.signals.signal import ConstantSignal, just_after, just_before
 
-AHEAD = 2.0  # Times as far as steps have come: signals are looked at up to there.
+LOOK_AHEAD_FACTOR = 2.0  # Times as far as steps have come: signals are looked at up to there.
 
 
-class Free(Held):
+class FreeInput(ConstantSignal):
     """An input whose values each step is given."""
 
     @property
@@ -36,15 +36,15 @@ class StepInputs:
     """
 
     def __init__(self, model: Any, free: Sequence[str]) -> None:
-        self._model, self.free, self.ticks = model, tuple(free), ticks_of(model)
+        self._model, self.free, self.ticks = model, tuple(free), model_ticks(model)
         self._sizes = {name: len(model.input_groups[name]) for name in free}
         entries = [name for name, names in model.input_groups.items() for _ in names]
         self.at = np.flatnonzero(np.isin(entries, self.free))
         moving = [name for name, signal in model.inputs.items() if signal.moving]
         self._unforeseen = np.flatnonzero(np.isin(entries, [*free, *moving]))  # And of those whose jumps no signal tells.
-        self.driven = bool(model.blocks) or any(not isinstance(signal, Held) for signal in model.inputs.values())
-        self.both = np.tile(inputs_at_start(model), 2)
-        self._drive: Drive | None = None  # The signals up to a time that is looked ahead to.
+        self.driven = bool(model.blocks) or any(not isinstance(signal, ConstantSignal) for signal in model.inputs.values())
+        self.both = np.tile(initial_inputs(model), 2)
+        self._drive: InputSchedule | None = None  # The signals up to a time that is looked ahead to.
         self._ahead = 0.0
 
     def given(self, values: Any) -> np.ndarray:
@@ -55,12 +55,12 @@ class StepInputs:
         """
         sizes = self._sizes
         if isinstance(values, Mapping):
-            found = by_name(values, sizes)
+            found = signals_by_name(values, sizes)
             for name in sizes:
                 if name not in found:
                     raise UsageError(f"input '{name}' has no value in this step; give it, or a signal to the stepper")
-            return np.concatenate([np.zeros(0), *(numbers(name, found[name], size) for name, size in sizes.items())])
-        return numbers("u", [] if values is None else values, self.at.size, self.free)
+            return np.concatenate([np.zeros(0), *(finite_numbers(name, found[name], size) for name, size in sizes.items())])
+        return finite_numbers("u", [] if values is None else values, self.at.size, self.free)
 
     def kept(self, before: np.ndarray) -> dict[str, Any]:
         """What blocks hold, by name, where the inputs are ``before``."""
@@ -73,8 +73,8 @@ class StepInputs:
 
     def ends(self, k: int, t: float, h: float, begin: np.ndarray, place: tuple[np.ndarray, ...]) -> list[float]:
         """Where the parts of step k end: at the points of signals within it, at edges that blocks place, and at its end."""
-        drive = self._seen(k, t + h)
-        first, last = np.searchsorted(drive.points, [later(np.array(t)), earlier(np.array(t + h))])
+        drive = self._signals_until(k, t + h)
+        first, last = np.searchsorted(drive.points, [just_after(np.array(t)), just_before(np.array(t + h))])
         ends = [*drive.points[first:last].tolist(), t + h]
         if drive.moving and self.ticks is not None:
             u = self.limits(k, t, ends[0] - t, begin, begin, place)[0][: drive.size]
@@ -93,45 +93,45 @@ class StepInputs:
         """
         both, nu, jumps = self.both.copy(), self.both.size // 2, False
         x, l, before = place
-        drive = self._seen(k, t + h) if self.driven else None
+        drive = self._signals_until(k, t + h) if self.driven else None
         if drive is not None:
-            both = self._by_signals(drive, before, k, t, h)
-            jumps = any(k in signal.turns for signal in self._model.inputs.values())
-            jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME * t).any())
+            both = self._signal_limits(drive, before, k, t, h)
+            jumps = any(k in signal.jump_steps for signal in self._model.inputs.values())
+            jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME_STEP_TOLERANCE * t).any())
         both[self.at], both[self.at + nu] = begin, end
         if self.ticks is not None:
             u, at = both[:nu].copy(), self.ticks.at
             u[at] = before[at]
-            u = self.ticks.after([*self.ticks.due(t), *self.ticks.each_step], t, x, l, u)
+            u = self.ticks.after([*self.ticks.due_blocks(t), *self.ticks.each_step], t, x, l, u)
             if drive is not None and drive.moving:
-                both = self._by_signals(drive, u, k, t, h)
+                both = self._signal_limits(drive, u, k, t, h)
                 both[self.at], both[self.at + nu] = begin, end
             both[at] = both[at + nu] = u[at]
             jumps = jumps or bool((u[at] != before[at]).any())
         return both, jumps or bool((before[self._unforeseen] != both[self._unforeseen]).any())
 
-    def _by_signals(self, drive: Drive, u: np.ndarray, k: int, t: float, h: float) -> np.ndarray:
+    def _signal_limits(self, drive: InputSchedule, u: np.ndarray, k: int, t: float, h: float) -> np.ndarray:
         """U at both ends of step k by signals alone, with what blocks hold in ``u``."""
         now = drive.holding(self.ticks.kept(u)) if drive.moving and self.ticks is not None else drive
         return now.limits(np.array([t, t + h]), k)[0]
 
-    def _seen(self, k: int, end: float) -> Drive:
+    def _signals_until(self, k: int, end: float) -> InputSchedule:
         """The signals up to the end of a step, and ahead where they let; UsageError where one is none up to there."""
         for name, signal in self._model.inputs.items():
             if signal.count is not None and k >= signal.count:
                 raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, and this would be step {k + 1}")
         if self._drive is None or end > self._ahead:
             try:
-                self._drive, self._ahead = driving(self._model, AHEAD * end), AHEAD * end
+                self._drive, self._ahead = input_schedule(self._model, LOOK_AHEAD_FACTOR * end), LOOK_AHEAD_FACTOR * end
             except ModelError:
                 try:
-                    self._drive, self._ahead = driving(self._model, end), end
+                    self._drive, self._ahead = input_schedule(self._model, end), end
                 except ModelError as error:
                     raise UsageError(str(error)) from error
         return self._drive
 
 
-def numbers(label: str, values: Any, size: int, names: Sequence[str] = ()) -> np.ndarray:
+def finite_numbers(label: str, values: Any, size: int, names: Sequence[str] = ()) -> np.ndarray:
     """Finite numbers (size,); UsageError, naming ``label`` and what they are of, where a user gave something else."""
     if type(values) is float and size == 1 and -np.inf < values < np.inf:
         return np.array([values])

@@ -12,7 +12,7 @@ from nsmodel.model.quantity import Quantity
 from nsmodel.scheme.problem import OneStepProblem
 
 
-def of_model(model: Model) -> dict[str, Any]:
+def model_metadata(model: Model) -> dict[str, Any]:
     """Names, units, numbers, and the versions of what they were made with."""
     data: dict[str, Any] = {
         "title": model.title,
@@ -35,7 +35,7 @@ def of_model(model: Model) -> dict[str, Any]:
     return data | ({"scene": {key: value.tolist() for key, value in scene.items()}} if scene else {})
 
 
-def of_scheme(problem: OneStepProblem, tolerance: float) -> dict[str, Any]:
+def scheme_metadata(problem: OneStepProblem, tolerance: float) -> dict[str, Any]:
     """Its name, the names of its rows, what was accepted."""
     return {
         "scheme": problem.scheme,
@@ -46,7 +46,7 @@ def of_scheme(problem: OneStepProblem, tolerance: float) -> dict[str, Any]:
     }
 
 
-def of_scene(model: Any) -> dict[str, Any]:
+def scene_metadata(model: Any) -> dict[str, Any]:
     """Of a planar scene of discs: for each constraint those whose coordinates it contains; nothing of other models."""
     if not getattr(model, "scene", None):
         return {}

@@ -15,13 +15,13 @@ import numpy as np
 
 from nsmodel.model.base import Model
 from nsmodel.model.expressions import derivatives
-from nsmodel.record import UNSET, Record
+from nsmodel.record import UNSET_INDEX, RowRecord
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import numeric_law
 
 
-def turned(
-    problem: OneStepProblem, model: Model, record: Record, watched: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]
+def turning_point_warnings(
+    problem: OneStepProblem, model: Model, record: RowRecord, watched: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]
 ) -> list[str]:
     """A warning where the state of such a step is off by more than is allowed; ``allowed``: of each x_i, by its largest size."""
     layout, filled, law = record.layout, record.filled, numeric_law(problem.law)
@@ -29,7 +29,7 @@ def turned(
         return []
     rows, index = record.rows[:filled], record.index[:filled, : law.size]
     start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
-    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET))
+    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET_INDEX))
     free = held.copy()
     for i, j in zip(*problem.jacobians[3].sparsity().get_triplet(), strict=True):
         free[:, i] &= ~held[:, j]
@@ -45,7 +45,7 @@ def turned(
     most = allowed(np.abs(x).max(axis=0))
     off = part[at].max(axis=1, keepdims=True) ** 2 / 2 * np.abs(x[fine] - 2 * x[half] + x[start])[at]
     n, late = len(model.names), part[at] ** 2 / 2 * np.abs(step[at])
-    off[:, :n] = np.maximum(off[:, :n], _pushed(problem, model, record, 2 * at + 1, late))
+    off[:, :n] = np.maximum(off[:, :n], _multiplier_displacement(problem, model, record, 2 * at + 1, late))
     error = np.divide(off, most, out=np.zeros_like(off), where=most > 0).max(axis=1)
     found = np.flatnonzero(error > 1)
     if not found.size:
@@ -57,7 +57,9 @@ def turned(
     ]
 
 
-def _pushed(problem: OneStepProblem, model: Model, record: Record, at: np.ndarray, l: np.ndarray) -> np.ndarray:
+def _multiplier_displacement(
+    problem: OneStepProblem, model: Model, record: RowRecord, at: np.ndarray, l: np.ndarray
+) -> np.ndarray:
     """How far multipliers l (k, m) >= 0 move the model's state (k, n) at the end of the step from each of k rows."""
     p, layout, x = problem, record.layout, problem.next_state[: len(model.names)]
     parts = [*p.jacobians[:2], derivatives(x, p.z), derivatives(x, p.l)]

@@ -11,20 +11,20 @@ from typing import Any, Protocol
 import numpy as np
 
 from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 from nsmodel.model.base import Model
-from nsmodel.once import once
+from nsmodel.once import cached_per_object
 from nsmodel.run.options import Options
-from nsmodel.signals.drive import Drive
-from nsmodel.signals.kept import Kept
+from nsmodel.signals.drive import InputSchedule
+from nsmodel.signals.kept import HeldSignal
 from nsmodel.solve.choose import Plan
 
-PER_CENT = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
+PERCENT_PROGRESS = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
 CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
-RUNAWAY = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
+RUNAWAY_LIMIT = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
 
 
-There = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
+ResumedBackend = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
 
 
 class RowBuffer(Protocol):
@@ -38,7 +38,7 @@ class RowBuffer(Protocol):
         ...
 
 
-class Walk(Protocol):
+class Propagator(Protocol):
     """A run as it goes: the place where it stands, how it goes on from there, and what has been counted on the way.
 
     Attributes:
@@ -57,7 +57,7 @@ class Walk(Protocol):
     settings: dict[str, Any]
     N: int
     k: int
-    torn: bool
+    rows_lost: bool
     record: Any  # Rows
     counts: Counter[str]
     totals: dict[str, Any]
@@ -66,9 +66,9 @@ class Walk(Protocol):
     @property
     def bar(self) -> dict[str, Any]: ...  # noqa: D102
     @property
-    def passed(self) -> float: ...  # noqa: D102
+    def progress(self) -> float: ...  # noqa: D102
     @property
-    def ended(self) -> bool: ...  # noqa: D102
+    def finished(self) -> bool: ...  # noqa: D102
     @property
     def time(self) -> float: ...  # noqa: D102
     @property
@@ -96,11 +96,11 @@ class Walk(Protocol):
         """The rows in memory as the arrays of a trajectory."""
         ...
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What to continue from, for the checkpoint."""
         ...
 
-    def stand(self, saved: dict[str, Any]) -> None:
+    def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         ...
 
@@ -109,11 +109,11 @@ class Walk(Protocol):
         ...
 
 
-class OverGrid:
+class GridProgress:
     """Where a walk over a grid stands: at row k of N."""
 
-    torn: bool = False
-    grid: Grid
+    rows_lost: bool = False
+    grid: TimeGrid
     N: int
     k: int
 
@@ -123,12 +123,12 @@ class OverGrid:
         return {"total": self.N, "initial": self.k, "unit": "step"}
 
     @property
-    def passed(self) -> int:
+    def progress(self) -> int:
         """Steps taken."""
         return self.k
 
     @property
-    def ended(self) -> bool:
+    def finished(self) -> bool:
         """Whether the grid has."""
         return self.k >= self.N
 
@@ -143,7 +143,7 @@ class OverGrid:
         return self.grid.step(self.k)
 
 
-def noting_known_times(plan: Plan, model: Model, *, ends: bool) -> Plan:
+def plan_with_known_times(plan: Plan, model: Model, *, ends: bool) -> Plan:
     """The plan with what steps do at ``switch_times``: whether one ends at each."""
     count = len(model.switch_times)
     if not count:
@@ -154,13 +154,13 @@ def noting_known_times(plan: Plan, model: Model, *, ends: bool) -> Plan:
     return replace(plan, left_out=(*plan.left_out, left))
 
 
-def noting_inputs(plan: Plan, drive: Drive | None) -> Plan:
+def plan_with_inputs(plan: Plan, drive: InputSchedule | None) -> Plan:
     """The plan with what drives the steps, and where these end for it."""
     if drive is None:
         return plan
-    given = {name: signal for name, signal in drive.signals.items() if not isinstance(signal, Kept)}
+    given = {name: signal for name, signal in drive.signals.items() if not isinstance(signal, HeldSignal)}
     kinds = ", ".join(f"{name} ({type(signal).__name__.lower()})" for name, signal in given.items())
-    ticking = ", ".join(dict.fromkeys(signal.by for signal in drive.signals.values() if isinstance(signal, Kept)))
+    ticking = ", ".join(dict.fromkeys(signal.by for signal in drive.signals.values() if isinstance(signal, HeldSignal)))
     ends = f": a step ends at each of {drive.points.size} times at which they jump, bend or tick" if drive.points.size else ""
     placed = f"; {drive.moving} edges between two of these lie where blocks place them" if drive.moving else ""
     what = " and ".join(text for text in (kinds and f"inputs {kinds}", ticking and f"blocks {ticking}") if text)
@@ -170,23 +170,23 @@ def noting_inputs(plan: Plan, drive: Drive | None) -> Plan:
 # -- failures ----------------------------------------------------------------------------------------------------------
 
 
-def is_numerical(error: Exception) -> bool:
+def is_numerical_error(error: Exception) -> bool:
     """Whether an exception speaks of numbers, and not of a fault in the program: of CasADi, LAPACK, SuperLU, Python's own."""
     return isinstance(error, ArithmeticError | np.linalg.LinAlgError) or type(error) is RuntimeError
 
 
-def unsolvable(span: str, error: Exception) -> StepError:
+def unsolvable_step_error(span: str, error: Exception) -> StepError:
     """The error of a step whose numbers a library refuses."""
     return StepError(f"{span}: its numbers cannot be computed with ({type(error).__name__}: {error})")
 
 
-def runaway(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:
+def find_runaway_state(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:
     """Name and value of the largest of x (n,), where it is beyond RUNAWAY or no number."""
     i = int(np.argmax(np.nan_to_num(np.abs(x), nan=np.inf)))
-    return None if abs(x[i]) <= RUNAWAY else (names[i], float(x[i]))
+    return None if abs(x[i]) <= RUNAWAY_LIMIT else (names[i], float(x[i]))
 
 
-def overrun(totals: dict[str, Any]) -> list[str]:
+def overrun_warnings(totals: dict[str, Any]) -> list[str]:
     """The warning about a constraint that was overrun."""
     if "overrun" not in totals:
         return []
@@ -200,12 +200,12 @@ def overrun(totals: dict[str, Any]) -> list[str]:
 # -- memory ------------------------------------------------------------------------------------------------------------
 
 
-def rows_in_memory(N: int, options: Options, row: int, known: int) -> int:
+def buffered_row_count(N: int, options: Options, row: int, known: int) -> int:
     """Rows of so many bytes kept in memory: all of them, or a chunk where they go to a folder."""
     total = N // options.save_every + 1 + known
     if options.folder is not None:
         return int(min(total, max(64, CHUNK_BYTES // row)))
-    if total * row > _memory():
+    if total * row > _available_memory():
         raise UsageError(
             f"{N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
             "and save_every=N (--save-every N) to keep fewer rows"
@@ -213,7 +213,7 @@ def rows_in_memory(N: int, options: Options, row: int, known: int) -> int:
     return int(total)
 
 
-def _memory() -> float:
+def _available_memory() -> float:
     """Bytes that a run may take: 0.8 of the machine's memory."""
     try:
         return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -224,8 +224,8 @@ def _memory() -> float:
 # -- the exact state ---------------------------------------------------------------------------------------------------
 
 
-@once
-def check_exact(model: Model) -> None:
+@cached_per_object
+def check_exact_function(model: Model) -> None:
     """Refuse a function for the exact state that fails, or returns another shape."""
     if model.exact is not None:
         try:
@@ -236,7 +236,7 @@ def check_exact(model: Model) -> None:
             raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
 
 
-def note_distance_to_exact(model: Model, totals: dict[str, Any], t: np.ndarray, x: np.ndarray) -> None:
+def update_exact_error(model: Model, totals: dict[str, Any], t: np.ndarray, x: np.ndarray) -> None:
     """Keep max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
     if model.exact is None:
         return

@@ -11,17 +11,17 @@ import numpy as np
 
 from nsmodel.errors import EmptyLawError, UsageError
 from nsmodel.laws import Law
-from nsmodel.laws.moving import Ends, no_set
+from nsmodel.laws.moving import LawEnds, find_invalid_row
 from nsmodel.model.expressions import derivatives
 
-TINY = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
+TINY_SPEED = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
 
 
 class NotEventDriven(UsageError):
     """A model that event-driven integration cannot take; says what of it."""
 
 
-class Growth(NamedTuple):
+class SlipGrowth(NamedTuple):
     """Where block ``first`` (its first row) slips, f + g has factor(s) l in place of its l, s = |y|; factor(0) = 1."""
 
     first: int
@@ -68,9 +68,9 @@ class ContinuousProblem:
     multipliers: ca.SX | None = None
     outputs: ca.SX | None = None
     declared: tuple[str, ...] = ()
-    ends: tuple[Ends, ...] = ()
+    ends: tuple[LawEnds, ...] = ()
     records: Mapping[str, ca.SX] = field(default_factory=dict)
-    growths: tuple[Growth, ...] = ()
+    growths: tuple[SlipGrowth, ...] = ()
     impulses: bool = False
     held: int = 0
     updates: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
@@ -78,7 +78,7 @@ class ContinuousProblem:
     updaters: tuple[str, ...] = ()
 
     @property
-    def sliding(self) -> tuple[str, ...]:
+    def sliding_law_names(self) -> tuple[str, ...]:
         """The blocks whose l, or what stands for it, moves while they slip: by the names of their laws, or of their rows."""
         curved = tuple(block.label for _, block in self.law.parts() if not block.separable)
         return curved + tuple(self.rows[growth.first] for growth in self.growths)
@@ -108,7 +108,7 @@ class ContinuousProblem:
         starts = {rows.start: rows for rows, _ in self.law.parts()}
         for growth in self.growths:
             own = starts[growth.first]
-            size = ca.sqrt(ca.sumsqr(self.h[own]) + TINY**2)
+            size = ca.sqrt(ca.sumsqr(self.h[own]) + TINY_SPEED**2)
             whole = ca.substitute(whole, l[own], ca.substitute(growth.factor, growth.s, size) * l[own])
         return whole
 
@@ -118,9 +118,9 @@ class ContinuousProblem:
             return None
         known, here = ca.vertcat(self.t, self.x), np.array([t, *x])
         rate = ca.Function("rate", [known], [ca.vertcat(1, self.f)])  # of t and inputs, which alone move the ends
-        later = here + after * np.array(rate(here)).ravel()
-        for values in (here, later):
-            if (found := no_set(self.ends, known, values, float(values[0]))) is not None:
+        ahead = here + after * np.array(rate(here)).ravel()
+        for values in (here, ahead):
+            if (found := find_invalid_row(self.ends, known, values, float(values[0]))) is not None:
                 return EmptyLawError(found.text, component=found.name)
         return None
 

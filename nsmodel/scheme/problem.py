@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
-from nsmodel.laws.block import Rewritten
-from nsmodel.laws.moving import Ends
+from nsmodel.laws.block import RewrittenLaw
+from nsmodel.laws.moving import LawEnds
 from nsmodel.model.convex import ConvexSplit
 from nsmodel.model.expressions import derivatives
-from nsmodel.proof.graph import column, operations
+from nsmodel.proof.graph import operation_codes, stack_column
 
 
 class SchemeOrder(NamedTuple):
@@ -25,7 +25,7 @@ class SchemeOrder(NamedTuple):
     lowered_by: tuple[int, ...] = ()
 
     @classmethod
-    def of_weights(cls, theta: float, gamma: float, r: ca.SX, moving: ca.SX, law: Law, Y: ca.SX, through: ca.SX) -> SchemeOrder:
+    def from_weights(cls, theta: float, gamma: float, r: ca.SX, moving: ca.SX, law: Law, Y: ca.SX, through: ca.SX) -> SchemeOrder:
         """Of the theta-gamma scheme: 2 for theta = gamma = 1/2, and for theta = 1/2 where a constant r does for the whole step.
 
         That is where r is a function of l alone (``moving``: what else it might depend on), and each l_i stays at its end, or is
@@ -93,7 +93,7 @@ class OneStepProblem:
         gap: the record of how far next_state is inside what it is projected on, where it is; else "".
         prediction: how the state is made of the model's, where it is a predictor; else None.
         explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
-        inputs: how many inputs the state carries behind its own: u(t_k+), then u(t_{k+1}-); see `carrying`.
+        inputs: how many inputs the state carries behind its own: u(t_k+), then u(t_{k+1}-); see `with_carried_inputs`.
         assumed: expressions of the parameters that are > 0 where the problem is this one; elsewhere it has another form.
     """
 
@@ -114,7 +114,7 @@ class OneStepProblem:
     multipliers: ca.SX | None = None
     outputs: ca.SX | None = None
     declared: tuple[str, ...] = ()
-    ends: tuple[Ends, ...] = ()
+    ends: tuple[LawEnds, ...] = ()
     scale: ca.SX | None = None
     records: dict[str, ca.SX] = field(default_factory=dict)
     overreach: ca.SX | None = None
@@ -141,7 +141,7 @@ class OneStepProblem:
         return E_z, E_l, Y_z, Y_l
 
     @cached_property
-    def settled(self) -> tuple[ca.SX, ca.SX]:
+    def explicit_eliminated(self) -> tuple[ca.SX, ca.SX]:
         """(z, E) with the explicit unknowns as their rows give them: E is 0 there."""
         rows = list(self.explicit)
         if not rows:
@@ -152,7 +152,7 @@ class OneStepProblem:
         return z, E
 
 
-def carrying(problem: OneStepProblem, begin: ca.SX, end: ca.SX) -> OneStepProblem:
+def with_carried_inputs(problem: OneStepProblem, begin: ca.SX, end: ca.SX) -> OneStepProblem:
     """The problem with the inputs u(t_k+) = begin and u(t_{k+1}-) = end behind its state: a step passes them on as they are.
 
     Whoever steps sets them before each step; so all that knows states knows inputs.
@@ -162,7 +162,7 @@ def carrying(problem: OneStepProblem, begin: ca.SX, end: ca.SX) -> OneStepProble
     both, start = ca.vertcat(begin, end), problem.start
     return replace(
         problem, state=ca.vertcat(problem.state, both), next_state=ca.vertcat(problem.next_state, both), inputs=begin.numel(),
-        start=None if start is None else carrying(start, begin, end),
+        start=None if start is None else with_carried_inputs(start, begin, end),
     )  # fmt: skip
 
 
@@ -171,9 +171,9 @@ def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:
     return tuple(sorted(set(ca.jacobian_sparsity(Y, l).row())))
 
 
-def basic_law(
+def rewrite_as_basic_law(
     law: Law, names: tuple[str, ...], y: ca.SX, driven: ca.SX, at: ca.SX | None = None, *, guarded: bool = True
-) -> Rewritten:  # fmt: skip
+) -> RewrittenLaw:  # fmt: skip
     """Rewrite what is no basic law, such as a polyhedron, or moves, in terms of boxes and curved sets with numbers.
 
     Args:
@@ -185,46 +185,49 @@ def basic_law(
     """
     parts, moving = [], driven
     if at is not None and any(law.moves(driven)):
-        law, moving = law.put(driven, at), column(ca.symvar(at))
+        law, moving = law.put(driven, at), stack_column(ca.symvar(at))
     for rows, block in law.parts():
         l = ca.SX.sym("l", block.size)
         own = y[rows.start : rows.stop], tuple(names[rows])
-        parts.append(block.rewritten(*own, moving, guarded=guarded) or Rewritten(Law((block,)), l, l, own[1], own[0]))
+        parts.append(block.rewritten(*own, moving, guarded=guarded) or RewrittenLaw(Law((block,)), l, l, own[1], own[0]))
     labels = tuple(name for part in parts for name in part.rows)
     ends = tuple(end for part in parts for end in part.ends)
-    scale = _stack([ca.SX.ones(part.l.numel()) if part.scale is None else part.scale for part in parts]) if ends else None
-    return Rewritten(
-        product(*(part.law for part in parts)), _stack([part.l for part in parts]),
-        _stack([part.multipliers for part in parts]), labels, _stack([part.y for part in parts]), ends, scale,
+    scale = _stack_symbols([ca.SX.ones(part.l.numel()) if part.scale is None else part.scale for part in parts]) if ends else None
+    return RewrittenLaw(
+        product(*(part.law for part in parts)), _stack_symbols([part.l for part in parts]),
+        _stack_symbols([part.multipliers for part in parts]), labels, _stack_symbols([part.y for part in parts]), ends, scale,
     )  # fmt: skip
 
 
-def shown(outputs: ca.SX, y: ca.SX, ends: tuple[Ends, ...]) -> ca.SX:
+def moving_law_outputs(outputs: ca.SX, y: ca.SX, ends: tuple[LawEnds, ...]) -> ca.SX:
     """The declared outputs of a law that moves: y itself, which is exactly 0 where it is, where each row has one."""
     return y if ends and outputs.shape == y.shape else outputs
 
 
-class AtRest(NamedTuple):
+class StationaryParts(NamedTuple):
     """Parts of a problem in the symbols ``l`` of a law that stays; ``multipliers``: those declared, None where they are l."""
 
     law: Law
     l: ca.SX
     multipliers: ca.SX | None
-    ends: tuple[Ends, ...]
+    ends: tuple[LawEnds, ...]
     scale: ca.SX | None
     parts: list[ca.SX]
 
 
-def at_rest(law: Law, names: tuple[str, ...], l: ca.SX, driven: ca.SX, parts: Sequence[ca.SX]) -> AtRest:
-    """Write parts of a problem, expressions of the multipliers l of ``law``, in those of one that stays; see `basic_law`."""
+def stationary_parts(law: Law, names: tuple[str, ...], l: ca.SX, driven: ca.SX, parts: Sequence[ca.SX]) -> StationaryParts:
+    """Write parts of a problem, expressions of the multipliers l of ``law``, in those of one that stays.
+
+    See `rewrite_as_basic_law`.
+    """
     if not any(law.moves(driven)):
-        return AtRest(law, l, None, (), None, list(parts))
-    basic = basic_law(law, names, ca.SX.sym("y", l.numel()), driven)
+        return StationaryParts(law, l, None, (), None, list(parts))
+    basic = rewrite_as_basic_law(law, names, ca.SX.sym("y", l.numel()), driven)
     parts = ca.substitute(list(parts), [l], [basic.multipliers])
-    return AtRest(basic.law, basic.l, basic.multipliers, basic.ends, basic.scale, parts)
+    return StationaryParts(basic.law, basic.l, basic.multipliers, basic.ends, basic.scale, parts)
 
 
-ENDING = {ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATANH}  # Their derivatives are numbers also where they are none.
+DOMAIN_OPERATIONS = {ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATANH}  # Their derivatives are numbers also where they are none.
 
 
 class Subdifferential(NamedTuple):
@@ -262,9 +265,9 @@ def subdifferential(phi: ConvexSplit, y: ca.SX, name: str) -> Subdifferential:
         us += [ca.gradient(lagrangian, phi.tau), gaps]
         rows += [f"{name} level {j}" for j in range(phi.tau.numel())] + [f"{name} piece {i}" for i in range(n.numel())]
     force = -ca.gradient(lagrangian, y)
-    if operations(phi.smooth) & ENDING:
+    if operation_codes(phi.smooth) & DOMAIN_OPERATIONS:
         force = ca.if_else(ca.fabs(phi.smooth) < np.inf, force, np.nan)
-    return Subdifferential(product(*laws), _stack(symbols), force, _stack(us), tuple(rows))
+    return Subdifferential(product(*laws), _stack_symbols(symbols), force, _stack_symbols(us), tuple(rows))
 
 
 _LAW_OF_TERM = {
@@ -277,5 +280,5 @@ _LAW_OF_TERM = {
 }
 
 
-def _stack(columns: list[ca.SX]) -> ca.SX:
+def _stack_symbols(columns: list[ca.SX]) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *columns)

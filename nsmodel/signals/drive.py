@@ -9,11 +9,11 @@ import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.signals.pwm import Pwm
-from nsmodel.signals.signal import Signal, earlier, later
+from nsmodel.signals.signal import Signal, just_after, just_before
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class InputSchedule:
     """Signals, by input, up to t_end.
 
     Attributes:
@@ -26,16 +26,16 @@ class Drive:
     jumps: np.ndarray
 
     @classmethod
-    def of(cls, signals: Mapping[str, Signal], t_end: float, ticks: Sequence[np.ndarray] = ()) -> Drive:
+    def of(cls, signals: Mapping[str, Signal], t_end: float, ticks: Sequence[np.ndarray] = ()) -> InputSchedule:
         """Look for the points, with ``ticks`` of blocks; ModelError where a signal is none up to there."""
         for name, signal in signals.items():
-            signal.refuse(f"input '{name}'", t_end)
+            signal.check_valid(f"input '{name}'", t_end)
         edges = [signal.edges(t_end) for signal in signals.values()]
         kinks = [signal.kinks(t_end) for signal in signals.values()]
-        points = as_one(np.concatenate([*edges, *kinks, *ticks, np.zeros(0)]))
-        points = points[points < earlier(np.array(t_end))]
+        points = merge_near_times(np.concatenate([*edges, *kinks, *ticks, np.zeros(0)]))
+        points = points[points < just_before(np.array(t_end))]
         jumps = np.concatenate([*edges, np.zeros(0)])
-        at = np.searchsorted(points, earlier(jumps))
+        at = np.searchsorted(points, just_before(jumps))
         return cls(signals, points, points[np.unique(at[at < points.size])] if points.size else points)
 
     @property
@@ -43,17 +43,17 @@ class Drive:
         """The most edges between two points that blocks place."""
         return sum(signal.moving for signal in self.signals.values())
 
-    def holding(self, kept: Mapping[str, np.ndarray]) -> Drive:
+    def holding(self, kept: Mapping[str, np.ndarray]) -> InputSchedule:
         """The signals with what blocks hold now."""
         return replace(self, signals={name: signal.holding(kept) for name, signal in self.signals.items()})
 
     def within(self, a: float, b: float) -> np.ndarray:
         """Both times, and between them the edges of PWMs that blocks have placed."""
         found = [signal.pulse(a) for signal in self.signals.values() if isinstance(signal, Pwm)]
-        times = as_one(np.concatenate([*found, np.zeros(0)]))
-        return np.concatenate([[a], times[(times > later(np.array(a))) & (times < earlier(np.array(b)))], [b]])
+        times = merge_near_times(np.concatenate([*found, np.zeros(0)]))
+        return np.concatenate([[a], times[(times > just_after(np.array(a))) & (times < just_before(np.array(b)))], [b]])
 
-    def refuse_count(self, N: int) -> None:
+    def check_step_counts(self, N: int) -> None:
         """UsageError where a signal is for another number of steps than a run's."""
         for name, signal in self.signals.items():
             if signal.count is not None and signal.count != N:
@@ -69,10 +69,10 @@ class Drive:
         both = [signal.limits(t, number) for signal in self.signals.values()]
         return np.hstack([part for side in (0, 1) for part in (limits[side] for limits in both)])
 
-    def turns(self, times: np.ndarray | None) -> list[int]:
+    def jump_steps(self, times: np.ndarray | None) -> list[int]:
         """The numbers, in order, of the steps that begin with a jump, of a grid with these times; None: it ends at no edge."""
         at = np.zeros(0, int) if times is None else np.searchsorted(times, self.jumps)
-        return np.unique(np.concatenate([at, *(signal.turns for signal in self.signals.values())])).tolist()
+        return np.unique(np.concatenate([at, *(signal.jump_steps for signal in self.signals.values())])).tolist()
 
     def rows(self, t: np.ndarray, before: np.ndarray) -> dict[str, np.ndarray]:
         """The columns of rows at t (N,), each after a row at another time: u(t-), and u+ at that other time; at 0 u(0+) both."""
@@ -81,7 +81,7 @@ class Drive:
         return {"inputs": np.where(t[:, None] > 0, end, begin), "inputs_begin": begin}
 
 
-def as_one(times: np.ndarray) -> np.ndarray:
+def merge_near_times(times: np.ndarray) -> np.ndarray:
     """Times after 0, in order; of those that are near each other the first."""
     times = np.sort(times[times > 0])
-    return times[np.append(True, times[1:] > later(times[:-1]))] if times.size else times
+    return times[np.append(True, times[1:] > just_after(times[:-1]))] if times.size else times

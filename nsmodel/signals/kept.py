@@ -7,20 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
+from nsmodel.later import former_names
 from nsmodel.signals.bounds import Within
-from nsmodel.signals.signal import Held, Signal
+from nsmodel.signals.signal import ConstantSignal, Signal
 
 
 @dataclass(frozen=True, eq=False)
-class Kept(Held):
+class HeldSignal(ConstantSignal):
     """The entry of an input that the block ``by`` sets; until a run says what it is, 0."""
 
     name: str
     by: str
     few: tuple[float, ...] | None = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def values_taken(self) -> int | None:
@@ -33,4 +34,7 @@ class Kept(Held):
 
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
         """What is held now."""
-        return Held(kept[self.name])
+        return ConstantSignal(kept[self.name])
+
+
+__getattr__ = former_names(__name__, Kept="HeldSignal")

@@ -9,13 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
 from nsmodel.signals.bounds import Within
-from nsmodel.signals.kept import Kept
-from nsmodel.signals.signal import Held, Signal, constant, earlier, later, numbers, one_of
+from nsmodel.signals.kept import HeldSignal
+from nsmodel.signals.signal import ConstantSignal, Signal, check_choice, constant_bounds, just_after, just_before, read_numbers
 
-KINDS = ("trailing", "leading", "centre")
+PWM_KINDS = ("trailing", "leading", "centre")
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Pwm(Signal):
     high: float
     kind: str
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def flat(self) -> bool:
@@ -44,19 +44,19 @@ class Pwm(Signal):
     @property
     def moving(self) -> int:
         """The edges within a period, whose begin is known, where a block says how long pulses are."""
-        return {"centre": 2}.get(self.kind, 1) if isinstance(self.duty, Kept) else 0
+        return {"centre": 2}.get(self.kind, 1) if isinstance(self.duty, HeldSignal) else 0
 
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
         """The PWM with the duty that is held now."""
-        return replace(self, duty=self.duty.holding(kept)) if isinstance(self.duty, Kept) else self
+        return replace(self, duty=self.duty.holding(kept)) if isinstance(self.duty, HeldSignal) else self
 
     def in_time(self, tau: float) -> Pwm:
         """With another period and phase, and its duty in that time."""
         return replace(self, period=tau * self.period, phase=tau * self.phase, duty=self.duty.in_time(tau))
 
-    def refuse(self, label: str, t_end: float) -> None:
+    def check_valid(self, label: str, t_end: float) -> None:
         """A duty that leaves [0, 1]."""
-        self.duty.refuse(label, t_end)
+        self.duty.check_valid(label, t_end)
         t, duty = self._duties(self._periods(t_end))
         for i in np.flatnonzero(~((duty >= 0) & (duty <= 1)))[:1]:
             raise ModelError(f"{label}: its duty is {duty[i]:g} at t = {t[i]:.10g}; expected a number from 0 to 1")
@@ -79,27 +79,27 @@ class Pwm(Signal):
 
     def pulse(self, t: float) -> np.ndarray:
         """When the pulse of the period of a time begins and ends."""
-        return np.concatenate(self._pulses(np.floor((later(np.array([t])) - self.phase) / self.period)))
+        return np.concatenate(self._pulses(np.floor((just_after(np.array([t])) - self.phase) / self.period)))
 
     def edges(self, t_end: float) -> np.ndarray:
         """Where pulses begin and end, not where one ends as the next begins; where periods begin, if blocks place the pulses."""
-        if isinstance(self.duty, Kept):
+        if isinstance(self.duty, HeldSignal):
             begins = self.phase + self._periods(t_end) * self.period
             return begins[(begins >= 0) & (begins <= t_end)]
         begin, end = self._pulses(self._periods(t_end))
-        real = end > later(begin)
+        real = end > just_after(begin)
         begin, end = begin[real], end[real]
-        apart = begin[1:] > later(end[:-1])
-        found = np.concatenate([begin[:1], begin[1:][apart], end[:-1][apart], end[-1:]])
+        separate = begin[1:] > just_after(end[:-1])
+        found = np.concatenate([begin[:1], begin[1:][separate], end[:-1][separate], end[-1:]])
         return np.sort(found[(found >= 0) & (found <= t_end)])
 
     def after(self, t: np.ndarray) -> np.ndarray:
         """High within pulses, their begin included."""
-        return self._value(later(t))
+        return self._value(just_after(t))
 
     def before(self, t: np.ndarray) -> np.ndarray:
         """High within pulses, their end included."""
-        return self._value(earlier(t))
+        return self._value(just_before(t))
 
     def within(self, t_end: float) -> Within:
         """Low and high; one of them where no pulse begins or ends."""
@@ -108,7 +108,7 @@ class Pwm(Signal):
             return Within(np.full(1, low), np.full(1, high), None, None)
         first = self.after(np.zeros(1))[0]
         if self.jump(t_end) is None and t_end > 0:
-            return constant(first)
+            return constant_bounds(first)
         return Within(np.full(1, low), np.full(1, high), None, first)
 
     def _value(self, t: np.ndarray) -> np.ndarray:
@@ -137,15 +137,15 @@ def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high:
     Raises:
         ModelError: a period that is not > 0, a duty outside [0, 1].
     """
-    one_of("pwm", "kind", kind, KINDS)
+    check_choice("pwm", "kind", kind, PWM_KINDS)
     given = {"period": period, "phase": phase, "low": low, "high": high}
-    values = {name: float(numbers("pwm", name, value, 0)) for name, value in given.items()}
+    values = {name: float(read_numbers("pwm", name, value, 0)) for name, value in given.items()}
     if not values["period"] > 0:
         raise ModelError(f"pwm: period = {period:g}; expected a time > 0")
     if isinstance(duty, Signal) and duty.size != 1:
         raise ModelError(f"pwm: duty has {duty.size} values; expected one")
     if not isinstance(duty, Signal) and not _is_expression(duty):
-        duty = Held(numbers("pwm", "duty", duty, 0).reshape(1))
+        duty = ConstantSignal(read_numbers("pwm", "duty", duty, 0).reshape(1))
         if not 0 <= duty.values[0] <= 1:
             raise ModelError(f"pwm: duty = {duty.values[0]:g}; expected a number from 0 to 1")
     return Pwm(duty=duty, kind=kind, **values)

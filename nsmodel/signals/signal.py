@@ -8,16 +8,17 @@ from typing import Any, Self
 
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.pickled import Pickled
-from nsmodel.signals.bounds import Jump, Within
+from nsmodel.later import former_names
+from nsmodel.pickled import Picklable
+from nsmodel.signals.bounds import SignalJump, Within
 
-NEAR = 16 * np.finfo(float).eps  # Times that are nearer than this part of the larger are one.
-UP = 1 + 16 * np.finfo(float).eps  # More than a quotient and a few sums lose.
+NEAR_TOLERANCE = 16 * np.finfo(float).eps  # Times that are nearer than this part of the larger are one.
+ROUND_UP_FACTOR = 1 + 16 * np.finfo(float).eps  # More than a quotient and a few sums lose.
 
 
-class Signal(Pickled):
+class Signal(Picklable):
     """A known function u(t) of ``size`` values; a step from a to b sees u(a+) at its begin and u(b-) at its end."""
 
     @property
@@ -46,7 +47,7 @@ class Signal(Pickled):
         return None
 
     @property
-    def turns(self) -> np.ndarray:
+    def jump_steps(self) -> np.ndarray:
         """The numbers of the steps that begin with a jump, of a signal that is for so many steps."""
         return np.zeros(0, int)
 
@@ -59,7 +60,7 @@ class Signal(Pickled):
         """The signal where times are tau times as large: u(t / tau)."""
         raise NotImplementedError
 
-    def refuse(self, label: str, t_end: float) -> None:
+    def check_valid(self, label: str, t_end: float) -> None:
         """Raise ModelError, naming the input ``label``, where it is no such signal up to ``t_end``."""
 
     def edges(self, t_end: float) -> np.ndarray:
@@ -96,14 +97,14 @@ class Signal(Pickled):
         del t_end
         return None
 
-    def jump(self, t_end: float) -> Jump | None:
+    def jump(self, t_end: float) -> SignalJump | None:
         """The largest of its jumps after 0 and before ``t_end``; None where none is known."""
         at = self.edges(t_end)
-        at = at[(at > 0) & (at < earlier(np.array(t_end)))]
+        at = at[(at > 0) & (at < just_before(np.array(t_end)))]
         before, after = self.before(at), self.after(at)
         size = np.abs(after - before).max(axis=1, initial=0.0)
         k = int(size.argmax()) if size.size else -1
-        return Jump(float(at[k]), before[k], after[k]) if k >= 0 and size[k] > 0 else None
+        return SignalJump(float(at[k]), before[k], after[k]) if k >= 0 and size[k] > 0 else None
 
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """u(a+) and u(b-) of the steps between times t (K + 1,), the first of which has this number: (K, size) each."""
@@ -112,12 +113,12 @@ class Signal(Pickled):
 
 
 @dataclass(frozen=True, eq=False)
-class Held(Signal):
+class ConstantSignal(Signal):
     """The same values (nu,) for ever."""
 
     values: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def size(self) -> int:
@@ -148,39 +149,39 @@ class Held(Signal):
     def within(self, t_end: float) -> Within | None:
         """Its values."""
         del t_end
-        return constant(self.values)
+        return constant_bounds(self.values)
 
 
-def constant(values: np.ndarray) -> Within:
+def constant_bounds(values: np.ndarray) -> Within:
     """Bounds of a signal that does not move."""
     return Within(values, values, np.zeros(values.size), values)
 
 
-def later(t: np.ndarray) -> np.ndarray:
+def just_after(t: np.ndarray) -> np.ndarray:
     """Times after which what is one with t lies."""
-    return t + NEAR * np.abs(t)
+    return t + NEAR_TOLERANCE * np.abs(t)
 
 
-def earlier(t: np.ndarray) -> np.ndarray:
+def just_before(t: np.ndarray) -> np.ndarray:
     """Times before which what is one with t lies."""
-    return t - NEAR * np.abs(t)
+    return t - NEAR_TOLERANCE * np.abs(t)
 
 
-def one_of(label: str, name: str, value: Any, known: Sequence[str]) -> str:
+def check_choice(label: str, name: str, value: Any, known: Sequence[str]) -> str:
     """A word among those known; else ModelError."""
     if value not in known:
         raise ModelError(f"{label}: {name} = {value!r}; expected one of {', '.join(known)}")
     return value
 
 
-def increasing(label: str, what: str, t: np.ndarray, *, strictly: bool) -> None:
+def check_increasing(label: str, what: str, t: np.ndarray, *, strictly: bool) -> None:
     """Refuse times that are out of order."""
     wrong = np.diff(t) <= 0 if strictly else np.diff(t) < 0
     for i in np.flatnonzero(wrong)[:1]:
         raise ModelError(f"{label}: {what}[{i + 1}] = {t[i + 1]:.10g} is not after {what}[{i}] = {t[i]:.10g}; give them in order")
 
 
-def numbers(label: str, what: str, value: Any, *dimensions: int) -> np.ndarray:
+def read_numbers(label: str, what: str, value: Any, *dimensions: int) -> np.ndarray:
     """An array of finite numbers with one of these numbers of dimensions; else ModelError."""
     try:
         array = np.asarray(value, float)
@@ -193,3 +194,6 @@ def numbers(label: str, what: str, value: Any, *dimensions: int) -> np.ndarray:
         where = f"[{', '.join(map(str, at))}]" if at.size else ""
         raise ModelError(f"{label}: {what}{where} = {array[tuple(at)]:g}; expected finite numbers")
     return array
+
+
+__getattr__ = former_names(__name__, Held="ConstantSignal")

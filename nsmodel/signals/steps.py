@@ -7,9 +7,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from nsmodel.brief import brief
-from nsmodel.signals.bounds import Jump, Within
-from nsmodel.signals.signal import Signal, constant, numbers
+from nsmodel.brief import short_repr
+from nsmodel.signals.bounds import SignalJump, Within
+from nsmodel.signals.signal import Signal, constant_bounds, read_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class Steps(Signal):
 
     values: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def size(self) -> int:
@@ -31,7 +31,7 @@ class Steps(Signal):
         return len(self.values)
 
     @property
-    def turns(self) -> np.ndarray:
+    def jump_steps(self) -> np.ndarray:
         """Those whose row is another than the one before."""
         return np.flatnonzero((np.diff(self.values, axis=0) != 0).any(axis=1)) + 1
 
@@ -44,13 +44,13 @@ class Steps(Signal):
         """The least and the largest of each column."""
         del t_end
         low, high = self.values.min(axis=0), self.values.max(axis=0)
-        return constant(low) if (low == high).all() else Within(low, high, None, self.values[0])
+        return constant_bounds(low) if (low == high).all() else Within(low, high, None, self.values[0])
 
-    def jump(self, t_end: float) -> Jump | None:
+    def jump(self, t_end: float) -> SignalJump | None:
         """The largest change from a step to the next, of equal steps."""
         size = np.abs(np.diff(self.values, axis=0)).max(axis=1, initial=0.0)
         k = int(size.argmax()) if size.size else 0
-        return Jump(t_end * (k + 1) / self.count, *self.values[k : k + 2]) if size.any() else None
+        return SignalJump(t_end * (k + 1) / self.count, *self.values[k : k + 2]) if size.any() else None
 
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """The rows of the steps."""
@@ -66,5 +66,5 @@ def steps(values: Any) -> Steps:
     Raises:
         ModelError: NaN, another shape. When a run begins, UsageError: another number of rows than steps.
     """
-    given = numbers("steps", "values", values, 1, 2)
+    given = read_numbers("steps", "values", values, 1, 2)
     return Steps(given.reshape(len(given), -1))

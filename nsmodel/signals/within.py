@@ -8,7 +8,7 @@ import numpy as np
 
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.signals.bounds import Within
-from nsmodel.signals.signal import numbers
+from nsmodel.signals.signal import read_numbers
 
 
 def within(low: Any, high: Any, rate: Any = None, *, start: Any = None) -> Within:
@@ -25,7 +25,7 @@ def within(low: Any, high: Any, rate: Any = None, *, start: Any = None) -> Withi
     >>> within(-1, 1, rate=5).rate
     array(5.)
     """
-    bounds = {name: None if value is None else _numbers(name, value) for name, value in locals().items()}
+    bounds = {name: None if value is None else _bound_numbers(name, value) for name, value in locals().items()}
     a, b, speed, first = (bounds[name] for name in ("low", "high", "rate", "start"))
     if a is None or b is None:
         raise UsageError(f"within: low = {low}, high = {high}; expected finite numbers, low <= high")
@@ -44,10 +44,10 @@ def within(low: Any, high: Any, rate: Any = None, *, start: Any = None) -> Withi
     return Within(a, b, speed, first)
 
 
-def _numbers(name: str, value: Any) -> np.ndarray:
+def _bound_numbers(name: str, value: Any) -> np.ndarray:
     if isinstance(value, bool | str):
         raise UsageError(f"within: {name} = {value!r}; expected a number, or a list of them")
     try:
-        return numbers("within", name, value, 0, 1)
+        return read_numbers("within", name, value, 0, 1)
     except ModelError as error:
         raise UsageError(str(error)) from None

@@ -15,15 +15,15 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, reve
 from scipy.sparse.linalg import LinearOperator, splu
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.rounding import scales
+from nsmodel.solve.rounding import ruiz_scales
 
-BAND = 48  # Diagonals above or below the main one up to which a band is factored.
+MAX_BANDWIDTH = 48  # Diagonals above or below the main one up to which a band is factored.
 SINGULAR_PIVOT = 1e-13  # Pivots below this, of entries of about 1, are round-off.
-FACTORS = 3  # Index sets whose factors are kept, for each step size.
+MAX_KEPT_FACTORS = 3  # Index sets whose factors are kept, for each step size.
 
 
 @dataclass(frozen=True)
-class BandOrder:
+class BandOrdering:
     """Where each unknown and equation stands in the band, and how wide that is: ``below`` and ``above`` the diagonal."""
 
     place: np.ndarray
@@ -33,10 +33,10 @@ class BandOrder:
     @property
     def is_band(self) -> bool:
         """Whether the band is narrow enough to be factored as one."""
-        return max(self.below, self.above) <= BAND
+        return max(self.below, self.above) <= MAX_BANDWIDTH
 
 
-def order(J: sp.csr_matrix) -> BandOrder:
+def band_ordering(J: sp.csr_matrix) -> BandOrdering:
     """The narrower one of two orders: reverse Cuthill and McKee, and by distance from an end of the graph."""
     size = J.indptr.size - 1
     graph = (abs(J) + abs(J.T) + sp.eye(size)).tocsr()
@@ -50,29 +50,29 @@ def order(J: sp.csr_matrix) -> BandOrder:
         place[chosen] = np.arange(size)
         entries = J.tocoo()
         offset = place[entries.row] - place[entries.col]
-        found.append(BandOrder(place, int(offset.max(initial=0)), int(-offset.min(initial=0))))
+        found.append(BandOrdering(place, int(offset.max(initial=0)), int(-offset.min(initial=0))))
     return min(found, key=lambda o: o.below * (o.below + o.above))
 
 
-class Singular(ArithmeticError):
+class SingularMatrixError(ArithmeticError):
     """The matrix of an index set is singular to rounding."""
 
 
-class AtStep:
+class FactoredJacobian:
     """J at one h, in scaled and ordered form, with the factors of the index sets met last.
 
     Raises:
         numpy.linalg.LinAlgError: E_z is singular at this h.
     """
 
-    def __init__(self, J: sp.csr_matrix, n: int, like: AtStep | None = None) -> None:
+    def __init__(self, J: sp.csr_matrix, n: int, like: FactoredJacobian | None = None) -> None:
         """Prepare J (n unknowns z); ``like``: another h, whose order is that of a J with the same nonzeros."""
         same = like is not None and np.array_equal(J.indptr, like.J.indptr) and np.array_equal(J.indices, like.J.indices)
-        self.J, self.n, self.order = J, n, like.order if like is not None and same else order(J)
+        self.J, self.n, self.order = J, n, like.order if like is not None and same else band_ordering(J)
         self.sizes, self.diagonal = abs(J), J.diagonal()
         self.others = (J[:n, :n] - sp.diags(self.diagonal[:n])).tocsr()
         size, entries, place = self.diagonal.size, J.tocoo(), self.order.place
-        self.rows, self.columns = scales(entries.row, entries.col, np.abs(entries.data), size)
+        self.rows, self.columns = ruiz_scales(entries.row, entries.col, np.abs(entries.data), size)
         own = entries.row == entries.col  # every diagonal entry is there, once, at the end
         self._row = np.concatenate([entries.row[~own], np.arange(size)])
         self._values = np.concatenate([(entries.data * self.rows[entries.row] * self.columns[entries.col])[~own], np.zeros(size)])
@@ -82,7 +82,7 @@ class AtStep:
         self._factors: dict[tuple[bytes, float], Any] = {}
         try:
             self.factor(np.ones(size - n, bool), 0.0)
-        except Singular:
+        except SingularMatrixError:
             raise np.linalg.LinAlgError from None
 
     def factor(self, held: np.ndarray, shift: float) -> Any:
@@ -93,12 +93,12 @@ class AtStep:
         """
         key = held.tobytes(), shift
         if key not in self._factors:
-            if len(self._factors) >= FACTORS:
+            if len(self._factors) >= MAX_KEPT_FACTORS:
                 self._factors.pop(next(iter(self._factors)))
-            self._factors[key] = self._factored(held, shift)
+            self._factors[key] = self._factorise(held, shift)
         return self._factors[key]
 
-    def _factored(self, held: np.ndarray, shift: float) -> Any:
+    def _factorise(self, held: np.ndarray, shift: float) -> Any:
         rows = np.concatenate([np.zeros(self.n, bool), held])
         values = np.where(rows[self._row], 0.0, self._values)
         values[self._own] += np.where(rows, 1.0, 0.0)
@@ -110,14 +110,14 @@ class AtStep:
             band[below + above + i - j, j] = values
             lu, pivots, info = dgbtrf(band, below, above, overwrite_ab=True)
             if info != 0 or not np.abs(lu[below + above]).min(initial=1.0) > SINGULAR_PIVOT:
-                raise Singular
+                raise SingularMatrixError
             return lu, pivots
         try:
             lu = splu(sp.csc_matrix((values, (i, j)), shape=(rows.size, rows.size)))
         except RuntimeError:
-            raise Singular from None
+            raise SingularMatrixError from None
         if not np.abs(lu.U.diagonal()).min(initial=1.0) > SINGULAR_PIVOT:
-            raise Singular
+            raise SingularMatrixError
         return lu
 
     def solve(self, factor: Any, rhs: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -125,9 +125,9 @@ class AtStep:
         v = rhs * self.rows
         ends = self.n + np.flatnonzero(held)
         v[ends] = rhs[ends] / self.columns[ends]
-        return self._ordered(factor, v, False) * self.columns
+        return self._solve_ordered(factor, v, False) * self.columns
 
-    def _ordered(self, factor: Any, v: np.ndarray, transposed: bool) -> np.ndarray:
+    def _solve_ordered(self, factor: Any, v: np.ndarray, transposed: bool) -> np.ndarray:
         w = np.empty_like(v)
         w[self.order.place] = v
         if self.order.is_band:
@@ -149,37 +149,37 @@ class AtStep:
         held = np.ones(m, bool)
         factor, Y = self.factor(held, 0.0), self.J[n:]
 
-        def times(v: np.ndarray) -> np.ndarray:
+        def multiply(v: np.ndarray) -> np.ndarray:
             return Y @ self.solve(factor, np.concatenate([np.zeros(n), np.ravel(v)]), held)
 
-        def transposed(v: np.ndarray) -> np.ndarray:
-            w = self._ordered(factor, (Y.T @ np.ravel(v)) * self.columns, True)
+        def multiply_transposed(v: np.ndarray) -> np.ndarray:
+            w = self._solve_ordered(factor, (Y.T @ np.ravel(v)) * self.columns, True)
             return w[n:] / self.columns[n:]
 
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (8, m))
-        d = np.sqrt(np.mean([np.abs(times(v)) for v in signs], axis=0))
+        d = np.sqrt(np.mean([np.abs(multiply(v)) for v in signs], axis=0))
         d[d == 0] = 1
 
         def scaled(product: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
             return lambda v: product(np.ravel(v) / d) / d
 
-        return LinearOperator((m, m), matvec=scaled(times), rmatvec=scaled(transposed))  # pyright: ignore[reportCallIssue]
+        return LinearOperator((m, m), matvec=scaled(multiply), rmatvec=scaled(multiply_transposed))  # pyright: ignore[reportCallIssue]
 
 
-def matrix_at(problem: OneStepProblem, h: float) -> sp.csr_matrix:
+def step_jacobian(problem: OneStepProblem, h: float) -> sp.csr_matrix:
     """J at h, where it depends on nothing else."""
-    return matrix_of(problem)(h)
+    return step_jacobian_function(problem)(h)
 
 
-def matrix_of(p: OneStepProblem) -> Callable[[float], sp.csr_matrix]:
+def step_jacobian_function(p: OneStepProblem) -> Callable[[float], sp.csr_matrix]:
     """J as a function of h."""
     E_z, E_l, Y_z, Y_l = p.jacobians
     known = ca.vertcat(p.t, p.state, p.z, p.l)
     function = ca.Function("J", [p.h, known], [ca.vertcat(ca.horzcat(E_z, E_l), ca.horzcat(Y_z, Y_l))])
 
-    def matrix(h: float) -> sp.csr_matrix:
+    def jacobian_at(h: float) -> sp.csr_matrix:
         J = function(h, ca.DM.zeros(known.numel())).sparse().tocsr()
         J.eliminate_zeros()
         return J
 
-    return matrix
+    return jacobian_at

@@ -11,14 +11,14 @@ import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.diagnose import empty
-from nsmodel.solve.stepper import StepResult, Warm
-from nsmodel.solve.structure import read
+from nsmodel.solve.diagnose import find_empty_law
+from nsmodel.solve.stepper import StepResult, WarmStart
+from nsmodel.solve.structure import read_step_structure
 
-MOST = 16  # Modes whose matrices are kept.
+MAX_KEPT_MODES = 16  # Modes whose matrices are kept.
 
 
-class ByMode:
+class ModewiseStepper:
     """A stepper for each mode, made where it is first met; what is asked of it but a step is that of the first.
 
     ``at``: where the state has the values that make a mode; ``names``: of the inputs.
@@ -32,54 +32,54 @@ class ByMode:
         self.problem, self._at, self._how = problem, np.array(at), (solver, tolerance)
         self._options: dict[str, Any] = {"h": h, "few_steps": few_steps}
         self._steppers: dict[bytes, Stepper] = {}
-        first = self._of(state)
+        first = self._stepper_for(state)
         self.plan = replace(first.plan, used=(*first.plan.used, f"matrices are kept for each mode of {', '.join(names)}"))
         self.layout, self.rows, self.structure, self.tolerance = first.layout, first.rows, first.structure, tolerance
-        self.repeats, self.cold, self.met = first.repeats, first.cold, first.met
+        self.repeats, self.cold_start, self.include_eigenvalue = first.repeats, first.cold_start, first.include_eigenvalue
 
     @property
     def least_eigenvalue(self) -> float:
         """The least of those met in all modes."""
         return min(stepper.least_eigenvalue for stepper in self._steppers.values())
 
-    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: WarmStart, k: int = 0) -> StepResult:
         """Take the step of the mode that the state is in."""
         try:
-            return self._of(state)(t, h, state, warm, k)
+            return self._stepper_for(state)(t, h, state, warm, k)
         except np.linalg.LinAlgError as error:
-            raise empty(self.problem, t, h, state) or error from None
+            raise find_empty_law(self.problem, t, h, state) or error from None
 
-    def _of(self, state: np.ndarray) -> Stepper:
+    def _stepper_for(self, state: np.ndarray) -> Stepper:
         key = state[self._at].tobytes()
         if key not in self._steppers:
-            if len(self._steppers) >= MOST:
+            if len(self._steppers) >= MAX_KEPT_MODES:
                 self._steppers.clear()
-            mode = in_mode(self.problem, self._at, state)
+            mode = substitute_mode(self.problem, self._at, state)
             self._steppers[key] = Stepper(mode, *self._how, state=state, **self._options)
         return self._steppers[key]
 
 
-def in_mode(problem: OneStepProblem, at: Sequence[int] | np.ndarray, state: np.ndarray) -> OneStepProblem:
+def substitute_mode(problem: OneStepProblem, at: Sequence[int] | np.ndarray, state: np.ndarray) -> OneStepProblem:
     """The problem with the numbers that a state has in some places; what a step passes on stays as it is."""
     symbols, values = problem.state[list(at)], ca.SX(state[list(at)].tolist())
 
-    def put(part: ca.SX | None) -> Any:
+    def substituted(part: ca.SX | None) -> Any:
         return None if part is None else ca.substitute(part, symbols, values)
 
     names = ("E", "Y", "guess", "multipliers", "outputs", "overreach")
     return replace(
-        problem, **{name: put(getattr(problem, name)) for name in names},
-        records={name: put(record) for name, record in problem.records.items()},
+        problem, **{name: substituted(getattr(problem, name)) for name in names},
+        records={name: substituted(record) for name, record in problem.records.items()},
     )  # fmt: skip
 
 
-def mode_places(problem: OneStepProblem, few: Sequence[int | None], state: np.ndarray) -> list[int]:
+def mode_state_indices(problem: OneStepProblem, few: Sequence[int | None], state: np.ndarray) -> list[int]:
     """Where the state has inputs of few values that the matrices move with; empty where these are not constant without them.
 
     ``few``: of each input how many values it takes, None: any.
     """
     nu, end = problem.inputs, problem.state.numel()
-    if not nu or read(problem).constant or not any(few):
+    if not nu or read_step_structure(problem).constant or not any(few):
         return []
     matrices = ca.veccat(*problem.jacobians)
     found, modes = [], 1
@@ -88,4 +88,8 @@ def mode_places(problem: OneStepProblem, few: Sequence[int | None], state: np.nd
         if places and count is not None:
             found += places
             modes *= count
-    return found if found and modes <= MOST and read(in_mode(problem, found, state)).constant else []
+    return (
+        found
+        if found and modes <= MAX_KEPT_MODES and read_step_structure(substitute_mode(problem, found, state)).constant
+        else []
+    )

@@ -1,8 +1,9 @@
 """Residuals from the definition of the law, without unit; what counts as rounding.
 
 A row passes if |r| <= tolerance * s + c u E: s is what moves or acts in the step, E the running error bound of evaluating the
-row in units of u (`rounding.error_bound`, and `rounding.felt` for what the unknowns themselves err by), c = ROUNDING. Terms that
-cancel enter with u, never with the tolerance. What is reported is |r| / (s + c u E / tolerance), to be at most the tolerance.
+row in units of u (`rounding.rounding_error_bound`, and `rounding.solution_errors` for what the unknowns themselves err by),
+c = ROUNDING. Terms that cancel enter with u, never with the tolerance. What is reported is |r| / (s + c u E / tolerance), to be
+at most the tolerance.
 
 With y = W l + b = b + Y_z (Z l) + Y_l l, w_i = max_j |W_ij| and s_y = |b| + |Y_z| |Z l| + |Y_l| |l|, s_l,i = s_y,i / w_i, the
 law's residual is the least max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Z l is
@@ -24,9 +25,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.laws import Curved, Law
-from nsmodel.laws.curved import norm
-from nsmodel.once import once
+from nsmodel.laws import CurvedSet, Law
+from nsmodel.laws.curved import safe_norm
+from nsmodel.once import cached_per_object
 from nsmodel.solve.rounding import INSIDE
 
 EPS = np.finfo(float).eps
@@ -45,7 +46,7 @@ class NumericLaw:
 
     lower: np.ndarray
     upper: np.ndarray
-    curved: tuple[tuple[slice, Curved], ...]
+    curved: tuple[tuple[slice, CurvedSet], ...]
 
     @property
     def size(self) -> int:
@@ -58,7 +59,7 @@ class NumericLaw:
         return bool((self.lower == 0).all() and np.isposinf(self.upper).all() and not self.curved)
 
 
-@once
+@cached_per_object
 def numeric_law(law: Law) -> NumericLaw:
     """Return the law with its bounds evaluated (they must be constants)."""
     lower, upper = np.array(ca.DM(law.lower)).ravel(), np.array(ca.DM(law.upper)).ravel()
@@ -66,7 +67,7 @@ def numeric_law(law: Law) -> NumericLaw:
     return NumericLaw(lower, upper, tuple((rows, K) for rows, K in curved if K is not None))
 
 
-class Ops(NamedTuple):
+class ResidualOperations(NamedTuple):
     """What the residual is computed by: NumPy, of numbers, or CasADi, in symbols; `codegen.residual` writes it as C."""
 
     abs: Callable
@@ -79,25 +80,25 @@ class Ops(NamedTuple):
     ratio: Callable  # (a, s): a/s with 0/0 = 0.
 
 
-def _chosen(mask: np.ndarray, a: Any, b: Any) -> ca.SX:
+def _select_entries(mask: np.ndarray, a: Any, b: Any) -> ca.SX:
     return ca.vertcat(*((a if holds else b)[i] for i, holds in enumerate(mask)))
 
 
-def _largest_chosen(mask: np.ndarray, a: ca.SX) -> ca.SX:
+def _largest_selected(mask: np.ndarray, a: ca.SX) -> ca.SX:
     return ca.mmax(ca.vertcat(*(a[int(i)] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0)
 
 
-NUMBERS = Ops(
+NUMPY_OPERATIONS = ResidualOperations(
     np.abs, np.maximum, np.minimum, np.where, np.where, lambda mask, a: a.max(where=mask, initial=0.0),
     lambda a, b, end: np.where(np.isfinite(end), np.minimum(a, b), a), lambda a, s: np.where(a == 0, 0, a / s),
 )  # fmt: skip
-SYMBOLS = Ops(
-    ca.fabs, ca.fmax, ca.fmin, ca.if_else, _chosen, _largest_chosen,
-    lambda a, b, end: _chosen(np.isfinite(end), ca.fmin(a, b), a), lambda a, s: ca.if_else(a == 0, 0, a / s),
+CASADI_OPERATIONS = ResidualOperations(
+    ca.fabs, ca.fmax, ca.fmin, ca.if_else, _select_entries, _largest_selected,
+    lambda a, b, end: _select_entries(np.isfinite(end), ca.fmin(a, b), a), lambda a, s: ca.if_else(a == 0, 0, a / s),
 )  # fmt: skip
 
 
-def output_scale(b: Any, terms: Any, w_max: np.ndarray, op: Ops = NUMBERS) -> Any:
+def output_scale(b: Any, terms: Any, w_max: np.ndarray, op: ResidualOperations = NUMPY_OPERATIONS) -> Any:
     """s_y (m,) from b, the terms of W l, and w_max."""
     size, root, acts = op.abs(b), np.sqrt(w_max), w_max > 0
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -121,11 +122,11 @@ def law_residual(
     return np.where(np.isnan(residual) | ~(np.isfinite(l) & np.isfinite(y) & np.isfinite(s_y)), np.inf, residual)
 
 
-def residual_in_symbols(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: ca.SX, y: ca.SX, s_y: ca.SX) -> ca.SX:
+def symbolic_box_residual(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: ca.SX, y: ca.SX, s_y: ca.SX) -> ca.SX:
     """The largest residual of the given rows of a box."""
     if not rows:
         return ca.SX(0)
-    best = box_residual(law, l, y, s_y, multiplier_scale(law, l, s_y, w_max, SYMBOLS), SYMBOLS)
+    best = box_residual(law, l, y, s_y, multiplier_scale(law, l, s_y, w_max, CASADI_OPERATIONS), CASADI_OPERATIONS)
     worst = ca.SX(0)
     for i in rows:
         # fmax and fmin pass over a NaN; comparisons with one are false.
@@ -134,32 +135,32 @@ def residual_in_symbols(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: 
     return worst
 
 
-def box_residual(law: NumericLaw, l: Any, y: Any, s_y: Any, s_l: Any, op: Ops = NUMBERS) -> Any:
+def box_residual(law: NumericLaw, l: Any, y: Any, s_y: Any, s_l: Any, op: ResidualOperations = NUMPY_OPERATIONS) -> Any:
     """The residual of each row of a box: to where l is between its ends, to its lower and to its upper end."""
     lo, up, size = law.lower, law.upper, op.abs(y)
 
-    def off(of_l: Any, of_y: Any) -> Any:
+    def relative_distance(of_l: Any, of_y: Any) -> Any:
         return op.max(op.ratio(of_l, s_l), op.ratio(of_y, s_y))
 
-    best = off(op.max(op.max(lo - l, l - up), 0), size)
+    best = relative_distance(op.max(op.max(lo - l, l - up), 0), size)
     for end, wrong in ((lo, y < 0), (up, y > 0)):
-        best = op.lesser(best, off(op.abs(l - end), op.where(wrong, size, 0)), end)
+        best = op.lesser(best, relative_distance(op.abs(l - end), op.where(wrong, size, 0)), end)
     return best
 
 
-def bound_size(law: NumericLaw) -> np.ndarray:
+def largest_bound(law: NumericLaw) -> np.ndarray:
     """The largest finite bound of each row, in absolute value (m,); 0 where none is finite."""
     return np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (law.lower, law.upper)))
 
 
-def multiplier_scale(law: NumericLaw, l: Any, s_y: Any, w_max: np.ndarray, op: Ops = NUMBERS) -> Any:
+def multiplier_scale(law: NumericLaw, l: Any, s_y: Any, w_max: np.ndarray, op: ResidualOperations = NUMPY_OPERATIONS) -> Any:
     """s_l (m,): s_y / w, at most max(|l_i|, its finite bounds, 1e-6 max_j |l_j| sqrt(w_j / w_i)); a radius counts as a bound."""
     size, root, acts = op.abs(l), np.sqrt(w_max), w_max > 0
     others = op.choose(acts, NEGLIGIBLE * op.largest(root >= 0, size * root) / root, np.zeros(w_max.size))
-    scale = op.max(op.max(size, bound_size(law)), others)
-    if op is NUMBERS:
+    scale = op.max(op.max(size, largest_bound(law)), others)
+    if op is NUMPY_OPERATIONS:
         for rows, K in law.curved:
-            scale[rows] = max(norm(size[rows]), K.radius if K.is_bounded else 0.0, others[rows].max())
+            scale[rows] = max(safe_norm(size[rows]), K.radius if K.is_bounded else 0.0, others[rows].max())
     return op.choose(acts, op.min(s_y / w_max, scale), scale)
 
 
@@ -172,14 +173,14 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     rows, K = block
     l, y = l[rows], y[rows]
     c = 1 / w_max[rows].max() if w_max[rows].any() else 1.0
-    of_l, of_y = s_l[rows].max(), norm(s_y[rows])
+    of_l, of_y = s_l[rows].max(), safe_norm(s_y[rows])
     if of_l > UNRESOLVED * of_y:
         c = min(c, of_l / of_y)
-    distance = norm(l - K.project(l - c * y))
+    distance = safe_norm(l - K.project(l - c * y))
     return float(distance / (c * of_y)) if distance else 0.0
 
 
-def largest_in_symbols(items: list[ca.SX]) -> ca.SX:
+def symbolic_max(items: list[ca.SX]) -> ca.SX:
     """The largest of some sizes; inf where one is no number."""
     worst = ca.SX(0)
     for item in items:
@@ -188,7 +189,7 @@ def largest_in_symbols(items: list[ca.SX]) -> ca.SX:
     return worst
 
 
-def settled_in_symbols(law: NumericLaw, rows: list[int], l: Any, y: Any, free: Any, round_off: Any) -> Any:
+def symbolic_index_set_check(law: NumericLaw, rows: list[int], l: Any, y: Any, free: Any, round_off: Any) -> Any:
     """1 where (l, y) needs no other index set: free l inside its bounds, y of the right sign at a bound; else 0."""
     good = ca.SX(1)
     for i in rows:

@@ -8,24 +8,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.laws import CURVED
+from nsmodel.laws import CURVED_KINDS
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp, qp
 from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.newton import works_on_rows
-from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
+from nsmodel.solve.newton import uses_working_set
+from nsmodel.solve.structure import StepStructure, is_eigenvalue_nonnegative, least_eigenvalue
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
-    from nsmodel.solve.band import BandOrder
+    from nsmodel.solve.band import BandOrdering
 
-DUAL, IPOPT = "dual active set", "ipopt"
-OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}
-SOLVERS = ("auto", *qp.SOLVERS, IPOPT, *OWN)
-ENUMERATE_UP_TO = 10
-SPARSE_FROM = 120  # Unknowns and multipliers from which on a sparse step pays.
-FILLED = 0.1  # Part of its matrix that may be nonzero.
+DUAL_ACTIVE_SET, IPOPT_SOLVER = "dual active set", "ipopt"
+INTERNAL_SOLVERS = {
+    "active-set": mlcp.INDEX_SET,
+    "lemke": mlcp.LEMKE,
+    "enumeration": mlcp.ENUMERATION,
+    "semismooth": mlcp.SEMISMOOTH,
+}
+STEP_SOLVERS = ("auto", *qp.QP_SOLVERS, IPOPT_SOLVER, *INTERNAL_SOLVERS)
+MAX_ENUMERATED_ROWS = 10
+MIN_SPARSE_SIZE = 120  # Unknowns and multipliers from which on a sparse step pays.
+MAX_SPARSE_FILL = 0.1  # Part of its matrix that may be nonzero.
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,7 @@ class Plan:
     @property
     def solvers(self) -> tuple[str, ...]:
         """What is tried, in this order."""
-        return (*self.chain, *((DUAL,) if self.dual else ()), *((IPOPT,) if self.ipopt != "never" else ()))
+        return (*self.chain, *((DUAL_ACTIVE_SET,) if self.dual else ()), *((IPOPT_SOLVER,) if self.ipopt != "never" else ()))
 
     def text(self, problem: OneStepProblem) -> str:
         """The plan for a person."""
@@ -65,50 +70,50 @@ class Plan:
         return "\n".join(lines)
 
 
-def pays(structure: Structure, law: NumericLaw) -> bool:
+def is_sparse_step_faster(structure: StepStructure, law: NumericLaw) -> bool:
     """Whether a step is large, sparse and of constant matrices, and its law a box."""
     size = structure.n + structure.m
-    sparse = size >= SPARSE_FROM and structure.nonzeros <= FILLED * size**2
+    sparse = size >= MIN_SPARSE_SIZE and structure.nonzeros <= MAX_SPARSE_FILL * size**2
     return sparse and structure.constant and not law.curved and not structure.projection
 
 
-def choose(
-    structure: Structure, law: NumericLaw, W: np.ndarray | LinearOperator | None, solver: str, few_steps: bool = True,
-    order: BandOrder | None = None,
+def choose_plan(
+    structure: StepStructure, law: NumericLaw, W: np.ndarray | LinearOperator | None, solver: str, few_steps: bool = True,
+    order: BandOrdering | None = None,
 ) -> Plan:  # fmt: skip
     """Decide, from the structure and from W at the start (None where it has none); ``order``: of a step that stays sparse.
 
     Raises:
         UsageError: ``solver`` is unknown, or does not apply to this problem.
     """
-    if solver not in SOLVERS:
-        raise UsageError(f"solver '{solver}' is unknown; choose one of {', '.join(SOLVERS)}")
+    if solver not in STEP_SOLVERS:
+        raise UsageError(f"solver '{solver}' is unknown; choose one of {', '.join(STEP_SOLVERS)}")
     if structure.gram:
         least = 0.0  # W = Y_z Y_z' has no negative eigenvalue.
     else:
         least = least_eigenvalue(W) if W is not None else -np.inf
-    monotone = is_monotone(least, structure.m)
+    monotone = is_eigenvalue_nonnegative(least, structure.m)
     path = "sparse" if order is not None else "kernel" if structure.constant and few_steps else "newton"
-    used, left_out = _lines(path, structure, law, monotone, least)
+    used, left_out = _plan_lines(path, structure, law, monotone, least)
     if order is not None:
-        used[1:1] = _sparse_lines(order, structure)
+        used[1:1] = _sparse_plan_lines(order, structure)
         left_out.append("W, which is dense: each index set gives one sparse system for the unknowns and the multipliers")
         return Plan(path, (), True, "never", monotone, least, tuple(used), tuple(left_out))
     if solver == "auto":
-        chain, dual = _chain(structure, law, monotone), structure.nearest
+        chain, dual = _solver_chain(structure, law, monotone), structure.nearest
         plan = Plan(path, chain, True, "last" if structure.m else "never", monotone, least, (), tuple(left_out), dual)
         if chain:
             first = () if law.curved or path == "newton" else ("last index set",)
             used.append("solvers, each answer polished and certified: " + ", ".join([*first, *plan.solvers]))
         return replace(plan, used=tuple(used))
-    _check_applies(solver, structure, law, monotone, least)
+    _check_solver_applies(solver, structure, law, monotone, least)
     used.append(f"solver {solver} alone (forced), its answer polished on the index set and certified")
-    chain = () if solver == IPOPT else (OWN.get(solver, solver),)
-    always = "always" if solver == IPOPT else "never"
+    chain = () if solver == IPOPT_SOLVER else (INTERNAL_SOLVERS.get(solver, solver),)
+    always = "always" if solver == IPOPT_SOLVER else "never"
     return Plan(path, chain, False, always, monotone, least, tuple(used), tuple(left_out))
 
 
-def _sparse_lines(order: BandOrder, structure: Structure) -> list[str]:
+def _sparse_plan_lines(order: BandOrdering, structure: StepStructure) -> list[str]:
     how = f"a band of {order.below} + 1 + {order.above} diagonals" if order.is_band else "sparse LU, the band being wide"
     lines = [f"sparse matrices, constant: {how}, factored again where the index set changes"]
     if structure.m:
@@ -116,30 +121,32 @@ def _sparse_lines(order: BandOrder, structure: Structure) -> list[str]:
     return lines
 
 
-def _chain(structure: Structure, law: NumericLaw, monotone: bool) -> tuple[str, ...]:
+def _solver_chain(structure: StepStructure, law: NumericLaw, monotone: bool) -> tuple[str, ...]:
     if not structure.m:
         return ()
     if law.curved:
         return (mlcp.SEMISMOOTH,)
-    enumeration = (mlcp.ENUMERATION,) if structure.m <= ENUMERATE_UP_TO else ()
+    enumeration = (mlcp.ENUMERATION,) if structure.m <= MAX_ENUMERATED_ROWS else ()
     return (mlcp.INDEX_SET, *(("qpoases",) if monotone else ()), mlcp.LEMKE, *enumeration)
 
 
-def _check_applies(solver: str, structure: Structure, law: NumericLaw, monotone: bool, least: float) -> None:
+def _check_solver_applies(solver: str, structure: StepStructure, law: NumericLaw, monotone: bool, least: float) -> None:
     if not structure.m:
         raise UsageError(f"solver '{solver}' does not apply: the model has no multipliers; leave --solver out")
-    if law.curved and solver not in (IPOPT, "semismooth"):
-        kinds = [f"{kind}s" for kind in CURVED]
+    if law.curved and solver not in (IPOPT_SOLVER, "semismooth"):
+        kinds = [f"{kind}s" for kind in CURVED_KINDS]
         either = f"{', '.join(kinds[:-1])} or {kinds[-1]}"
         raise UsageError(f"solver '{solver}' does not apply: the law has {either}; use semismooth or ipopt")
-    if solver in qp.SOLVERS and not monotone:
+    if solver in qp.QP_SOLVERS and not monotone:
         raise UsageError(
             f"solver '{solver}' does not apply: the step is not a convex QP (least eigenvalue of W + W' {least:.3g}); "
             "use active-set, lemke, enumeration or ipopt"
         )
 
 
-def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, least: float) -> tuple[list[str], list[str]]:
+def _plan_lines(
+    path: str, structure: StepStructure, law: NumericLaw, monotone: bool, least: float
+) -> tuple[list[str], list[str]]:
     n, m = structure.n, structure.m
     size = f"{n} unknown{'s' * (n != 1)}, {m} multiplier{'s' * (m != 1)}"
     used, left_out = [f"{size}, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
@@ -165,6 +172,6 @@ def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, lea
         else:
             used.append(f"W not psd (least eigenvalue {least:.3g}): complementarity conditions; uniqueness is not guaranteed")
             left_out.append("quadratic programmes: not convex here")
-    if path == "newton" and works_on_rows(structure, law):
+    if path == "newton" and uses_working_set(structure, law):
         left_out.append("rows that the prediction satisfies: they enter only if the solution violates them")
     return used, left_out

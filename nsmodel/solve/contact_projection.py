@@ -17,16 +17,16 @@ from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw
 from nsmodel.solve.diagnose import opposing_rows
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
-DENSE_UP_TO = 100  # Rows up to which a dense factorisation is faster.
-SMALL = 60  # Rows of a group up to which Lemke's pivoting is the robust way.
-MOST_DENSE = 3000  # Rows of a group that a solver of dense problems takes.
-PATIENCE = 10  # Changes of the active set without fewer wrong rows, after which it is given up.
-PASSES = 100
-REGULAR = 1e-11  # Added to a diagonal of 1, and taken back by refinement.
+MAX_DENSE_FACTOR_ROWS = 100  # Rows up to which a dense factorisation is faster.
+MAX_LEMKE_ROWS = 60  # Rows of a group up to which Lemke's pivoting is the robust way.
+MAX_DENSE_SOLVER_ROWS = 3000  # Rows of a group that a solver of dense problems takes.
+ACTIVE_SET_PATIENCE = 10  # Changes of the active set without fewer wrong rows, after which it is given up.
+MAX_GROUP_PASSES = 100
+DIAGONAL_REGULARISATION = 1e-11  # Added to a diagonal of 1, and taken back by refinement.
 
 
 @dataclass
-class Forces:
+class ContactForces:
     """m (R,) and d (N, d) = h f + G' m; whether primal-dual has settled; what found it."""
 
     m: np.ndarray
@@ -35,16 +35,16 @@ class Forces:
     groups: int = 0
 
 
-class Group:
+class ContactGroup:
     """The projection for some rows of unit gradient."""
 
     def __init__(self, rows: ContactRows, hf: np.ndarray) -> None:
         self.rows, self.hf, self.other = rows, hf, rows.other
         d = hf.shape[1]
         columns = np.hstack([rows.first[:, None] * d + np.arange(d), self.other[:, None] * d + np.arange(d)])
-        there = np.hstack([np.ones((len(rows.g), d), bool), np.repeat(rows.pair[:, None], d, axis=1)])
-        indptr = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
-        self.B = sp.csr_matrix((np.hstack([rows.G, rows.H])[there], columns[there], indptr), (len(rows.g), hf.size))
+        is_present = np.hstack([np.ones((len(rows.g), d), bool), np.repeat(rows.pair[:, None], d, axis=1)])
+        indptr = np.concatenate([[0], np.cumsum(is_present.sum(axis=1))])
+        self.B = sp.csr_matrix((np.hstack([rows.G, rows.H])[is_present], columns[is_present], indptr), (len(rows.g), hf.size))
 
     def y(self, d: np.ndarray) -> np.ndarray:
         """g + G d (R,)."""
@@ -54,27 +54,27 @@ class Group:
         """h f + G' m (N, d)."""
         return self.hf + (self.B.T @ m).reshape(self.hf.shape)
 
-    def solve(self, solver: str, last: np.ndarray, tiny: float) -> Forces:
+    def solve(self, solver: str, last: np.ndarray, tiny: float) -> ContactForces:
         """The answer of a solver, "auto" or a name; ``last``: the m of the last step."""
         violated = self.y(self.hf) < -tiny
         if not violated.any():
-            return Forces(np.zeros(last.size), self.hf.copy(), "none needed")
+            return ContactForces(np.zeros(last.size), self.hf.copy(), "none needed")
         if solver in ("auto", ACTIVE_SET):
-            m, settled = self.primal_dual(last > 0 if last.any() else violated, tiny)
-            if settled or solver == ACTIVE_SET:
-                return Forces(m, self.d(m), ACTIVE_SET)
-            violated |= self.rows.g < 2 * _largest_row(self.hf)
-        return self._by_groups(solver, violated, tiny)
+            m, converged = self.primal_dual_active_set(last > 0 if last.any() else violated, tiny)
+            if converged or solver == ACTIVE_SET:
+                return ContactForces(m, self.d(m), ACTIVE_SET)
+            violated |= self.rows.g < 2 * _largest_row_norm(self.hf)
+        return self._solve_by_groups(solver, violated, tiny)
 
-    def primal_dual(self, active: np.ndarray, tiny: float) -> tuple[np.ndarray, bool]:
+    def primal_dual_active_set(self, active: np.ndarray, tiny: float) -> tuple[np.ndarray, bool]:
         """Solve on the active set, drop rows with m < 0, take up those with y < 0, until none is wrong: (m, whether so).
 
         Where that has not made the wrong rows fewer, only those change that are worst on all their bodies; not for long.
         """
         best, least, waited = np.zeros(active.size), np.inf, 0
-        while waited < PATIENCE:
+        while waited < ACTIVE_SET_PATIENCE:
             m = np.zeros(active.size)
-            m[active] = self._on(np.flatnonzero(active))
+            m[active] = self._solve_active_rows(np.flatnonzero(active))
             off = np.where(active, -m, -self.y(self.d(m)))
             wrong = np.flatnonzero(~(off <= tiny))
             waited = 0 if wrong.size < least else waited + 1
@@ -82,10 +82,10 @@ class Group:
                 least, best = wrong.size, np.maximum(m, 0)
             if not wrong.size:
                 return best, True
-            active[wrong if not waited else self._worst(wrong, off[wrong])] ^= True
+            active[wrong if not waited else self._worst_rows(wrong, off[wrong])] ^= True
         return best, False
 
-    def _worst(self, wrong: np.ndarray, off: np.ndarray) -> np.ndarray:
+    def _worst_rows(self, wrong: np.ndarray, off: np.ndarray) -> np.ndarray:
         """Those of the wrong rows that are worst on each of their bodies."""
         one, other = self.rows.first[wrong], np.where(self.rows.pair[wrong], self.other[wrong], self.rows.first[wrong])
         most = np.zeros(len(self.hf))
@@ -93,73 +93,77 @@ class Group:
         np.maximum.at(most, other, off)
         return wrong[~(off < np.maximum(most[one], most[other]))]
 
-    def _on(self, active: np.ndarray) -> np.ndarray:
+    def _solve_active_rows(self, active: np.ndarray) -> np.ndarray:
         """m with y = 0 on the active rows: G G' m = -(g + G h f), refined; a solution where G G' is singular but there is one."""
         B = self.B[active]
         right = -(self.rows.g[active] + B @ self.hf.ravel())
         M = B @ B.T
-        if active.size <= DENSE_UP_TO:
-            inverse = np.linalg.inv(M.toarray() + REGULAR * np.eye(active.size))
+        if active.size <= MAX_DENSE_FACTOR_ROWS:
+            inverse = np.linalg.inv(M.toarray() + DIAGONAL_REGULARISATION * np.eye(active.size))
             solve = inverse.__matmul__
         else:
-            M = (M + REGULAR * sp.eye_array(active.size)).tocsc()
+            M = (M + DIAGONAL_REGULARISATION * sp.eye_array(active.size)).tocsc()
             solve = splu(M, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve
         m = solve(right)
         for _ in range(2):
             m = m + solve(right - B @ (B.T @ m))
         return m
 
-    def _by_groups(self, solver: str, chosen: np.ndarray, tiny: float) -> Forces:
+    def _solve_by_groups(self, solver: str, chosen: np.ndarray, tiny: float) -> ContactForces:
         """Solve the chosen rows, each group of bodies that touch apart; rows that are then violated join, until none is."""
         rows, m = self.rows, np.zeros(chosen.size)
         fresh, names = chosen.copy(), set()
         count = 0
-        for _ in range(PASSES):
+        for _ in range(MAX_GROUP_PASSES):
             which = np.flatnonzero(chosen)
-            label, count = groups(rows.at(which), len(self.hf))
+            label, count = contact_groups(rows.at(which), len(self.hf))
             for number in np.unique(label[fresh[which]]):
                 own = which[label == number]
-                m[own], name = Group(rows.at(own), self.hf).one(solver, tiny)
+                m[own], name = ContactGroup(rows.at(own), self.hf).one(solver, tiny)
                 names.add(name)
             d = self.d(m)
             fresh = (self.y(d) < -tiny) & ~chosen
             if not fresh.any():
                 break
             chosen |= fresh
-        return Forces(m, self.d(m), "+".join(sorted(names)), count)
+        return ContactForces(m, self.d(m), "+".join(sorted(names)), count)
 
     def one(self, solver: str, tiny: float) -> tuple[np.ndarray, str]:
         """m of these rows by one solver, polished; all rows enter."""
         b = self.y(self.hf)
         if solver == "auto":
-            solver = mlcp.LEMKE if b.size <= SMALL else CLARABEL
-        raw = self._clarabel() if solver == CLARABEL else self._dense(solver, b)
+            solver = mlcp.LEMKE if b.size <= MAX_LEMKE_ROWS else CLARABEL
+        raw = self._solve_clarabel() if solver == CLARABEL else self._solve_dense(solver, b)
         if raw is None:
             return np.zeros(b.size), solver
         y = self.y(self.d(raw))
-        m, settled = self.primal_dual(raw > y, tiny)
-        return (m if settled else np.maximum(raw, 0)), solver
+        m, converged = self.primal_dual_active_set(raw > y, tiny)
+        return (m if converged else np.maximum(raw, 0)), solver
 
-    def _dense(self, solver: str, b: np.ndarray) -> np.ndarray | None:
+    def _solve_dense(self, solver: str, b: np.ndarray) -> np.ndarray | None:
         """The answer of a solver of small dense problems."""
-        if b.size > MOST_DENSE:
-            raise StepError(f"solver '{solver}': a group has {b.size} rows, more than {MOST_DENSE}; use clarabel or active-set")
+        if b.size > MAX_DENSE_SOLVER_ROWS:
+            raise StepError(
+                f"solver '{solver}': a group has {b.size} rows, more than {MAX_DENSE_SOLVER_ROWS}; use clarabel or active-set"
+            )
         W, law = (self.B @ self.B.T).toarray(), NumericLaw(np.zeros(b.size), np.full(b.size, np.inf), ())
-        found = mlcp.solve(W, b, law, np.zeros(b.size), np.where(b < 0, 0, -1).astype(np.int8), (solver,), True, 1e-13)
+        found = mlcp.solve_mlcp(W, b, law, np.zeros(b.size), np.where(b < 0, 0, -1).astype(np.int8), (solver,), True, 1e-13)
         return found.l if np.isfinite(found.l).all() else None
 
-    def _clarabel(self) -> np.ndarray | None:
+    def _solve_clarabel(self) -> np.ndarray | None:
         """The answer of Clarabel, an interior-point method, in units in which h f is about 1."""
         size = np.abs(self.hf).max() or 1.0
         bodies, inverse = np.unique(self.B.indices, return_inverse=True)
         G = sp.csr_matrix((self.B.data, inverse, self.B.indptr), (len(self.rows.g), bodies.size)).tocsc()
-        cones, P = [conic_program.nonnegative(len(self.rows.g))], sp.eye(bodies.size, format="csc")
-        found = conic_program.minimise(-self.hf.ravel()[bodies] / size, -G, self.rows.g / size, cones, P, tolerance=1e-11)
+        cones, P = [conic_program.nonnegative_cone(len(self.rows.g))], sp.eye(bodies.size, format="csc")
+        found = conic_program.solve_conic_program(
+            -self.hf.ravel()[bodies] / size, -G, self.rows.g / size, cones, P, tolerance=1e-11
+        )
         m = size * np.array(found.z)
         return m if np.isfinite(m).all() else None
 
 
-def certificate(
+def contact_residual(
     rows: ContactRows, n: np.ndarray, hf: np.ndarray, d: np.ndarray, m: np.ndarray, q: np.ndarray, tolerance: float
 ) -> tuple[float, int | None]:
     """The residual of a step without unit, and the row where it is worst (None: the equation for d).
@@ -167,9 +171,9 @@ def certificate(
     With S = max_i max(|h f_i|, |d_i|) and the round-off of positions, rows divided by n_i: the largest of |d - h f - G'm| / S,
     (-y_i)+ / S, (-m_i)+ / S, min(m_i, |y_i|) / S, and the duality gap <m, |y|> / (|d|^2 + |h f|^2) where it is above round-off.
     """
-    group = Group(rows, hf)
-    floor = 4 * EPS * largest(q)
-    S = max(_largest_row(hf), _largest_row(d), floor / tolerance, UNRESOLVED)
+    group = ContactGroup(rows, hf)
+    floor = 4 * EPS * largest_coordinate(q)
+    S = max(_largest_row_norm(hf), _largest_row_norm(d), floor / tolerance, UNRESOLVED)
     y = group.y(d)
     law = np.maximum(np.maximum(-y, -m), np.minimum(m, np.abs(y))) / S
     law = np.where(np.isfinite(law), law, np.inf)
@@ -177,7 +181,7 @@ def certificate(
     residual = float(law.max(initial=0.0))
     balance = float(np.abs(d - group.d(m)).max(initial=0.0)) / S
     gap = float(np.maximum(m, 0) @ np.abs(y))
-    noise = 8 * EPS * float(np.maximum(m, 0) @ (np.abs(rows.g) + abs(group.B) @ np.abs(d).ravel() + largest(q)))
+    noise = 8 * EPS * float(np.maximum(m, 0) @ (np.abs(rows.g) + abs(group.B) @ np.abs(d).ravel() + largest_coordinate(q)))
     if gap > noise:
         residual = max(residual, gap / max(float((d**2).sum() + (hf**2).sum()), UNRESOLVED))
     if not balance <= residual:
@@ -185,7 +189,7 @@ def certificate(
     return residual, worst
 
 
-def groups(rows: ContactRows, count: int) -> tuple[np.ndarray, int]:
+def contact_groups(rows: ContactRows, count: int) -> tuple[np.ndarray, int]:
     """The number of the group of each row, and how many groups there are: rows that share bodies, directly or not."""
     bodies, inverse = np.unique(np.concatenate([rows.first, rows.second[rows.pair]]), return_inverse=True)
     links = inverse[: len(rows.g)][rows.pair], inverse[len(rows.g) :]
@@ -194,20 +198,20 @@ def groups(rows: ContactRows, count: int) -> tuple[np.ndarray, int]:
     return label[inverse[: len(rows.g)]], count
 
 
-def opposing(rows: ContactRows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
+def opposing_contacts(rows: ContactRows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
     """Rows and weights of a proof that no d satisfies them all, looked for around the worst row; empty where there is none."""
     near_by = np.arange(len(rows.g))
-    label, _ = groups(rows, len(hf))
+    label, _ = contact_groups(rows, len(hf))
     near_by = np.flatnonzero(label == label[worst])
     if near_by.size > 400:
         near_by = near_by[np.argsort(np.abs(near_by - worst), kind="stable")[:400]]
-    group = Group(rows.at(near_by), hf)
+    group = ContactGroup(rows.at(near_by), hf)
     law = NumericLaw(np.zeros(near_by.size), np.full(near_by.size, np.inf), ())
     found = opposing_rows((group.B @ group.B.T).toarray(), group.y(hf), law) or []
     return [(int(near_by[i]), u) for i, u in found]
 
 
-def scaled_rows(rows: ContactRows, problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[ContactRows, np.ndarray]:
+def scale_contact_rows(rows: ContactRows, problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[ContactRows, np.ndarray]:
     """Rows of unit gradient, and n_i (1 where the gradient is 0).
 
     Raises:
@@ -227,11 +231,11 @@ def scaled_rows(rows: ContactRows, problem: BodiesProblem, t: float, q: np.ndarr
     return ContactRows(rows.family, rows.first, rows.second, rows.pair, rows.g / n, rows.G / n[:, None], rows.H / n[:, None]), n
 
 
-def largest(q: np.ndarray) -> float:
+def largest_coordinate(q: np.ndarray) -> float:
     """The largest |q_i| of those that are there."""
     size = np.abs(q)
     return float(size[np.isfinite(size)].max(initial=0.0))
 
 
-def _largest_row(d: np.ndarray) -> float:
+def _largest_row_norm(d: np.ndarray) -> float:
     return float(np.sqrt((d**2).sum(axis=1)).max(initial=0.0))

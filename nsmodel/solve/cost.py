@@ -15,13 +15,13 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.structure import Structure
+from nsmodel.solve.structure import StepStructure
 
-REPEATED = "repeated"  # The path "newton" where most steps are those of `repeated`.
-LOADING = 0.05  # Seconds for finding a library that was built before, its hash, and loading it.
+REPEATED_PATH = "repeated"  # The path "newton" where most steps are those of `repeated`.
+LOADING_SECONDS = 0.05  # Seconds for finding a library that was built before, its hash, and loading it.
 
 
-class Cost(NamedTuple):
+class CompilationCost(NamedTuple):
     """Seconds of one interpreted step, and of building the compiled one: 0 where it is there."""
 
     step: float
@@ -29,7 +29,7 @@ class Cost(NamedTuple):
 
     def pays(self, steps: int) -> bool:
         """Whether compiling takes less time than so many steps."""
-        saved = steps * self.step - LOADING
+        saved = steps * self.step - LOADING_SECONDS
         return saved > 0 and saved > self.building()
 
     def text(self, steps: int, what: str = "steps") -> str:
@@ -37,19 +37,19 @@ class Cost(NamedTuple):
         return f"{what} in C: {steps:,} interpreted {what} take about {steps * self.step:.2g} s, building them would take longer"
 
 
-def interpreted(path: str, structure: Structure | None) -> float:
+def interpreted_step_seconds(path: str, structure: StepStructure | None) -> float:
     """Seconds of a step on a path of `choose.Plan`, or REPEATED; None: the structure of a projection on given sets."""
     if structure is None:
         return 2.5e-4
     if path == "kernel":
         return 4.5e-6 + 2.5e-7 * structure.m**2
     size = structure.n + structure.m
-    if path == REPEATED:
+    if path == REPEATED_PATH:
         return 3e-5 + 1e-6 * size**2
     return 1.3e-4 + 2.8e-7 * size if path == "sparse" else 3.2e-4 + 4.4e-6 * size
 
 
-def building(path: str, structure: Structure | None, problem: OneStepProblem) -> float:
+def build_seconds(path: str, structure: StepStructure | None, problem: OneStepProblem) -> float:
     """Seconds for building the steps of a path: C for its graph, tables for its matrices."""
     if structure is None:
         return 1.6
@@ -61,7 +61,7 @@ def building(path: str, structure: Structure | None, problem: OneStepProblem) ->
     return 0.45 + 1.0e-3 * size**2 + 8.5e-4 * nodes if path == "kernel" else 1.2 + 8e-4 * nodes
 
 
-def fixed_pays(path: str, structure: Structure | None, problem: OneStepProblem, steps: int) -> bool:
+def is_fixed_code_faster(path: str, structure: StepStructure | None, problem: OneStepProblem, steps: int) -> bool:
     """Whether so many steps pay for code of the values at hand alone, where there may be one library for all of them.
 
     That has the matrices of "kernel" as numbers: by what a step of it is faster was fitted to 1 + 1 to 25 + 20 unknowns and
@@ -70,14 +70,14 @@ def fixed_pays(path: str, structure: Structure | None, problem: OneStepProblem, 
     if path != "kernel" or structure is None:
         return path == "sparse"
     size = structure.n + structure.m
-    return steps * (2e-8 + 5e-9 * size + 1.7e-9 * size**2) > building(path, structure, problem)
+    return steps * (2e-8 + 5e-9 * size + 1.7e-9 * size**2) > build_seconds(path, structure, problem)
 
 
-def of_bodies(count: int, solver: Callable[[], bool], own: Callable[[], bool]) -> Cost:
+def bodies_cost(count: int, solver: Callable[[], bool], own: Callable[[], bool]) -> CompilationCost:
     """The cost of many bodies; whether the solver, which all models share, and the model's own functions are built."""
-    return Cost(1.4e-3 + 5e-6 * count, lambda: 4.5 * (not solver()) + 0.15 * (not own()))
+    return CompilationCost(1.4e-3 + 5e-6 * count, lambda: 4.5 * (not solver()) + 0.15 * (not own()))
 
 
-def of_pieces(size: int, rows: int, built: Callable[[], bool]) -> Cost:
+def pieces_cost(size: int, rows: int, built: Callable[[], bool]) -> CompilationCost:
     """The cost of event-driven pieces: ``size`` states and rows, operations of f, g and h besides; whether they are built."""
-    return Cost(1e-3 + 1e-4 * size + 2e-5 * rows, lambda: 0.0 if built() else 1.0 + 2e-4 * rows + 2e-3 * size)
+    return CompilationCost(1e-3 + 1e-4 * size + 2e-5 * rows, lambda: 0.0 if built() else 1.0 + 2e-4 * rows + 2e-3 * size)

@@ -13,10 +13,10 @@ import numpy as np
 
 from nsmodel.solve.certificate import EPS
 
-PARALLEL = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it.
+PARALLEL_TOLERANCE = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it.
 
 
-def nearest(p: np.ndarray, N: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def nearest_point_of_polyhedron(p: np.ndarray, N: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the nearest point and the rows that hold it, none of which depends on the others; None where there is none.
 
     Args:
@@ -35,14 +35,14 @@ def nearest(p: np.ndarray, N: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np
         worst = int(np.argmin(np.where(slack < -unseen, slack, 0.0)))
         if not slack[worst] < -unseen[worst]:
             return z, np.array(held, int)
-        entered = _enter(N, c, z, held, u, worst)
+        entered = _add_violated_row(N, c, z, held, u, worst)
         if entered is None:
             return None
         z, held, u = entered
     return None
 
 
-def _enter(
+def _add_violated_row(
     N: np.ndarray, c: np.ndarray, z: np.ndarray, held: list[int], u: np.ndarray, row: int
 ) -> tuple[np.ndarray, list[int], np.ndarray] | None:
     """Take a violated row in: the next point, the rows held there, and their multipliers; None where there is no such point."""
@@ -59,7 +59,7 @@ def _enter(
         first = int(shrinking[np.argmin(steps)]) if shrinking.size else -1
         most = float(steps.min(initial=np.inf))
         whole = np.inf
-        if np.linalg.norm(out) > PARALLEL:
+        if np.linalg.norm(out) > PARALLEL_TOLERANCE:
             whole = (c[row] - N[row] @ z) / float(out @ out)
         step = min(most, whole)
         if step == np.inf:

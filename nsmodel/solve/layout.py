@@ -14,7 +14,7 @@ from nsmodel.scheme.problem import OneStepProblem
 
 
 @dataclass(frozen=True)
-class Layout:
+class RowLayout:
     """Where each quantity of a step stands in its packed row."""
 
     slices: dict[str, slice]
@@ -31,7 +31,7 @@ class Layout:
         """Lay out a problem's row; ``records`` (name: size) come after the problem's own."""
         m = problem.l.numel()
         sizes = {"state": problem.state.numel(), "l": m, "y": m, "residual": 1, "newton": 1}
-        sizes |= {name: e.numel() for name, e in extras(problem).items()} | records
+        sizes |= {name: e.numel() for name, e in extra_columns(problem).items()} | records
         slices, at = {}, 0
         for name, size in sizes.items():
             slices[name] = slice(at, at + size)
@@ -45,7 +45,7 @@ class Layout:
         )  # fmt: skip
 
 
-def extras(problem: OneStepProblem) -> dict[str, ca.SX]:
+def extra_columns(problem: OneStepProblem) -> dict[str, ca.SX]:
     """The user's multipliers and outputs where they differ from l and y, and the records."""
     out = {} if problem.multipliers is None else {"multipliers": problem.multipliers}
     out |= {} if problem.outputs is None else {"outputs": problem.outputs}

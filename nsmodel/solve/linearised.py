@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.buffered import attached
-from nsmodel.proof.graph import column
+from nsmodel.proof.buffered import attach_buffers
+from nsmodel.proof.graph import stack_column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import ROUNDING, UNRESOLVED, NumericLaw, law_residual, output_scale
-from nsmodel.solve.layout import extras
-from nsmodel.solve.rounding import UNIT, error_bound, felt_dense, largest
-from nsmodel.solve.structure import Structure
+from nsmodel.solve.layout import extra_columns
+from nsmodel.solve.rounding import UNIT_ROUND_OFF, dense_solution_errors, rounding_error_bound, row_maxima
+from nsmodel.solve.structure import StepStructure
 
 ENOUGH = 1e-2  # Part of the tolerance from which on nothing is improved;
-ENOUGH_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding.
-SHARED_BELOW = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
-UNKNOWN = object()  # Not computed yet.
+SUFFICIENT_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding.
+MAX_CSE_INPUTS = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
+NOT_COMPUTED = object()  # Not computed yet.
 
 
 @dataclass
@@ -36,14 +36,14 @@ class Linearisation:
     E_l: np.ndarray
     Y_z: np.ndarray
     Y_l: np.ndarray
-    eliminated: Any = UNKNOWN
+    eliminated: Any = NOT_COMPUTED
 
     def offset(self, dz_0: np.ndarray, Z: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The b of y+ = W l+ + b, from the iterate l."""
         return self.Y + self.Y_z @ (dz_0 - Z @ l) - self.Y_l @ l
 
 
-class Known(NamedTuple):
+class StepContext(NamedTuple):
     """What a step is given, and what moves there: t, h, the state; z and |E| where nothing moves."""
 
     t: float
@@ -67,54 +67,54 @@ class Iterate:
     iterations: int
 
 
-class Linearised:
+class LinearisedStep:
     """One problem, evaluated at iterates."""
 
-    def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, tolerance: float) -> None:
+    def __init__(self, problem: OneStepProblem, structure: StepStructure, law: NumericLaw, tolerance: float) -> None:
         self.problem, self.structure, self.law, self.tolerance = problem, structure, law, tolerance
         p = problem
         known = [p.t, p.h, p.state]
-        settled = (p.z, p.E) if structure.affine else p.settled
-        self._rows = ca.vertcat(settled[1], p.Y)
-        parts = [*settled, p.Y, *p.jacobians]
-        self._linearise = Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
+        reduced = (p.z, p.E) if structure.affine else p.explicit_eliminated
+        self._rows = ca.vertcat(reduced[1], p.Y)
+        parts = [*reduced, p.Y, *p.jacobians]
+        self._linearise = BufferedStepFunction("linearise", [*known, p.z, p.l], parts, matrices=4)
         guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
         E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
         unit, follow = [row for row, *_ in structure.unit_rows], [i for i, _ in structure.follow_rows]
-        exact = column([*(p.Y[i] for i in unit), *(p.E[i] for i in follow)])
+        exact = stack_column([*(p.Y[i] for i in unit), *(p.E[i] for i in follow)])
         at_zero = ca.substitute([exact], [p.z, p.l], [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)])[0]
-        self._offset = Buffered("offset", known, [at_zero])
+        self._offset = BufferedStepFunction("offset", known, [at_zero])
         self._offsets = np.zeros(len(unit) + len(follow))
-        self._guess = Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
-        self._pack = Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
+        self._guess = BufferedStepFunction("guess", [*known, p.l], [p.guess, guess_0, E_guess])
+        self._pack = BufferedStepFunction("pack", [*known, p.z, p.l, p.y], [p.next_state, *extra_columns(p).values()])
         self._complementarity = law.is_complementarity
-        self._error: Buffered | None = None
-        self.enough = tolerance * (ENOUGH_IF_AFFINE if structure.affine else ENOUGH)
+        self._error: BufferedStepFunction | None = None
+        self.enough = tolerance * (SUFFICIENT_IF_AFFINE if structure.affine else ENOUGH)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
         """Evaluate E, Y and the exact Jacobians."""
         return Linearisation(*self._linearise(t, h, state, z, l))
 
-    def start(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, Known]:
+    def start(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, StepContext]:
         """The first z for these l, and what the step is given."""
         z, guess, E_guess = self._guess(t, h, state, l)
-        return z, Known(t, h, state, guess, np.abs(E_guess))
+        return z, StepContext(t, h, state, guess, np.abs(E_guess))
 
     def guess(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The first z."""
         return self.start(t, h, state, l)[0]
 
-    def known(self, t: float, h: float, state: np.ndarray) -> Known:
+    def known(self, t: float, h: float, state: np.ndarray) -> StepContext:
         """What the step is given."""
         return self.start(t, h, state, np.zeros(self.law.size))[1]
 
     def _eliminate(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
         """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l, computed once; None where E_z is singular or not finite."""
-        if at.eliminated is UNKNOWN:
-            at.eliminated = self._eliminated(at)
+        if at.eliminated is NOT_COMPUTED:
+            at.eliminated = self._solve_elimination(at)
         return at.eliminated
 
-    def _eliminated(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
+    def _solve_elimination(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
         if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all() and np.isfinite(at.E_l).all()):
             return None
         if self.structure.identity:
@@ -125,8 +125,8 @@ class Linearised:
             return None
         return -both[:, 0], -both[:, 1:]
 
-    def judge(
-        self, known: Known, at: Linearisation, l: np.ndarray, index: np.ndarray, solver: str, iterations: int,
+    def evaluate_residual(
+        self, known: StepContext, at: Linearisation, l: np.ndarray, index: np.ndarray, solver: str, iterations: int,
         thorough: bool = True,
     ) -> Iterate:  # fmt: skip
         """The certificate at (z, l): E against what moves in the step, and the law at the model's own y.
@@ -139,23 +139,23 @@ class Linearised:
             return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
         n, abs_z, abs_l = z.size, np.abs(z), np.abs(l)
         sizes = np.concatenate([np.abs(at.E_z) @ abs_z + np.abs(at.E_l) @ abs_l, np.abs(at.Y_z) @ abs_z + np.abs(at.Y_l) @ abs_l])
-        scales = self._scales(known, at, z, l, index)
-        worst, row = self._residual(known, at, z, l, scales, sizes)
+        scales = self._residual_scales(known, at, z, l, index)
+        worst, row = self._largest_residual(known, at, z, l, scales, sizes)
         if thorough and self.tolerance < worst < np.inf:
-            error = self._errors(known, z, l)
-            worst, row = self._residual(known, at, z, l, scales, error)
+            error = self._rounding_bounds(known, z, l)
+            worst, row = self._largest_residual(known, at, z, l, scales, error)
             if worst > self.tolerance:
-                J, free = self._system(at, index)
-                of = felt_dense(J, np.concatenate([error[:n], error[n:][free]]))
+                J, free = self._index_set_system(at, index)
+                of = dense_solution_errors(J, np.concatenate([error[:n], error[n:][free]]))
                 dz, dl = of[:n], np.zeros((l.size, of.shape[1]))
                 dl[free] = of[n:]
-                error = error + largest(np.concatenate([at.E_z @ dz + at.E_l @ dl, at.Y_z @ dz + at.Y_l @ dl]))
-                worst, row = self._residual(known, at, z, l, scales, error)
+                error = error + row_maxima(np.concatenate([at.E_z @ dz + at.E_l @ dl, at.Y_z @ dz + at.Y_l @ dl]))
+                worst, row = self._largest_residual(known, at, z, l, scales, error)
         y = np.where(index == 0, 0.0, at.Y) if l.size else at.Y
         return Iterate(z, l, index, y, worst, row, solver, iterations)
 
-    def _scales(
-        self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
+    def _residual_scales(
+        self, known: StepContext, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """What moves or acts: the scales of E and of y, and max_j |W_ij|."""
         dz = z - known.guess
@@ -164,12 +164,12 @@ class Linearised:
         s_E = unmoved + np.abs(at.E_z) @ np.abs(dz)
         return s_E, *(self._law_scales(at, z, l, index) if l.size else (l, l))
 
-    def _residual(
-        self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, scales: tuple[np.ndarray, np.ndarray, np.ndarray],
-        error: np.ndarray,
+    def _largest_residual(
+        self, known: StepContext, at: Linearisation, z: np.ndarray, l: np.ndarray,
+        scales: tuple[np.ndarray, np.ndarray, np.ndarray], error: np.ndarray,
     ) -> tuple[float, int | None]:  # fmt: skip
         """The certificate with the rounding ``error`` of the rows, in units of u; the row of y that is worst."""
-        n, (s_E, s_y, w_max), c_u = z.size, scales, ROUNDING * UNIT
+        n, (s_E, s_y, w_max), c_u = z.size, scales, ROUNDING * UNIT_ROUND_OFF
         if not np.isfinite(error).all():  # an infinite bound excuses nothing
             error = np.where(np.isfinite(error), error, 0.0)
         s_E = np.maximum(s_E + c_u / self.tolerance * error[:n], UNRESOLVED)
@@ -183,24 +183,24 @@ class Linearised:
                 row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
                 worst = float(residual[row])
             if self.structure.projection:
-                worst = max(worst, self._gap(known, at, z, l, c_u * error[n:]))
+                worst = max(worst, self._relative_duality_gap(known, at, z, l, c_u * error[n:]))
         return worst, row
 
-    def _errors(self, known: Known, z: np.ndarray, l: np.ndarray) -> np.ndarray:
+    def _rounding_bounds(self, known: StepContext, z: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The running error bounds of E and Y, in units of u."""
         p = self.problem
         if self._error is None:
-            bound = error_bound(self._rows, ca.vertcat(p.z, p.l))
-            self._error = Buffered("error", [p.t, p.h, p.state, p.z, p.l], [bound])
+            bound = rounding_error_bound(self._rows, ca.vertcat(p.z, p.l))
+            self._error = BufferedStepFunction("error", [p.t, p.h, p.state, p.z, p.l], [bound])
         return self._error(known.t, known.h, known.state, z, l)[0]
 
-    def _system(self, at: Linearisation, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _index_set_system(self, at: Linearisation, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The matrix of E = 0 and of Y = 0 in the rows coded 0, and these rows; other multipliers are taken as given."""
         free = np.flatnonzero(index == 0)
         return np.block([[at.E_z, at.E_l[:, free]], [at.Y_z[free], at.Y_l[np.ix_(free, free)]]]), free
 
     @staticmethod
-    def _gap(known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, unseen: np.ndarray) -> float:
+    def _relative_duality_gap(known: StepContext, at: Linearisation, z: np.ndarray, l: np.ndarray, unseen: np.ndarray) -> float:
         """<l, y>, which bounds the square of the distance to the projection, beside the square of what moves; 0 if rounding."""
         gap, dz = float(np.maximum(l, 0) @ np.maximum(at.Y, 0)), z - known.guess
         moved = float(dz @ dz + known.unmoved @ known.unmoved)
@@ -227,16 +227,16 @@ class Linearised:
         return np.concatenate([parts[0], found.l, found.y, [found.residual, found.iterations], *parts[1:]]) + 0.0
 
 
-class Buffered:
+class BufferedStepFunction:
     """A CasADi function called through buffer(): columns come back as fresh 1-D arrays, the last ``matrices`` outputs as 2-D."""
 
     def __init__(self, name: str, inputs: list[ca.SX], outputs: list[ca.SX], matrices: int = 0) -> None:
-        shared = sum(e.numel() for e in inputs) < SHARED_BELOW
+        shared = sum(e.numel() for e in inputs) < MAX_CSE_INPUTS
         function = ca.Function(name, inputs, [ca.densify(e) for e in outputs], {"cse": shared})
         self._in = [np.zeros(e.numel()) for e in inputs]
         columns = len(outputs) - matrices
         self._out = [np.zeros(e.numel() if i < columns else e.shape, order="F") for i, e in enumerate(outputs)]
-        self._buffer, self._run = attached(function, self._in, self._out)
+        self._buffer, self._run = attach_buffers(function, self._in, self._out)
 
     def __call__(self, *values: float | np.ndarray) -> list[np.ndarray]:
         """The outputs at these inputs."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, ContactRows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BODIES_SCHEME, BodiesProblem, ContactRows, uses_neighbour_search
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
 from nsmodel.solve import mlcp, qp
@@ -22,32 +22,32 @@ from nsmodel.solve.certificate import EPS, REACH
 from nsmodel.solve.contact_projection import (
     ACTIVE_SET,
     CLARABEL,
-    SMALL,
-    Forces,
-    Group,
-    certificate,
-    largest,
-    opposing,
-    scaled_rows,
+    MAX_LEMKE_ROWS,
+    ContactForces,
+    ContactGroup,
+    contact_residual,
+    largest_coordinate,
+    opposing_contacts,
+    scale_contact_rows,
 )
-from nsmodel.solve.diagnose import out_of_reach
-from nsmodel.solve.near import candidates, least_gap, rows_of
+from nsmodel.solve.diagnose import describe_overreach
+from nsmodel.solve.near import candidate_contact_rows, candidate_members, least_gap
 
-SOLVERS = ("auto", ACTIVE_SET, CLARABEL, *qp.SOLVERS, mlcp.LEMKE)
-WIDE = 1.25  # The cut-off, beside what moved in the last step.
+BODIES_SOLVERS = ("auto", ACTIVE_SET, CLARABEL, *qp.QP_SOLVERS, mlcp.LEMKE)
+CUTOFF_FACTOR = 1.25  # The cut-off, beside what moved in the last step.
 
 
-class BodiesWarm(NamedTuple):
+class BodiesWarmStart(NamedTuple):
     """Where the next step starts to look: the contacts of the last one, and the sum of its two largest |d_i|."""
 
     contacts: Contacts
     moved: float
 
 
-COLD = BodiesWarm(NO_CONTACTS, 0.0)
+COLD_BODIES_START = BodiesWarmStart(NO_CONTACTS, 0.0)
 
 
-class BodiesStep(NamedTuple):
+class BodiesStepResult(NamedTuple):
     """One verified step.
 
     Attributes:
@@ -64,7 +64,7 @@ class BodiesStep(NamedTuple):
     contacts: Contacts
     gap_min: float
     residual: float
-    warm: BodiesWarm
+    warm: BodiesWarmStart
     solver: str
     groups: int
 
@@ -79,13 +79,15 @@ class BodiesStepper:
     """
 
     def __init__(self, problem: BodiesProblem, solver: str, tolerance: float) -> None:
-        if solver not in SOLVERS:
-            raise UsageError(f"solver '{solver}' is unknown for many bodies; choose one of {', '.join(SOLVERS)}")
+        if solver not in BODIES_SOLVERS:
+            raise UsageError(f"solver '{solver}' is unknown for many bodies; choose one of {', '.join(BODIES_SOLVERS)}")
         self.problem, self.solver, self.tolerance = problem, solver, tolerance
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
-        self._searched = any(map(searched, problem.families))
+        self._searched = any(map(uses_neighbour_search, problem.families))
 
-    def __call__(self, t: float, h: float, state: np.ndarray, warm: BodiesWarm = COLD, k: int = 0) -> BodiesStep:
+    def __call__(
+        self, t: float, h: float, state: np.ndarray, warm: BodiesWarmStart = COLD_BODIES_START, k: int = 0
+    ) -> BodiesStepResult:
         """Advance the bodies that are there, q = ``state`` (N, d), from t to t + h.
 
         Raises:
@@ -95,51 +97,55 @@ class BodiesStepper:
         q, present = state, np.all(np.isfinite(state), axis=1)
         start = clock()
         hf = h * self.problem.f(t, q, present)
-        cutoff = WIDE * max(_two_largest(hf), warm.moved)
+        cutoff = CUTOFF_FACTOR * max(_sum_two_largest_norms(hf), warm.moved)
         while True:
-            members = candidates(self.problem, t + h, q, present, cutoff)
+            members = candidate_members(self.problem, t + h, q, present, cutoff)
             searched_at = clock()
-            rows, n = scaled_rows(rows_of(self.problem, t + h, q, members, cutoff), self.problem, t + h, q)
+            rows, n = scale_contact_rows(candidate_contact_rows(self.problem, t + h, q, members, cutoff), self.problem, t + h, q)
             assembled_at = clock()
-            found = Group(rows, hf).solve(self.solver, n * h * self._last(rows, warm.contacts), self._least(hf, q))
-            moved = _two_largest(found.d)
+            found = ContactGroup(rows, hf).solve(
+                self.solver, n * h * self._last_reactions(rows, warm.contacts), self._violation_tolerance(hf, q)
+            )
+            moved = _sum_two_largest_norms(found.d)
             seconds["search"] += searched_at - start
             seconds["assembly"] += assembled_at - searched_at
             seconds["solve"] += (start := clock()) - assembled_at
             if not (moved > cutoff and self._searched):
                 break
-            cutoff = WIDE * moved
-        residual, worst = certificate(rows, n, hf, found.d, found.m, q[present], self.tolerance)
+            cutoff = CUTOFF_FACTOR * moved
+        residual, worst = contact_residual(rows, n, hf, found.d, found.m, q[present], self.tolerance)
         if not residual <= self.tolerance:
-            raise self._failure(t + h, rows, hf, found, residual, worst)
+            raise self._step_error(t + h, rows, hf, found, residual, worst)
         after = q + found.d
         acting = np.flatnonzero(found.m > 0)
-        self._stay_in_reach(t, h, q, after, rows.at(acting), n[acting])
+        self._check_linearisation_reach(t, h, q, after, rows.at(acting), n[acting])
         gap = self._least_gap(t + h, after, present, rows, cutoff - moved)
         contacts = Contacts(
             rows.family[acting], rows.first[acting].astype(np.int32), rows.second[acting].astype(np.int32),
             found.m[acting] / (n[acting] * h),
         )  # fmt: skip
         seconds["solve"] += clock() - start
-        return BodiesStep(after, contacts, gap, residual, BodiesWarm(contacts, moved), found.solver, found.groups)
+        return BodiesStepResult(after, contacts, gap, residual, BodiesWarmStart(contacts, moved), found.solver, found.groups)
 
-    def _last(self, rows: ContactRows, contacts: Contacts) -> np.ndarray:
+    def _last_reactions(self, rows: ContactRows, contacts: Contacts) -> np.ndarray:
         """The reactions of the last step (R,)."""
         wide = 1 + max([self.problem.count, *(family.second.group.count for family in self.problem.families if family.second)])
 
-        def keys(of: ContactRows | Contacts) -> np.ndarray:
+        def contact_keys(of: ContactRows | Contacts) -> np.ndarray:
             return (of.family.astype(np.int64) * self.problem.count + of.first) * wide + of.second + 1
 
-        now, order = keys(rows), np.argsort(keys(contacts))
-        last = keys(contacts)[order]
+        now, order = contact_keys(rows), np.argsort(contact_keys(contacts))
+        last = contact_keys(contacts)[order]
         at = np.minimum(np.searchsorted(last, now), last.size - 1) if last.size else np.zeros(now.size, int)
         return np.where(last[at] == now, contacts.reaction[order][at], 0.0) if last.size else np.zeros(now.size)
 
-    def _least(self, hf: np.ndarray, q: np.ndarray) -> float:
+    def _violation_tolerance(self, hf: np.ndarray, q: np.ndarray) -> float:
         """What is no violation: a small part of what the certificate allows."""
-        return 1e-2 * self.tolerance * float(np.sqrt((hf**2).sum(axis=1)).max(initial=0.0)) + EPS * largest(q)
+        return 1e-2 * self.tolerance * float(np.sqrt((hf**2).sum(axis=1)).max(initial=0.0)) + EPS * largest_coordinate(q)
 
-    def _stay_in_reach(self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: ContactRows, n: np.ndarray) -> None:
+    def _check_linearisation_reach(
+        self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: ContactRows, n: np.ndarray
+    ) -> None:
         """Refuse a verified step of a linearisation that means nothing where it leads; `prediction_correction._overreach`.
 
         ``rows``: those that act, of unit gradient, which was n_i.
@@ -147,8 +153,8 @@ class BodiesStepper:
         true, end = np.empty(len(n)), np.empty((len(n), 2 * q.shape[1]))
         for family in np.unique(rows.family):
             of = np.flatnonzero(rows.family == family)
-            there = self.problem.rows(int(family), t + h, after, rows.first[of], rows.second[of])
-            true[of], end[of] = there.g / n[of], np.hstack([there.G, there.H]) / n[of, None]
+            at_end = self.problem.rows(int(family), t + h, after, rows.first[of], rows.second[of])
+            true[of], end[of] = at_end.g / n[of], np.hstack([at_end.G, at_end.H]) / n[of, None]
         d = np.hstack([(after - q)[rows.first], np.where(rows.pair[:, None], (after - q)[rows.other], 0.0)])
         start = np.hstack([rows.G, rows.H])
         d[(start == 0) & (end == 0)] = 0.0
@@ -156,9 +162,9 @@ class BodiesStepper:
         beyond = ~(off <= REACH * np.sqrt((d**2).sum(axis=1)))  # also where a constraint is not finite
         if beyond.any():
             worst = int(np.argmax(np.where(beyond, np.nan_to_num(off, nan=np.inf), -np.inf)))
-            ratio, name = off[worst] / np.sqrt((d[worst] ** 2).sum()), self._name(rows, worst)
+            ratio, name = off[worst] / np.sqrt((d[worst] ** 2).sum()), self._row_name(rows, worst)
             raise StepError(
-                f"no verified step from t = {t:.10g} to {t + h:.10g}: {out_of_reach(name, ratio)}",
+                f"no verified step from t = {t:.10g} to {t + h:.10g}: {describe_overreach(name, ratio)}",
                 residual=float(ratio), component=name,
             )  # fmt: skip
 
@@ -171,16 +177,16 @@ class BodiesStepper:
                 least = min(least, float(self.problem.gap(family, t, q, rows.first[of], rows.second[of]).min()))
         return least if least <= beyond or not self._searched else least_gap(self.problem, t, q, present)
 
-    def _failure(
-        self, t: float, rows: ContactRows, hf: np.ndarray, found: Forces, residual: float, worst: int | None
+    def _step_error(
+        self, t: float, rows: ContactRows, hf: np.ndarray, found: ContactForces, residual: float, worst: int | None
     ) -> StepError:
         """Why there is no verified step, in the user's words."""
-        name = None if worst is None else self._name(rows, worst)
+        name = None if worst is None else self._row_name(rows, worst)
         reason = "no solver reached the tolerance" if self.solver == "auto" else "the forced solver did not find it"
-        opposed = [] if worst is None else opposing(rows, hf, worst)
+        opposed = [] if worst is None else opposing_contacts(rows, hf, worst)
         if opposed:
-            listed = " and ".join(f"'{self._name(rows, i)}' (weight {u:.3g})" for i, u in opposed)
-            reason, name = f"the constraints leave no point: {listed} oppose each other", self._name(rows, opposed[0][0])
+            listed = " and ".join(f"'{self._row_name(rows, i)}' (weight {u:.3g})" for i, u in opposed)
+            reason, name = f"the constraints leave no point: {listed} oppose each other", self._row_name(rows, opposed[0][0])
             if any(self.problem.curved[rows.family[i]] for i, _ in opposed):
                 reason = f"linearised at the step's start, {reason} (with curved ones smaller steps may find one)"
         at = "" if name is None else f", worst at '{name}'"
@@ -189,19 +195,19 @@ class BodiesStepper:
             residual=residual, component=name,
         )  # fmt: skip
 
-    def _name(self, rows: ContactRows, i: int) -> str:
+    def _row_name(self, rows: ContactRows, i: int) -> str:
         return self.problem.name(int(rows.family[i]), int(rows.first[i]), int(rows.second[i]))
 
 
-def explained(problem: BodiesProblem, solver: str) -> tuple[list[str], list[str]]:
+def bodies_plan_lines(problem: BodiesProblem, solver: str) -> tuple[list[str], list[str]]:
     """What a step uses and what it leaves out, as lines for ``--explain``."""
-    used, left_out = [f"{problem.count} bodies of {problem.d} states, {SCHEME}"], []
+    used, left_out = [f"{problem.count} bodies of {problem.d} states, {BODIES_SCHEME}"], []
     for name, family in zip(problem.names, problem.families, strict=True):
-        if searched(family):
+        if uses_neighbour_search(family):
             used.append(f"'{name}': {family.count:,} pairs, found by a search tree within the reach {family.reach} and a cut-off")
             left_out.append(
-                f"'{name}': pairs beyond the cut-off, {WIDE} times what two bodies moved in the last step: their rows hold as "
-                "long as no two bodies move more, which is checked after each step"
+                f"'{name}': pairs beyond the cut-off, {CUTOFF_FACTOR} times what two bodies moved in the last step: their rows "
+                "hold as long as no two bodies move more, which is checked after each step"
             )
         else:
             why = "given one by one" if family.over is not None else "no reach |q_i - q_j| - c to search by"
@@ -212,7 +218,7 @@ def explained(problem: BodiesProblem, solver: str) -> tuple[list[str], list[str]
     if solver == "auto":
         used.append(
             "solvers: primal-dual active set from the last contacts; where that fails, for each group apart, Lemke "
-            f"(up to {SMALL} rows) or {CLARABEL}; each answer polished on the active set and certified on all rows"
+            f"(up to {MAX_LEMKE_ROWS} rows) or {CLARABEL}; each answer polished on the active set and certified on all rows"
         )
     else:
         used.append(f"solver {solver} alone (forced), its answer polished on the active set and certified on all rows")
@@ -221,7 +227,7 @@ def explained(problem: BodiesProblem, solver: str) -> tuple[list[str], list[str]
     return used, left_out
 
 
-def _two_largest(d: np.ndarray) -> float:
+def _sum_two_largest_norms(d: np.ndarray) -> float:
     """The sum of the two largest |d_i|."""
     size = np.sqrt((d**2).sum(axis=1))
     return float(np.partition(size, -2)[-2:].sum()) if size.size > 1 else float(size.sum())

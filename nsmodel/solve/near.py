@@ -6,32 +6,36 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows, uses_neighbour_search
 
 FARTHER = 1e-12  # Part of its reach by which a search looks farther: rounding hides no pair.
 
-Members = tuple[np.ndarray, np.ndarray]
+MemberPairs = tuple[np.ndarray, np.ndarray]
 
 
-def near(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> ContactRows:
+def near_contact_rows(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> ContactRows:
     """The rows of bodies that are present: searched pairs with g < ``cutoff``, and all rows of the other families."""
-    return rows_of(problem, t, q, candidates(problem, t, q, present, cutoff), cutoff)
+    return candidate_contact_rows(problem, t, q, candidate_members(problem, t, q, present, cutoff), cutoff)
 
 
-def candidates(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> list[Members]:
+def candidate_members(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> list[MemberPairs]:
     """For each family, the members to look at: a few too many of the searched pairs."""
     return [
-        _near_pairs(problem, family, t, q, present, cutoff) if searched(about) else _all(problem, family, present)
+        _near_pairs(problem, family, t, q, present, cutoff)
+        if uses_neighbour_search(about)
+        else _all_members(problem, family, present)
         for family, about in enumerate(problem.families)
     ]
 
 
-def rows_of(problem: BodiesProblem, t: float, q: np.ndarray, members: list[Members], cutoff: float) -> ContactRows:
+def candidate_contact_rows(
+    problem: BodiesProblem, t: float, q: np.ndarray, members: list[MemberPairs], cutoff: float
+) -> ContactRows:
     """The rows of the candidates, searched pairs only where g < ``cutoff``."""
     parts = []
     for family, about in enumerate(problem.families):
         rows = problem.rows(family, t, q, *members[family])
-        parts.append(rows.at(~(rows.g >= cutoff)) if searched(about) else rows)
+        parts.append(rows.at(~(rows.g >= cutoff)) if uses_neighbour_search(about) else rows)
     if not parts:
         nobody = np.zeros(0, int)
         none = np.zeros((0, problem.d))
@@ -42,64 +46,64 @@ def rows_of(problem: BodiesProblem, t: float, q: np.ndarray, members: list[Membe
 def least_gap(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray) -> float:
     """The least g of all constraints of bodies that are present; inf where there is none."""
     least = np.inf
-    there = np.flatnonzero(present)
+    bodies = np.flatnonzero(present)
     for family, about in enumerate(problem.families):
-        if not searched(about):
-            first, second = _all(problem, family, present)
+        if not uses_neighbour_search(about):
+            first, second = _all_members(problem, family, present)
             least = min(least, problem.gap(family, t, q, first, second).min(initial=np.inf))
-        elif there.size > 1:
-            distance, nearest = _tree(q[there]).query(q[there], 2)
+        elif bodies.size > 1:
+            distance, nearest = _search_tree(q[bodies]).query(q[bodies], 2)
             one = int(distance[:, 1].argmin())
-            pair = np.sort(there[[one, nearest[one, 1] if nearest[one, 1] != one else nearest[one, 0]]])[None, :]
+            pair = np.sort(bodies[[one, nearest[one, 1] if nearest[one, 1] != one else nearest[one, 0]]])[None, :]
             bound = float(problem.gap(family, t, q, pair[:, 0], pair[:, 1])[0])
             first, second = _near_pairs(problem, family, t, q, present, bound)
             least = min(least, bound, problem.gap(family, t, q, first, second).min(initial=np.inf))
     return float(least)
 
 
-def _near_pairs(problem: BodiesProblem, family: int, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> Members:
+def _near_pairs(problem: BodiesProblem, family: int, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> MemberPairs:
     """The pairs i < j no farther apart than their reach and the cut-off, and a few more, sorted.
 
     Bodies are searched by classes of their shares of it, each up to twice the one before: a large one costs no more than those
     around it.
     """
-    there = np.flatnonzero(present)
-    size = (problem.halves(family, t)[there] + cutoff / 2) * (1 + FARTHER) if there.size > 1 else np.zeros(0)
+    bodies = np.flatnonzero(present)
+    size = (problem.halves(family, t)[bodies] + cutoff / 2) * (1 + FARTHER) if bodies.size > 1 else np.zeros(0)
     if not size.size or size.max() <= 0:
         return np.zeros(0, int), np.zeros(0, int)
     size = np.maximum(size, 1e-6 * size.max())
     kind = np.floor(np.log2(size / size.min())).astype(int)
     groups = [(np.flatnonzero(kind == k), float(size[kind == k].max())) for k in np.unique(kind)]
-    trees = [_tree(q[there[own]]) for own, _ in groups]
+    trees = [_search_tree(q[bodies[own]]) for own, _ in groups]
     found = [np.zeros((0, 2), int)]
     for k, (own, far) in enumerate(groups):
-        found.append(there[own[trees[k].query_pairs(2 * far, output_type="ndarray")]])
+        found.append(bodies[own[trees[k].query_pairs(2 * far, output_type="ndarray")]])
         for m in range(k):
             table = trees[k].sparse_distance_matrix(trees[m], far + groups[m][1], output_type="ndarray")
-            found.append(np.column_stack([there[own[table["i"]]], there[groups[m][0][table["j"]]]]))
+            found.append(np.column_stack([bodies[own[table["i"]]], bodies[groups[m][0][table["j"]]]]))
     pairs = np.sort(np.concatenate(found), axis=1)
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return pairs[:, 0], pairs[:, 1]
 
 
-def _tree(q: np.ndarray) -> Any:
+def _search_tree(q: np.ndarray) -> Any:
     from scipy.spatial import KDTree
 
     return KDTree(q)
 
 
-def _all(problem: BodiesProblem, family: int, present: np.ndarray) -> Members:
+def _all_members(problem: BodiesProblem, family: int, present: np.ndarray) -> MemberPairs:
     """All members of a family that are present, sorted."""
     about = problem.families[family]
-    there = np.flatnonzero(present)
+    bodies = np.flatnonzero(present)
     if about.over is not None:
         first, second = about.over[np.lexsort((about.over[:, 1], about.over[:, 0]))].T
         use = present[first] & (present[second] if about.of_pairs else True)
         return first[use], second[use]
     if about.of_pairs:
-        one, other = np.triu_indices(there.size, 1)
-        return there[one], there[other]
+        one, other = np.triu_indices(bodies.size, 1)
+        return bodies[one], bodies[other]
     if about.second is None:
-        return there, np.full(there.size, -1)
+        return bodies, np.full(bodies.size, -1)
     items = about.second.group.count
-    return np.repeat(there, items), np.tile(np.arange(items), there.size)
+    return np.repeat(bodies, items), np.tile(np.arange(items), bodies.size)

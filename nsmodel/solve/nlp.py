@@ -12,12 +12,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.quiet import quiet
+from nsmodel.proof.quiet import suppress_output
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import NumericLaw
 
-TINY = 1e-30  # Keeps the derivative of |y| finite at 0.
-OPTIONS = {
+ABS_SMOOTHING = 1e-30  # Keeps the derivative of |y| finite at 0.
+IPOPT_OPTIONS = {
     "print_time": False,
     "error_on_fail": False,
     "show_eval_warnings": False,
@@ -28,7 +28,7 @@ OPTIONS = {
 }  # fmt: skip
 
 
-class Programme:
+class NonlinearProgramme:
     """The programme of one problem, built once; a solve is a pure function of its arguments."""
 
     def __init__(self, problem: OneStepProblem, law: NumericLaw) -> None:
@@ -43,7 +43,7 @@ class Programme:
             gap += (p.l[i] - law.lower[i]) * up[i] if has_lo[i] else 0
             gap += (law.upper[i] - p.l[i]) * down[i] if has_up[i] else 0
         for rows, K in law.curved:
-            own, inequalities = K.complementarity(p.l[rows.start : rows.stop], y[rows.start : rows.stop], TINY)
+            own, inequalities = K.complementarity(p.l[rows.start : rows.stop], y[rows.start : rows.stop], ABS_SMOOTHING)
             gap += own
             extra += inequalities
         unknowns = ca.vertcat(p.z, p.l, up, down)
@@ -56,7 +56,7 @@ class Programme:
             np.where(has_lo | curved, np.inf, 0.0), np.where(has_up | curved, np.inf, 0.0),
         ])  # fmt: skip
         nlp = {"x": unknowns, "f": gap, "g": ca.vertcat(equations, *extra), "p": ca.vertcat(p.t, p.h, p.state)}
-        self._solver = ca.nlpsol("step", "ipopt", nlp, OPTIONS)
+        self._solver = ca.nlpsol("step", "ipopt", nlp, IPOPT_OPTIONS)
         self._Y = ca.Function("Y", [nlp["p"], p.z, p.l], [ca.densify(p.Y)])
 
     def solve(
@@ -68,7 +68,7 @@ class Programme:
         start = np.concatenate([z, l, np.maximum(y, 0), np.maximum(-y, 0)])
         zero = np.zeros(self._equations)
         try:
-            with quiet():
+            with suppress_output():
                 found = self._solver(
                     x0=start, p=known, lbx=self._lower, ubx=self._upper,
                     lbg=np.concatenate([zero, np.zeros(self._inequalities)]),

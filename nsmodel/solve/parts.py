@@ -11,7 +11,7 @@ from nsmodel.laws import Box, Law
 from nsmodel.scheme.problem import OneStepProblem
 
 
-def split(problem: OneStepProblem) -> list[tuple[np.ndarray, np.ndarray]]:
+def connected_parts(problem: OneStepProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     """The numbers of the unknowns z and of the multipliers of each part; one part where everything hangs together."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -31,27 +31,29 @@ def split(problem: OneStepProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(np.flatnonzero(label[:n] == k), np.flatnonzero(label[n:] == k)) for k in range(count)]
 
 
-def part(problem: OneStepProblem, z: np.ndarray, l: np.ndarray) -> OneStepProblem:
+def part_problem(problem: OneStepProblem, z: np.ndarray, l: np.ndarray) -> OneStepProblem:
     """The problem of one part; its row keeps z as the record "z"."""
     others = [int(i) for i in np.setdiff1d(np.arange(problem.l.numel()), l)]
     guess, own, rows = problem.guess, [int(i) for i in z], [int(i) for i in l]
     if others:
         guess = ca.substitute([guess], [problem.l[others]], [ca.SX.zeros(len(others))])[0]
     return replace(
-        problem, z=_of(problem.z, own), l=_of(problem.l, rows), y=_of(problem.y, rows), E=_of(problem.E, own),
-        Y=_of(problem.Y, rows), law=_law(problem.law, rows), rows=tuple(problem.rows[i] for i in rows), guess=_of(guess, own),
-        next_state=problem.state, multipliers=None, outputs=None, records={"z": _of(problem.z, own)}, overreach=None, start=None,
-        scale=None if problem.scale is None else problem.scale[rows],
+        problem, z=_column_entries(problem.z, own), l=_column_entries(problem.l, rows), y=_column_entries(problem.y, rows),
+        E=_column_entries(problem.E, own),
+        Y=_column_entries(problem.Y, rows), law=_part_law(problem.law, rows), rows=tuple(problem.rows[i] for i in rows),
+        guess=_column_entries(guess, own),
+        next_state=problem.state, multipliers=None, outputs=None, records={"z": _column_entries(problem.z, own)}, overreach=None,
+        start=None, scale=None if problem.scale is None else problem.scale[rows],
         explicit=tuple(own.index(i) for i in problem.explicit if i in own),
     )  # fmt: skip
 
 
-def _of(column: ca.SX, rows: list[int]) -> ca.SX:
+def _column_entries(column: ca.SX, rows: list[int]) -> ca.SX:
     """Some entries, none of which are a column, too."""
     return ca.reshape(column[rows], len(rows), 1)
 
 
-def _law(law: Law, rows: list[int]) -> Law:
+def _part_law(law: Law, rows: list[int]) -> Law:
     blocks, at = [], 0
     for block in law.blocks:
         own = [i - at for i in rows if at <= i < at + block.size]

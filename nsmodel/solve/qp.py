@@ -11,11 +11,11 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.quiet import quiet
-from nsmodel.solve.active_set import equilibrate
+from nsmodel.proof.quiet import suppress_output
+from nsmodel.solve.active_set import equilibrate_problem
 from nsmodel.solve.certificate import NumericLaw
 
-OPTIONS = {
+QP_OPTIONS = {
     "qpoases": {"printLevel": "none", "terminationTolerance": 1e-14, "boundTolerance": 1e-14},
     "qrqp": {"print_iter": False, "print_header": False, "constr_viol_tol": 1e-12, "dual_inf_tol": 1e-12},
     "daqp": {"daqp": {"eps_prox": 1e-6}},
@@ -25,24 +25,24 @@ OPTIONS = {
     "piqp": {},
     "ipqp": {"print_header": False, "print_iter": False, "print_info": False},
 }
-SOLVERS = tuple(OPTIONS)
+QP_SOLVERS = tuple(QP_OPTIONS)
 # These keep a hot start between calls: built afresh each time, so that a step depends on its arguments alone.
 HIDDEN_MEMORY = frozenset({"qpoases", "osqp", "proxqp", "piqp"})
 
 
-def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: bool) -> np.ndarray | None:
+def solve_qp(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: bool) -> np.ndarray | None:
     """Return l (m,) as the solver gives it, unverified; None where it gives nothing finite."""
     m = law.size
     # QP solvers have absolute tolerances, a model has units.
-    W, b, law, s = equilibrate(W, b, law)
+    W, b, law, s = equilibrate_problem(W, b, law)
     if symmetric:
         H, g, A, below, above = (W + W.T) / 2, b, np.zeros((0, m)), np.zeros(0), np.zeros(0)
         lower, upper = law.lower, law.upper
     else:
         H, g, A, below, above, lower, upper = _gap_programme(W, b, law)
-    with quiet():
+    with suppress_output():
         try:
-            solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, below.size)
+            solver = (_build_conic_solver.__wrapped__ if name in HIDDEN_MEMORY else _build_conic_solver)(name, g.size, below.size)
             found = np.array(solver(h=H, g=g, a=A, lba=below, uba=above, lbx=lower, ubx=upper)["x"]).ravel()[:m]
         except RuntimeError:
             return None
@@ -64,8 +64,8 @@ def _gap_programme(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.nd
 
 
 @lru_cache(maxsize=64)
-def _build(name: str, n: int, rows: int) -> ca.Function:
+def _build_conic_solver(name: str, n: int, rows: int) -> ca.Function:
     return ca.conic(
         "step", name, {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(rows, n)},
-        {"error_on_fail": False, "print_problem": False, "verbose": False, **OPTIONS[name]},
+        {"error_on_fail": False, "print_problem": False, "verbose": False, **QP_OPTIONS[name]},
     )  # fmt: skip

@@ -1,12 +1,12 @@
 """A nonlinear step on the index set of the last one: Newton's iteration, its certificate and the packed row in one function.
 
-What `newton.Newton` does by solvers and NumPy, for the case that nothing switches: with (z, l) an iterate, E_z dz_0 = -E,
+What `newton.NewtonSolver` does by solvers and NumPy, for the case that nothing switches: with (z, l) an iterate, E_z dz_0 = -E,
 E_z Z = -E_l, W = Y_l + Y_z Z, b = Y + Y_z (dz_0 - Z l) - Y_l l,
 
     l+ = -W_ff^{-1} (b + W l_b)_f on the rows f that are held, l_b at the bounds of the others,     z+ = z + dz_0 + Z (l+ - l)
 
 A step is taken here where each affine problem is solved on the index set, and rounding does not decide that, and the certificate
-of `Newton.judge` passes well below the tolerance: the general way would go the same. All else is left to it.
+of `NewtonSolver.judge` passes well below the tolerance: the general way would go the same. All else is left to it.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.buffered import attached
-from nsmodel.proof.graph import column
+from nsmodel.proof.buffered import attach_buffers
+from nsmodel.proof.graph import stack_column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import (
+    CASADI_OPERATIONS,
     EPS,
     GROWTH,
     NEGLIGIBLE,
     ROUNDING,
-    SYMBOLS,
     UNRESOLVED,
     NumericLaw,
-    bound_size,
     box_residual,
-    largest_in_symbols,
+    largest_bound,
+    symbolic_max,
 )
-from nsmodel.solve.layout import Layout, extras
-from nsmodel.solve.newton import Newton
-from nsmodel.solve.rounding import FRAGILE, UNIT
-from nsmodel.solve.structure import Structure, least_eigenvalue
+from nsmodel.solve.layout import RowLayout, extra_columns
+from nsmodel.solve.newton import NewtonSolver
+from nsmodel.solve.rounding import FRAGILE, UNIT_ROUND_OFF
+from nsmodel.solve.structure import StepStructure, least_eigenvalue
 
-MOST = 20  # Unknowns and multipliers up to which a graph has the linear algebra of a step.
-LONGEST = 12_000  # Operations of a graph from which on it is of no use.
-ITERATIONS = 6
-CLEAR = 1e3  # So many times its rounding a row must be on its side.
+MAX_GRAPH_UNKNOWNS = 20  # Unknowns and multipliers up to which a graph has the linear algebra of a step.
+MAX_GRAPH_OPERATIONS = 12_000  # Operations of a graph from which on it is of no use.
+MAX_GRAPH_ITERATIONS = 6
+ROUNDING_MARGIN = 1e3  # So many times its rounding a row must be on its side.
 
 
 @dataclass(frozen=True)
-class Linear:
+class SymbolicLinearisation:
     """The linearisation at (z, l) in symbols, eliminated: dz_0, Z, W, b."""
 
     z: ca.SX
@@ -58,9 +58,9 @@ class Linear:
     W: ca.SX
 
     @classmethod
-    def of(cls, p: OneStepProblem, structure: Structure) -> Linear:
+    def of(cls, p: OneStepProblem, structure: StepStructure) -> SymbolicLinearisation:
         """Linearise a problem."""
-        z, E = (p.z, p.E) if structure.affine else p.settled
+        z, E = (p.z, p.E) if structure.affine else p.explicit_eliminated
         E_z, E_l, Y_z, Y_l = map(ca.densify, p.jacobians)
         both = ca.horzcat(E, E_l)
         both = -both if structure.identity or not p.z.numel() else -ca.solve(ca.sparsify(E_z), both)
@@ -68,37 +68,39 @@ class Linear:
         return cls(z, E, p.Y, E_z, E_l, Y_z, Y_l, dz_0, Z, Y_l + Y_z @ Z)
 
 
-class Repeated:
+class LastIndexSetStep:
     """The step on the last index set; ``law`` has boxes alone. ``call`` returns None where the general way has to be gone."""
 
-    def __init__(self, newton: Newton, layout: Layout) -> None:
+    def __init__(self, newton: NewtonSolver, layout: RowLayout) -> None:
         problem, structure, law, tolerance = newton.problem, newton.structure, newton.law, newton.tolerance
         self._newton, self._law, self._layout, m = newton, law, layout, law.size
-        self._most = 1 if structure.affine else ITERATIONS  # an affine step that is not there at once is refined elsewhere
-        p, at = problem, Linear.of(problem, structure)
+        self._most = (
+            1 if structure.affine else MAX_GRAPH_ITERATIONS
+        )  # an affine step that is not there at once is refined elsewhere
+        p, at = problem, SymbolicLinearisation.of(problem, structure)
         code, bound = ca.SX.sym("code", m), ca.SX.sym("bound", m)
         free = code == 0
-        z_next, l_next, fragility, stays = _iteration(p, at, structure, law, code, bound)
-        row = _judged(p, at, structure, law, tolerance, free)
+        z_next, l_next, fragility, stays = _newton_iteration(p, at, structure, law, code, bound)
+        row = _symbolic_row(p, at, structure, law, tolerance, free)
         over = p.overreach if p.overreach is not None and m else ca.SX(0, 1)
-        reach = largest_in_symbols([ca.if_else(p.l[i] == 0, 0, over[i]) for i in range(over.numel())])
+        reach = symbolic_max([ca.if_else(p.l[i] == 0, 0, over[i]) for i in range(over.numel())])
         watched = m > 0 and not structure.gram
         known = [p.t, p.h, p.state, p.l, code, bound, p.z]
-        moved = [z_next, l_next, at.W, ca.vertcat(_pivot(at.W) if watched else 1, stays)]
+        moved = [z_next, l_next, at.W, ca.vertcat(_least_cholesky_pivot(at.W) if watched else 1, stays)]
         first, again = ca.substitute(moved, [p.z], [p.guess]), [*moved, row, ca.vertcat(fragility, reach)]
         self._first = ca.Function("first", known[:-1], [ca.densify(e) for e in first], {"cse": True})
         self._again = ca.Function("again", known, [ca.densify(e) for e in again], {"cse": True})
-        self.useful = self._again.n_instructions() <= LONGEST
+        self.useful = self._again.n_instructions() <= MAX_GRAPH_OPERATIONS
         self._in = [np.zeros(e.numel()) for e in known]
         self._out = [np.zeros(e.numel()) for e in again]
-        self._run = [attached(f, self._in[: f.n_in()], self._out[: f.n_out()]) for f in (self._first, self._again)]
+        self._run = [attach_buffers(f, self._in[: f.n_in()], self._out[: f.n_out()]) for f in (self._first, self._again)]
         self._loaded: np.ndarray | None = None
         self._possible = False
 
     def call(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, float] | None:
         """Return the packed row and the overreach of the step, on the index set ``index`` from the multipliers ``l``."""
         if index is not self._loaded:
-            self._load(index)
+            self._load_index_set(index)
         if not self._possible:
             return None
         given, out = self._in, self._out
@@ -107,7 +109,7 @@ class Repeated:
         last = np.inf
         for iteration in range(1, self._most + 1):
             if not out[3][0] > 0:
-                self._look(t, h, state, given[6] if iteration > 1 else None, given[3])
+                self._update_least_eigenvalue(t, h, state, given[6] if iteration > 1 else None, given[3])
             if out[3][1] != 1.0:
                 return None
             given[6][:], given[3][:] = out[0], out[1]
@@ -125,23 +127,23 @@ class Repeated:
             last = residual
         return None
 
-    def _load(self, index: np.ndarray) -> None:
+    def _load_index_set(self, index: np.ndarray) -> None:
         held = index == 0
         bound = np.where(index < 0, self._law.lower, np.where(index > 0, self._law.upper, 0.0))
         self._in[4][:], self._in[5][:] = index, bound
         self._held, self._possible, self._loaded = int(held.sum()), bool(np.isfinite(bound).all()), index
 
-    def _look(self, t: float, h: float, state: np.ndarray, z: np.ndarray | None, l: np.ndarray) -> None:
+    def _update_least_eigenvalue(self, t: float, h: float, state: np.ndarray, z: np.ndarray | None, l: np.ndarray) -> None:
         """Let Newton's method note the least eigenvalue of W + W' where that may be below what it has met."""
         newton, W = self._newton, self._out[2].reshape(self._law.size, -1, order="F")
         if np.isfinite(W).all() and least_eigenvalue(W) < newton.least_eigenvalue:
-            newton.note_eigenvalue(newton.matrix_at(t, h, state, newton.guess(t, h, state, l) if z is None else z, l))
+            newton.update_least_eigenvalue(newton.mlcp_matrix(t, h, state, newton.guess(t, h, state, l) if z is None else z, l))
 
 
-def _iteration(
-    p: OneStepProblem, at: Linear, structure: Structure, law: NumericLaw, code: ca.SX, bound: ca.SX
+def _newton_iteration(
+    p: OneStepProblem, at: SymbolicLinearisation, structure: StepStructure, law: NumericLaw, code: ca.SX, bound: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:  # fmt: skip
-    """The next (z, l), sum |A^-1| |A| of W in the rows held (see `rounding.is_fragile`), whether the index set solves it."""
+    """The next (z, l), sum |A^-1| |A| of W in the rows held (`rounding.is_elimination_fragile`), whether it is solved."""
     m, l, free = p.l.numel(), p.l, code == 0
     if not m:
         return at.z + at.dz_0, l, ca.SX(0), ca.SX(1)
@@ -158,20 +160,20 @@ def _iteration(
     for i, needed in structure.follow_rows:
         given = [ca.sum1(free[list(rows)]) > 0 for _, rows in needed]
         rest = E_0[i] + sum(at.E_z[i, j] * z[j] for j, _ in needed)
-        z[i] = ca.if_else(ca.sum1(column(given)) == len(given), -rest / at.E_z[i, i], z[i])
+        z[i] = ca.if_else(ca.sum1(stack_column(given)) == len(given), -rest / at.E_z[i, i], z[i])
     if structure.rest_rows:
         z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
     y, noise = at.W @ l_next + b, 4 * EPS * (ca.fabs(at.W) @ ca.fabs(l_next) + ca.fabs(b))
-    felt, stays = ca.fabs(inverse) @ (free * noise), ca.SX(1)
+    multiplier_error, stays = ca.fabs(inverse) @ (free * noise), ca.SX(1)
     for i in range(m):
-        off = CLEAR * felt[i]
+        off = ROUNDING_MARGIN * multiplier_error[i]
         inside = ca.logic_and(l_next[i] - law.lower[i] >= off, law.upper[i] - l_next[i] >= off)
-        clear = ca.logic_or(-code[i] * y[i] > CLEAR * noise[i], ca.logic_and(y[i] == 0, noise[i] == 0))
+        clear = ca.logic_or(-code[i] * y[i] > ROUNDING_MARGIN * noise[i], ca.logic_and(y[i] == 0, noise[i] == 0))
         stays = ca.logic_and(stays, ca.if_else(free[i], inside, ca.logic_or(clear, law.lower[i] == law.upper[i])))
     return z, l_next, ca.if_else(ca.sum1(free) > 1, fragility, 0), stays
 
 
-def _pivot(W: ca.SX) -> ca.SX:
+def _least_cholesky_pivot(W: ca.SX) -> ca.SX:
     """The least pivot of Cholesky's method for (W + W')/2, rows and columns scaled alike: > 0 where it is positive definite."""
     m, S = W.shape[0], (W + W.T) / 2
     d = [ca.sqrt(ca.mmax(ca.fabs(S[i, :]))) for i in range(m)]
@@ -188,11 +190,11 @@ def _pivot(W: ca.SX) -> ca.SX:
     return least
 
 
-def _judged(
-    p: OneStepProblem, at: Linear, structure: Structure, law: NumericLaw, tolerance: float, free: ca.SX
+def _symbolic_row(
+    p: OneStepProblem, at: SymbolicLinearisation, structure: StepStructure, law: NumericLaw, tolerance: float, free: ca.SX
 ) -> ca.SX:  # fmt: skip
-    """The packed row at (z, l) with its residual: `Newton.judge` in symbols."""
-    m, z, l, Y, rounding = law.size, at.z, p.l, at.Y, ROUNDING * UNIT / tolerance
+    """The packed row at (z, l) with its residual: `NewtonSolver.judge` in symbols."""
+    m, z, l, Y, rounding = law.size, at.z, p.l, at.Y, ROUNDING * UNIT_ROUND_OFF / tolerance
     zero_l = ca.SX.zeros(l.shape)
     guess = ca.substitute(p.guess, l, zero_l) if m else p.guess
     E_guess = ca.substitute([p.E], [p.z, l], [guess, zero_l])[0] if p.z.numel() else p.E
@@ -201,26 +203,28 @@ def _judged(
     error_E = rounding * (ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l))
     matrices = [entry for J in (at.E_z, at.E_l, at.Y_z, at.Y_l) for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()]
     s_E = ca.fmin(unmoved, here) + ca.fabs(at.E_z) @ ca.fabs(dz) + error_E
-    worst = largest_in_symbols([_ratio(ca.fabs(at.E[i]), ca.fmax(s_E[i], UNRESOLVED)) for i in range(z.numel())])
-    worst = largest_in_symbols([worst, *map(_finite, matrices)])
+    worst = symbolic_max([_finite_ratio(ca.fabs(at.E[i]), ca.fmax(s_E[i], UNRESOLVED)) for i in range(z.numel())])
+    worst = symbolic_max([worst, *map(_zero_if_finite, matrices)])
     if m:
         error_Y = rounding * (ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l))
-        s_y, s_l = _law_scales(at, law, l, free, error_Y)
-        rows = box_residual(law, l, Y, s_y, s_l, SYMBOLS)
-        worst = largest_in_symbols([worst, *ca.vertsplit(rows), *map(_finite, ca.vertsplit(ca.vertcat(l, Y, s_y, s_l)))])
+        s_y, s_l = _symbolic_law_scales(at, law, l, free, error_Y)
+        rows = box_residual(law, l, Y, s_y, s_l, CASADI_OPERATIONS)
+        worst = symbolic_max([worst, *ca.vertsplit(rows), *map(_zero_if_finite, ca.vertsplit(ca.vertcat(l, Y, s_y, s_l)))])
         if structure.projection:
             gap = ca.dot(ca.fmax(l, 0), ca.fmax(Y, 0))
             reach = ca.fmax(ca.sumsqr(dz) + ca.sumsqr(unmoved), UNRESOLVED)
             unseen = tolerance * ca.dot(ca.fabs(l), error_Y)
-            worst = largest_in_symbols([worst, ca.if_else(gap > unseen, gap / reach, 0)])
+            worst = symbolic_max([worst, ca.if_else(gap > unseen, gap / reach, 0)])
     y = ca.if_else(free, 0, Y) if m else Y
-    rest = [p.next_state, *extras(p).values()]
+    rest = [p.next_state, *extra_columns(p).values()]
     rest = [ca.substitute([e], [p.z, p.y], [z, y])[0] if e.numel() and m else e for e in rest]
     rest = rest if m else [ca.substitute(e, p.z, z) if e.numel() else e for e in rest]
     return ca.vertcat(rest[0], l, y, worst, 0, *map(ca.vec, rest[1:]))
 
 
-def _law_scales(at: Linear, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _symbolic_law_scales(
+    at: SymbolicLinearisation, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.SX
+) -> tuple[ca.SX, ca.SX]:
     """s_y and s_l, as in `certificate`, where W is no number."""
     m, moved = law.size, at.Z @ l
     b = at.Y - at.Y_z @ moved - at.Y_l @ l
@@ -229,22 +233,22 @@ def _law_scales(at: Linear, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.
     if law.is_complementarity:
         w = [ca.if_else(ca.logic_or(l[i] != 0, free[i]), w[i], 1) for i in range(m)]
     root = [ca.sqrt(w_i) for w_i in w]
-    weighed = ca.mmax(column([ca.if_else(root[i] > 0, ca.fabs(b[i]) / root[i], 0) for i in range(m)]))
-    most = NEGLIGIBLE * ca.mmax(column([ca.fabs(l[i]) * root[i] for i in range(m)]))
-    size, s_y, s_l = bound_size(law), [], []
+    weighed = ca.mmax(stack_column([ca.if_else(root[i] > 0, ca.fabs(b[i]) / root[i], 0) for i in range(m)]))
+    most = NEGLIGIBLE * ca.mmax(stack_column([ca.fabs(l[i]) * root[i] for i in range(m)]))
+    size, s_y, s_l = largest_bound(law), [], []
     for i in range(m):
         own = ca.fabs(b[i])
         capped = ca.fmin(own + terms[i], ca.fmax(GROWTH * root[i] * weighed, own))
         s_y.append(ca.fmax(ca.if_else(root[i] > 0, capped, own) + error_Y[i], UNRESOLVED))
         large = ca.fmax(ca.fabs(l[i]), size[i])
         s_l.append(ca.if_else(root[i] > 0, ca.fmin(s_y[i] / w[i], ca.fmax(large, most / root[i])), large))
-    return column(s_y), column(s_l)
+    return stack_column(s_y), stack_column(s_l)
 
 
-def _finite(a: ca.SX) -> ca.SX:
+def _zero_if_finite(a: ca.SX) -> ca.SX:
     """0 where it is a finite number, else inf."""
     return ca.if_else(ca.fabs(a) < ca.inf, 0, ca.inf)
 
 
-def _ratio(a: ca.SX, s: ca.SX) -> ca.SX:
+def _finite_ratio(a: ca.SX, s: ca.SX) -> ca.SX:
     return ca.if_else(a == 0, 0, ca.if_else(s < ca.inf, a / s, ca.inf))

@@ -4,7 +4,7 @@
 
 is a pure function of its arguments: the same arguments give the same bits, whatever was called before. It raises StepError,
 and changes nothing, when no solver reaches the tolerance. What a state and a warm start are is the stepper's own: of a scheme's
-problem the column that is carried and `Warm`, of many bodies (`many_bodies`) positions and the contacts that acted.
+problem the column that is carried and `WarmStart`, of many bodies (`many_bodies`) positions and the contacts that acted.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from nsmodel.brief import brief
-from nsmodel.solve.layout import Layout
+from nsmodel.brief import short_repr
+from nsmodel.solve.layout import RowLayout
 
 
 @dataclass(frozen=True)
-class Warm:
+class WarmStart:
     """Where the next step starts to look: the last multiplier l (m,) and its index set (m,) int8."""
 
     l: np.ndarray
     index: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 class StepResult(NamedTuple):
@@ -38,10 +38,10 @@ class StepResult(NamedTuple):
     """
 
     row: np.ndarray
-    warm: Warm
+    warm: WarmStart
     solver: str
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 State = TypeVar("State", contravariant=True)
@@ -57,12 +57,12 @@ class Step(Protocol[State, Start, Result]):
         ...
 
 
-class PackedStep(Step[np.ndarray, Warm, StepResult], Protocol):
+class PackedStep(Step[np.ndarray, WarmStart, StepResult], Protocol):
     """What every stepper of a scheme's problem is: it gives packed rows."""
 
-    layout: Layout
+    layout: RowLayout
     rows: tuple[str, ...]
 
-    def cold(self) -> Warm:
+    def cold_start(self) -> WarmStart:
         """Return the warm start of a first step."""
         ...

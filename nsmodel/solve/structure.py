@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.once import once
-from nsmodel.proof.graph import column, entries
+from nsmodel.once import cached_per_object
+from nsmodel.proof.graph import stack_column, stored_entries
 from nsmodel.scheme.problem import OneStepProblem
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
 EPS = np.finfo(float).eps
-DENSE = 1500  # Unknowns and multipliers up to which dense matrices are tried.
-EIGENVALUES_UP_TO = 300  # Rows up to which all eigenvalues are computed.
+MAX_DENSE_UNKNOWNS = 1500  # Unknowns and multipliers up to which dense matrices are tried.
+MAX_FULL_SPECTRUM_ROWS = 300  # Rows up to which all eigenvalues are computed.
 MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue.
 LANCZOS_ERROR = 1e-9  # Of an operator scaled to 1: what is nearer to 0 is not told from it.
 
 
 @dataclass(frozen=True)
-class Structure:
+class StepStructure:
     """Facts about E and Y.
 
     Attributes:
@@ -60,34 +60,34 @@ class Structure:
     nonzeros: int
 
 
-@once
-def read(problem: OneStepProblem) -> Structure:
+@cached_per_object
+def read_step_structure(problem: OneStepProblem) -> StepStructure:
     """Read the structure of a problem; what is said of it holds for any value of parameters left symbolic."""
     z, l = problem.z, problem.l
     E_z, E_l, Y_z, Y_l = problem.jacobians
-    matrices = column(entry for J in (E_z, E_l, Y_z, Y_l) for entry in entries(J))
-    affine = not _depends(matrices, ca.vertcat(z, l))
+    matrices = stack_column(entry for J in (E_z, E_l, Y_z, Y_l) for entry in stored_entries(J))
+    affine = not _depends_on(matrices, ca.vertcat(z, l))
     known = ca.vertcat(problem.t, problem.state)
-    identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero(E_z - ca.SX.eye(z.numel()))
-    factors = _factors(E_z, E_l, Y_z, Y_l, problem)
+    identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero_matrix(E_z - ca.SX.eye(z.numel()))
+    factors = _symmetry_factors(E_z, E_l, Y_z, Y_l, problem)
     symmetric = factors is not None
     gram = identity and symmetric and Y_l.nnz() == 0
-    constant = affine and not _depends(matrices, known)
+    constant = affine and not _depends_on(matrices, known)
     nearest = (
         set(problem.law.labels) == {"complementarity"}
         and factors is not None
         and np.allclose(factors, 1, rtol=1e-13, atol=0)
         and Y_l.nnz() == 0
-        and _moves_alone(problem)
+        and _is_shifted_identity(problem)
     )
-    return Structure(
+    return StepStructure(
         affine=affine,
         constant=constant,
         identity=identity,
         symmetric=symmetric,
-        unit_rows=tuple(unit := _unit_rows(Y_z, Y_l)),
-        follow_rows=_follow_rows(E_z, E_l, unit) if constant else (),
-        rest_rows=() if len({j for _, j, _ in unit}) == z.numel() else _rest_rows(problem, Y_z, Y_l),
+        unit_rows=tuple(unit := _find_unit_rows(Y_z, Y_l)),
+        follow_rows=_find_follow_rows(E_z, E_l, unit) if constant else (),
+        rest_rows=() if len({j for _, j, _ in unit}) == z.numel() else _find_rest_rows(problem, Y_z, Y_l),
         gram=gram,
         nearest=nearest,
         projection=nearest and gram,
@@ -97,25 +97,25 @@ def read(problem: OneStepProblem) -> Structure:
     )
 
 
-def _moves_alone(p: OneStepProblem) -> bool:
+def _is_shifted_identity(p: OneStepProblem) -> bool:
     """Whether E = z - p without multipliers."""
     J = ca.jacobian(ca.substitute([p.E], [p.l], [ca.SX.zeros(p.l.shape)])[0] - p.z, p.z)
-    return _is_zero(J)
+    return _is_zero_matrix(J)
 
 
-def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
+def _depends_on(expression: ca.SX, symbols: ca.SX) -> bool:
     return bool(symbols.numel() and expression.numel() and ca.depends_on(expression, symbols))
 
 
-def _is_zero(expression: ca.SX) -> bool:
+def _is_zero_matrix(expression: ca.SX) -> bool:
     return expression.numel() == 0 or bool(ca.simplify(ca.sparsify(expression)).is_zero())
 
 
-def _factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepProblem) -> list[float] | None:
+def _symmetry_factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepProblem) -> list[float] | None:
     """The a >= 0 with E_z = E_z', E_l = -a Y_z', Y_l = Y_l' at three generic points of the unknowns; None where there is none."""
     if not problem.l.numel():
         return []
-    if E_z.is_constant() and not Y_l.nnz() and is_transposed(E_l, Y_z) and _equal(ca.DM(E_z), ca.DM(E_z).T):
+    if E_z.is_constant() and not Y_l.nnz() and is_negative_transpose(E_l, Y_z) and _equal_to_rounding(ca.DM(E_z), ca.DM(E_z).T):
         return [1.0]
     symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.p, problem.z, problem.l)
     f = ca.Function("matrices", [symbols], [E_z, E_l, Y_z, Y_l])
@@ -126,24 +126,30 @@ def _factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepPro
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             factor = float(ca.dot(-El.T, Yz)) / max(float(ca.dot(Yz, Yz)), 1e-300)
-        if not (np.isfinite(factor) and _equal(Ez, Ez.T) and _equal(-El, factor * Yz.T) and _equal(Yl, Yl.T) and factor >= 0):
+        if not (
+            np.isfinite(factor)
+            and _equal_to_rounding(Ez, Ez.T)
+            and _equal_to_rounding(-El, factor * Yz.T)
+            and _equal_to_rounding(Yl, Yl.T)
+            and factor >= 0
+        ):
             return None
         factors.append(float(factor))
     return factors
 
 
-def is_transposed(E_l: ca.SX, Y_z: ca.SX) -> bool:
+def is_negative_transpose(E_l: ca.SX, Y_z: ca.SX) -> bool:
     """Whether E_l = -Y_z', entry for entry."""
-    return E_l.sparsity() == Y_z.T.sparsity() and _is_zero(ca.SX(E_l.nz[:]) + ca.SX(Y_z.T.nz[:]))
+    return E_l.sparsity() == Y_z.T.sparsity() and _is_zero_matrix(ca.SX(E_l.nz[:]) + ca.SX(Y_z.T.nz[:]))
 
 
-def _equal(a: ca.DM, b: ca.DM) -> bool:
+def _equal_to_rounding(a: ca.DM, b: ca.DM) -> bool:
     return bool(np.abs((a - b).nonzeros()).max(initial=0.0) <= 1e-13 * np.abs(a.nonzeros()).max(initial=0.0))
 
 
-def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
+def _find_unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
     by_row: dict[int, list[tuple[int, ca.SX]]] = {}
-    for i, j, entry in zip(*Y_z.sparsity().get_triplet(), entries(Y_z), strict=True):
+    for i, j, entry in zip(*Y_z.sparsity().get_triplet(), stored_entries(Y_z), strict=True):
         if not entry.is_zero():
             by_row.setdefault(i, []).append((j, entry))
     coupled = set(Y_l.sparsity().get_triplet()[0])
@@ -151,12 +157,12 @@ def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
     return [(i, j, float(entry)) for i, j, entry in single if entry.is_constant()]
 
 
-def _follow_rows(E_z: ca.SX, E_l: ca.SX, unit: list[tuple[int, int, float]]) -> tuple:
+def _find_follow_rows(E_z: ca.SX, E_l: ca.SX, unit: list[tuple[int, int, float]]) -> tuple:
     columns: dict[int, set[int]] = {}
-    for i, j, entry in zip(*E_z.sparsity().get_triplet(), entries(E_z), strict=True):
+    for i, j, entry in zip(*E_z.sparsity().get_triplet(), stored_entries(E_z), strict=True):
         if not entry.is_zero():
             columns.setdefault(i, set()).add(j)
-    pushed = {i for i, entry in zip(E_l.sparsity().get_triplet()[0], entries(E_l), strict=True) if not entry.is_zero()}
+    pushed = {i for i, entry in zip(E_l.sparsity().get_triplet()[0], stored_entries(E_l), strict=True) if not entry.is_zero()}
     giving: dict[int, tuple[int, ...]] = {}
     for row, j, _ in unit:
         giving[j] = (*giving.get(j, ()), row)
@@ -167,7 +173,7 @@ def _follow_rows(E_z: ca.SX, E_l: ca.SX, unit: list[tuple[int, int, float]]) -> 
     )
 
 
-def _rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ...]:
+def _find_rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ...]:
     m, n = problem.l.numel(), problem.z.numel()
     if not n or Y_z.nnz() < n or m < n:
         return ()
@@ -183,8 +189,8 @@ def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
     Of an operator of more than EIGENVALUES_UP_TO rows, scaled already, it is what Lanczos' method finds: not below the true one.
     """
     if not isinstance(W, np.ndarray):
-        if W.shape[0] > EIGENVALUES_UP_TO:
-            return _by_lanczos(W)
+        if W.shape[0] > MAX_FULL_SPECTRUM_ROWS:
+            return _lanczos_least_eigenvalue(W)
         W = np.column_stack([W.matvec(e) for e in np.eye(W.shape[0])]) if W.shape[0] else np.zeros((0, 0))
     if not W.size:
         return np.inf
@@ -197,7 +203,7 @@ def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
     return 0.0 if -unseen <= least < 0 else least
 
 
-def _by_lanczos(W: LinearOperator) -> float:
+def _lanczos_least_eigenvalue(W: LinearOperator) -> float:
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
     symmetric = LinearOperator(W.shape, matvec=lambda v: (W.matvec(v) + W.rmatvec(v)) / 2)  # pyright: ignore[reportCallIssue]
@@ -213,6 +219,6 @@ def _by_lanczos(W: LinearOperator) -> float:
     return 0.0 if -LANCZOS_ERROR <= least < 0 else least
 
 
-def is_monotone(least: float, m: int) -> bool:
+def is_eigenvalue_nonnegative(least: float, m: int) -> bool:
     """Whether a least eigenvalue of a scaled (m, m) matrix is >= 0 up to round-off."""
     return least >= -MONOTONE_ERROR * EPS * max(m, 1)

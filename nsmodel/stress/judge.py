@@ -18,17 +18,17 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.model.base import Model
-from nsmodel.stress.measures import Misfits
+from nsmodel.stress.measures import StepResiduals
 from nsmodel.trajectory import Trajectory
 
 
 @np.errstate(all="ignore")  # a run that diverges is judged like any other
-def by_formulas(model: Model, run: Trajectory) -> Misfits:
+def formula_residuals(model: Model, run: Trajectory) -> StepResiduals:
     """The misfits of all steps of a run of the bound ``model``; nothing for a run without steps."""
-    return class_of(model).part("judge").misfits(model, run) if len(run.t) > 2 else {}
+    return class_of(model).part("judge").residuals(model, run) if len(run.t) > 2 else {}
 
 
 @np.errstate(all="ignore")
-def acting(model: Model, run: Trajectory) -> np.ndarray:
+def state_term_sizes(model: Model, run: Trajectory) -> np.ndarray:
     """What acts on each state in each step, whether it moves or not (N, n): the terms that make the state, in its own unit."""
     return class_of(model).part("judge").acting(model, run) if len(run.t) > 1 else run.x[1:]

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.brief import brief, wrapped
-from nsmodel.notebook import shown_by
-from nsmodel.words import one_line, shown
+from nsmodel.brief import short_repr, wrap_lines
+from nsmodel.notebook import html_repr
+from nsmodel.words import escape_invisible, one_line
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
-_WIDTH = 100
-_SHOWN = 12
-_WORDS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG", LEFT_OUT: "-"}
+_STRESS_TEXT_WIDTH = 100
+_MAX_LISTED_CELLS = 12
+_CELL_LABELS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG", LEFT_OUT: "-"}
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Cell:
     message: str
     steps: int
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def worst(self) -> tuple[str, float]:
@@ -77,12 +77,12 @@ class Stress:
     step: float
     cells: tuple[Cell, ...]
 
-    _repr_html_ = shown_by("stress")
+    _repr_html_ = html_repr("stress")
 
     def __repr__(self) -> str:
         """Return a few lines: title, class, what came of the cells."""
         counts = f"{len(self.cells)} cells, {', '.join(f'{self.count(one)} {one}' for one in self.verdicts)}"
-        return "\n".join(wrapped(f"Stress({one_line(self.title)!r}, {self.model_class}: {counts})"))
+        return "\n".join(wrap_lines(f"Stress({one_line(self.title)!r}, {self.model_class}: {counts})"))
 
     @property
     def verdicts(self) -> tuple[str, ...]:
@@ -113,24 +113,25 @@ class Stress:
         unit = f" {self.time_unit}" if self.time_unit else ""
         counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in self.verdicts)
         lines = [self.title, f"  model class  {self.model_class}", f"  cells        {len(self.cells)}: {counts}"]
-        lines += _wrapped("  judged by    ", ", ".join(_kinds(self.cells)))
+        lines += _wrap_text("  judged by    ", ", ".join(_check_kinds(self.cells)))
         lines += ["", *self._table(f"step, in units of {self.step:g}{unit}"), ""]
         wrong = sorted(self.wrong, key=lambda cell: -cell.worst[1])
         if wrong:
             lines.append("Wrong (misfit beside what is allowed)")
             lines += [
-                f"  {cell.row}, step x {cell.factor:g}: {cell.worst[0]}, {_ratio(cell.worst[1])}" for cell in wrong[:_SHOWN]
+                f"  {cell.row}, step x {cell.factor:g}: {cell.worst[0]}, {_ratio_text(cell.worst[1])}"
+                for cell in wrong[:_MAX_LISTED_CELLS]
             ]
-            lines += [f"  ... {len(wrong) - _SHOWN} more"] * (len(wrong) > _SHOWN) + [""]
+            lines += [f"  ... {len(wrong) - _MAX_LISTED_CELLS} more"] * (len(wrong) > _MAX_LISTED_CELLS) + [""]
         if self.count(LEFT_OUT):
             lines += [f"{self.count(LEFT_OUT)} cells were left out for the time budget: raise it to run them", ""]
         stopped = [cell for cell in self.cells if cell.verdict == STOPPED]
         if stopped:
             lines.append("Stopped")
-            for cell in stopped[:_SHOWN]:
-                lines += _wrapped("  ", f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}")
-            lines += [f"  ... {len(stopped) - _SHOWN} more"] * (len(stopped) > _SHOWN) + [""]
-        return shown("\n".join(lines).rstrip())
+            for cell in stopped[:_MAX_LISTED_CELLS]:
+                lines += _wrap_text("  ", f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}")
+            lines += [f"  ... {len(stopped) - _MAX_LISTED_CELLS} more"] * (len(stopped) > _MAX_LISTED_CELLS) + [""]
+        return escape_invisible("\n".join(lines).rstrip())
 
     def _table(self, head: str) -> list[str]:
         rows, factors = self.rows, self.factors
@@ -138,8 +139,8 @@ class Stress:
         width = max(len(row) for row in rows)
         lines = [f"  {'':{width}}  {head}", f"  {'':{width}} " + "".join(f"{factor:>7g}" for factor in factors)]
         for row in rows:
-            words = (_WORDS[verdicts[row, f]] if (row, f) in verdicts else "" for f in factors)
-            lines.append(f"  {row:{width}} " + "".join(f"{word:>7}" for word in words))
+            labels = (_CELL_LABELS[verdicts[row, f]] if (row, f) in verdicts else "" for f in factors)
+            lines.append(f"  {row:{width}} " + "".join(f"{word:>7}" for word in labels))
         return lines
 
     def document(self) -> dict[str, Any]:
@@ -157,19 +158,19 @@ class Stress:
         return stress(self, ax=ax)
 
 
-def _kinds(cells: Iterable[Cell]) -> list[str]:
+def _check_kinds(cells: Iterable[Cell]) -> list[str]:
     """What the cells were judged by, each kind once, formulas and promises gathered."""
     names = list(dict.fromkeys(name for cell in cells for name in cell.checks))
     gathered = []
-    for kind, words in (("formula: ", "formulas"), ("along: ", "along the run")):
+    for kind, label in (("formula: ", "formulas"), ("along: ", "along the run")):
         parts = [name.removeprefix(kind) for name in names if name.startswith(kind)]
-        gathered += [f"{words} ({', '.join(parts)})"] if parts else []
+        gathered += [f"{label} ({', '.join(parts)})"] if parts else []
     return gathered + [name for name in names if ": " not in name]
 
 
-def _ratio(value: float) -> str:
+def _ratio_text(value: float) -> str:
     return "broken" if not np.isfinite(value) else f"{value:.3g} times"
 
 
-def _wrapped(start: str, words: str) -> list[str]:
-    return textwrap.wrap(words, _WIDTH, initial_indent=start, subsequent_indent=" " * max(len(start), 4))
+def _wrap_text(start: str, text: str) -> list[str]:
+    return textwrap.wrap(text, _STRESS_TEXT_WIDTH, initial_indent=start, subsequent_indent=" " * max(len(start), 4))

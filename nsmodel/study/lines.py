@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import UsageError
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 
-DONE, FAILED, LEFT_OUT = "done", "failed", "left out"
-SCHEME, SOLVER, PEER = "scheme", "solver", "peer"
-ERRORS = ("max", "end", "l2", "multipliers", "outputs")
-ROUND_OFF = 1e-13  # Relative errors below this are rounding and have no order.
-FURTHER = 100.0  # An error is extrapolated to this part of the least one.
-STALLED = 0.25  # An error that falls more slowly than h^STALLED from some step on has met its floor.
+POINT_DONE, POINT_FAILED, POINT_LEFT_OUT = "done", "failed", "left out"
+SCHEME_LINE, SOLVER_LINE, PEER_LINE = "scheme", "solver", "peer"
+ERROR_MEASURES = ("max", "end", "l2", "multipliers", "outputs")
+ROUNDING_ERROR = 1e-13  # Relative errors below this are rounding and have no order.
+EXTRAPOLATION_LIMIT = 100.0  # An error is extrapolated to this part of the least one.
+STALLED_ORDER = 0.25  # An error that falls more slowly than h^STALLED from some step on has met its floor.
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class Point:
     residual: float | None = None
     violation: float | None = None
     energy: float | None = None
-    status: str = DONE
+    status: str = POINT_DONE
     message: str = ""
     unresolved: tuple[str, ...] = ()
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def resolved(self) -> bool:
@@ -66,17 +66,17 @@ class Point:
     @property
     def drawn(self) -> bool:
         """Whether the point has a place in the figure: error and time are numbers > 0."""
-        return self.status == DONE and (self.seconds or 0) > 0 and bool(np.isfinite(self.error) and self.error > 0)
+        return self.status == POINT_DONE and (self.seconds or 0) > 0 and bool(np.isfinite(self.error) and self.error > 0)
 
     @classmethod
     def failed(cls, label: str, message: str, **known: Any) -> Point:
         """Return a point whose run failed; ``known`` are further fields."""
-        return cls(label, status=FAILED, message=message, **known)
+        return cls(label, status=POINT_FAILED, message=message, **known)
 
     @classmethod
     def left_out(cls, label: str, message: str, **known: Any) -> Point:
         """Return a point that was not run."""
-        return cls(label, status=LEFT_OUT, message=message, **known)
+        return cls(label, status=POINT_LEFT_OUT, message=message, **known)
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,9 @@ class Line:
     name: str
     points: tuple[Point, ...]
     note: str = ""
-    kind: str = SCHEME
+    kind: str = SCHEME_LINE
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @classmethod
     def measured(cls, name: str, points: Sequence[Point | tuple[str, float, float]], note: str = "") -> Line:
@@ -137,7 +137,7 @@ class Line:
                         )
                 point = Point(str(label), float(seconds), {"max": float(error)})
             made.append(point)
-        return cls(name, tuple(made), note, PEER)
+        return cls(name, tuple(made), note, PEER_LINE)
 
     def order(self, measure: str = "max") -> Order:
         """Return the observed order of one of the errors."""
@@ -156,12 +156,12 @@ class Line:
         if not points or target <= own:
             return None
         if not above.size:
-            return Cost(self.name, points[0].step, points[0].label, sure(points[0].seconds), "at the coarsest point")
+            return Cost(self.name, points[0].step, points[0].label, not_none(points[0].seconds), "at the coarsest point")
         i, how = int(above[-1]), "between points"
         if i == len(points) - 1:
-            if len(points) < 2 or not points[i].resolved or target < errors[i] / FURTHER:
+            if len(points) < 2 or not points[i].resolved or target < errors[i] / EXTRAPOLATION_LIMIT:
                 return None
-            if errors[i] > errors[i - 1] * 0.5**STALLED or self.order().floor is not None:
+            if errors[i] > errors[i - 1] * 0.5**STALLED_ORDER or self.order().floor is not None:
                 return None
             i, how = i - 1, "extrapolated"
         weight = float(np.log(errors[i] / target) / np.log(errors[i] / errors[i + 1]))
@@ -177,27 +177,27 @@ def observed_order(steps: Sequence[float], errors: Sequence[float], resolved: Se
     Unresolved points, errors at the level of rounding and what lies on the floor take no part in the fit.
     """
     h, e = np.asarray(steps, float), np.asarray(errors, float)
-    good = e > ROUND_OFF if resolved is None else (e > ROUND_OFF) & np.asarray(resolved, bool)
-    at = floor_of(h, e)
+    good = e > ROUNDING_ERROR if resolved is None else (e > ROUNDING_ERROR) & np.asarray(resolved, bool)
+    at = find_error_floor(h, e)
     if at is not None:
         good &= np.arange(h.size) < at
     floor = None if at is None else float(h[at])
     x, y = np.log(h[good]), np.log(e[good])
     if x.size < 2:
-        return Order(None, None, None, int(x.size), floor, bool(h.size and (e <= ROUND_OFF).all()))
+        return Order(None, None, None, int(x.size), floor, bool(h.size and (e <= ROUNDING_ERROR).all()))
     slopes = [float((b - a) / (d - c)) for (a, b), (c, d) in zip(pairwise(y), pairwise(x), strict=True)]
     return Order(float(np.polyfit(x, y, 1)[0]), min(slopes), max(slopes), int(x.size), floor)
 
 
-def floor_of(h: np.ndarray, e: np.ndarray) -> int | None:
+def find_error_floor(h: np.ndarray, e: np.ndarray) -> int | None:
     """Return the first point from which on errors fall more slowly than h^STALLED, seen at two finer ones at least; else None."""
     for i in range(h.size - 2):
-        if (e[i + 1 :] > e[i] * (h[i + 1 :] / h[i]) ** STALLED).all() or (e[i:] <= ROUND_OFF).all():
+        if (e[i + 1 :] > e[i] * (h[i + 1 :] / h[i]) ** STALLED_ORDER).all() or (e[i:] <= ROUNDING_ERROR).all():
             return i
     return None
 
 
-def quickest(lines: Sequence[Line], target: float, own: float = 0.0) -> Cost | None:
+def least_cost(lines: Sequence[Line], target: float, own: float = 0.0) -> Cost | None:
     """Return the least cost of the error ``target``: extrapolated only where no line reaches it; None where none would."""
     costs = [cost for line in lines if (cost := line.cost(target, own)) is not None]
     reached = [cost for cost in costs if cost.how != "extrapolated"]

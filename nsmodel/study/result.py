@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.brief import wrapped
+from nsmodel.brief import wrap_lines
 from nsmodel.errors import UsageError
-from nsmodel.notebook import shown_by
-from nsmodel.pickled import Pickled
+from nsmodel.notebook import html_repr
+from nsmodel.pickled import Picklable
 from nsmodel.storage import write_csv
-from nsmodel.study.lines import DONE, ERRORS, Cost, Line, Point, quickest
-from nsmodel.study.reference import Reference, Rows
-from nsmodel.study.text import price, study_text
-from nsmodel.words import one_line, shown
+from nsmodel.study.lines import ERROR_MEASURES, POINT_DONE, Cost, Line, Point, least_cost
+from nsmodel.study.reference import Reference, ReferenceRows
+from nsmodel.study.text import cost_text, study_text
+from nsmodel.words import escape_invisible, one_line
 
-NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
+POINT_NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
 
 
 @dataclass(frozen=True, repr=False)
-class Study(Pickled):
+class Study(Picklable):
     """What was measured of one model.
 
     Attributes:
@@ -44,18 +44,18 @@ class Study(Pickled):
     lines: tuple[Line, ...]
     reference: Reference | None
     target: float | None = None
-    status: str = DONE
+    status: str = POINT_DONE
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
 
-    _repr_html_ = shown_by("study")
+    _repr_html_ = html_repr("study")
 
     def __repr__(self) -> str:
         """Return a few lines: title, class, how much was measured, against what."""
         points = sum(len(line.points) for line in self.lines)
         against = "" if self.reference is None else f", against {self.reference.text}"
         measured = f"{len(self.lines)} lines, {points} points{against}, {self.status}"
-        return "\n".join(wrapped(f"Study({one_line(self.title)!r}, {self.model_class}: {measured})"))
+        return "\n".join(wrap_lines(f"Study({one_line(self.title)!r}, {self.model_class}: {measured})"))
 
     def line(self, name: str) -> Line:
         """Return the line of that name; else UsageError."""
@@ -96,7 +96,7 @@ class Study(Pickled):
         if abs(times[0]) > 1e-9 * self.t_end or abs(times[-1] - self.t_end) > 1e-6 * self.t_end:
             raise UsageError(f"point '{label}': t goes from {times[0]:g} to {times[-1]:g}; expected 0 to {self.t_end:g}")
         l = None if multipliers is None else np.asarray(multipliers, float)
-        return self.reference.point(label, Rows(times, states, l), seconds, step)
+        return self.reference.point(label, ReferenceRows(times, states, l), seconds, step)
 
     def cost(self, target: float) -> Cost | None:
         """Return what the relative error ``target`` costs with the quickest method; None where none would reach it.
@@ -105,20 +105,20 @@ class Study(Pickled):
         """
         if not (np.isfinite(target) and target > 0):
             raise UsageError(f"target = {target}; expected a finite number > 0")
-        return quickest(self.lines, target, 0.0 if self.reference is None else self.reference.own["max"])
+        return least_cost(self.lines, target, 0.0 if self.reference is None else self.reference.own["max"])
 
     def text(self) -> str:
         """The study for a person, at most 100 columns wide."""
-        return shown(study_text(self))
+        return escape_invisible(study_text(self))
 
     def document(self) -> dict[str, Any]:
         """The study as dictionaries and lists that JSON can hold."""
-        return _document(self)
+        return _study_data(self)
 
     def to_csv(self, path: str | Path) -> None:
         """Write one row a point to ``path``; empty cells are "nan". StorageError where that fails."""
-        rows = [_row(line, point) for line in self.lines for point in line.points]
-        names = list(_row(Line("", ()), Point("")))
+        rows = [_point_row(line, point) for line in self.lines for point in line.points]
+        names = list(_point_row(Line("", ()), Point("")))
         write_csv(path, {name: np.array([row[name] for row in rows]) for name in names})
 
     def plot(self, ax: Any = None) -> Any:
@@ -152,7 +152,7 @@ class StudyInterrupted(KeyboardInterrupt):
 # -- JSON and CSV ------------------------------------------------------------------------------------------------------
 
 
-def _document(study: Study) -> dict[str, Any]:
+def _study_data(study: Study) -> dict[str, Any]:
     reference = study.reference
     document = {
         "title": study.title,
@@ -173,20 +173,22 @@ def _document(study: Study) -> dict[str, Any]:
     }  # fmt: skip
     if study.target is not None:
         cost = study.cost(study.target)
-        document["target"] = {"error": study.target, "text": price(study, study.target), "cost": cost and vars(cost)}
+        document["target"] = {"error": study.target, "text": cost_text(study, study.target), "cost": cost and vars(cost)}
     return document
 
 
 def _line_document(line: Line) -> dict[str, Any]:
     points = [{**vars(point), "errors": dict(point.errors)} for point in line.points]
-    orders = {measure: vars(line.order(measure)) for measure in ERRORS if any(measure in point.errors for point in line.points)}
+    orders = {
+        measure: vars(line.order(measure)) for measure in ERROR_MEASURES if any(measure in point.errors for point in line.points)
+    }
     return {"name": line.name, "kind": line.kind, "note": line.note, "orders": orders, "points": points}
 
 
-def _row(line: Line, point: Point) -> dict[str, Any]:
+def _point_row(line: Line, point: Point) -> dict[str, Any]:
     """A point as a row of the table; what is not known is nan."""
-    known = {"step": point.step, "steps": point.steps, **{f"error_{key}": point.errors.get(key) for key in ERRORS}}
-    known |= {key: getattr(point, key) for key in NUMBERS}
+    known = {"step": point.step, "steps": point.steps, **{f"error_{key}": point.errors.get(key) for key in ERROR_MEASURES}}
+    known |= {key: getattr(point, key) for key in POINT_NUMBERS}
     numbers = {key: np.nan if value is None else value for key, value in known.items()}
-    words = {"status": point.status, "message": point.message, "unresolved": " ".join(point.unresolved)}
-    return {"line": line.name, "kind": line.kind, "label": point.label, **numbers, **words}
+    texts = {"status": point.status, "message": point.message, "unresolved": " ".join(point.unresolved)}
+    return {"line": line.name, "kind": line.kind, "label": point.label, **numbers, **texts}

@@ -9,48 +9,58 @@ from typing import Any
 
 from nsmodel.errors import NsmodelError, StepError
 from nsmodel.model.base import Model
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
-from nsmodel.study.between import steps_from
-from nsmodel.study.methods import Method, not_compiled
-from nsmodel.study.reference import Reference, Rows, closed_form, polynomials, refined_run, why_not_unique
+from nsmodel.study.between import make_row_stepper
+from nsmodel.study.methods import Method, not_compiled_reason
+from nsmodel.study.reference import (
+    Reference,
+    ReferenceRows,
+    closed_form_reference,
+    event_driven_reference,
+    nonuniqueness_reason,
+    refined_run_reference,
+)
 from nsmodel.trajectory import Trajectory
 
-REFINED, LEAST = 8, 2  # The reference has REFINED steps for one of the finest run; LEAST where there is no time for more.
-EVENT_DRIVEN = 1e-9, 1e-11  # The rtol of a rougher run and of the reference.
-KEPT = 3  # So many numbers of steps are measured whatever their reference costs.
-PARTS = 1 + 1 / 2 + 1 / 4  # Steps of the three runs behind a reference, for one of the last.
-MEMORY = 1 << 30  # Bytes that they may take.
-TELLING = 0.02  # s: a run that takes so long tells what a step takes.
+REFINEMENT, MIN_REFINEMENT = (
+    8,
+    2,
+)  # The reference has REFINED steps for one of the finest run; LEAST where there is no time for more.
+EVENT_DRIVEN_RTOLS = 1e-9, 1e-11  # The rtol of a rougher run and of the reference.
+MIN_STEP_COUNTS = 3  # So many numbers of steps are measured whatever their reference costs.
+RUNS_WORK_RATIO = 1 + 1 / 2 + 1 / 4  # Steps of the three runs behind a reference, for one of the last.
+MAX_REFERENCE_BYTES = 1 << 30  # Bytes that they may take.
+MIN_PROBE_SECONDS = 0.02  # s: a run that takes so long tells what a step takes.
 
 
 @dataclass(frozen=True)
-class Probe:
+class ProbeRun:
     """A first run: the method that made it, wall seconds of its preparation and of one of its steps."""
 
     method: Method
     run: Trajectory
     setup: float
-    each: float
+    seconds_per_step: float
 
 
 @dataclass(frozen=True)
-class Search:
+class ReferenceSearch:
     """What the search needs: the model, its end, the tolerance, seconds of wall time; ``say`` tells what is done."""
 
     model: Model
     T: float
     tolerance: float
     seconds: float
-    say: Callable[[str], None]
+    report_status: Callable[[str], None]
     notes: list[str]
 
-    def prepared(self, method: Method, count: float) -> Any:
+    def prepare_run(self, method: Method, count: float) -> Any:
         """Return a run of so many steps, ready to go."""
         return prepare(method.model, step=self.T / count, tolerance=self.tolerance, **method.options)
 
-    def probe(self, method: Method, counts: Sequence[float]) -> Probe:
+    def run_probe(self, method: Method, counts: Sequence[float]) -> ProbeRun:
         """Run a method with the first number of steps that tells.
 
         Raises:
@@ -58,9 +68,9 @@ class Search:
         """
         found, failure = None, None
         for count in counts:
-            self.say(f"{method.name}, {count:.0f} steps")
+            self.report_status(f"{method.name}, {count:.0f} steps")
             start = time.perf_counter()
-            run = self.prepared(method, count)
+            run = self.prepare_run(method, count)
             setup, start = time.perf_counter() - start, time.perf_counter()
             try:
                 done = run.go(progress=False)
@@ -68,8 +78,8 @@ class Search:
                 failure = error
                 continue
             wall = time.perf_counter() - start
-            found = Probe(method, done, setup, wall / count)
-            if wall > TELLING or setup > 10 * TELLING:
+            found = ProbeRun(method, done, setup, wall / count)
+            if wall > MIN_PROBE_SECONDS or setup > 10 * MIN_PROBE_SECONDS:
                 break
         if found is None:
             raise failure or StepError("no steps were given")
@@ -86,77 +96,77 @@ class Search:
             StepError: no refined run comes to its end, and there is no closed form.
         """
         interpreted, compiled = ways
-        probe = self.probe(interpreted, counts)
-        why = why_not_unique(self.model, one_step_problem(self.model), probe.run)
+        probe = self.run_probe(interpreted, counts)
+        why = nonuniqueness_reason(self.model, one_step_problem(self.model), probe.run)
         if exact is not None and why:
-            return closed_form(exact, self.model, probe.run.t, None, why), counts, probe.run
+            return closed_form_reference(exact, self.model, probe.run.t, None, why), counts, probe.run
         finer = [other for other in others if other.order > interpreted.order]
-        most = self._most(probe, 1 + len(finer))
-        if counts[-1] * REFINED > most:
-            with_c = self.probe(compiled, counts)
-            if not not_compiled(with_c.run.metadata["warnings"]) and self._most(with_c, 1 + len(finer)) > most:
-                probe, most = with_c, self._most(with_c, 1 + len(finer))
-        kept, factor = list(counts), REFINED
-        while may_drop and exact is None and len(kept) > KEPT and kept[-1] * factor > most:
+        most = self._max_steps(probe, 1 + len(finer))
+        if counts[-1] * REFINEMENT > most:
+            with_c = self.run_probe(compiled, counts)
+            if not not_compiled_reason(with_c.run.metadata["warnings"]) and self._max_steps(with_c, 1 + len(finer)) > most:
+                probe, most = with_c, self._max_steps(with_c, 1 + len(finer))
+        kept, factor = list(counts), REFINEMENT
+        while may_drop and exact is None and len(kept) > MIN_STEP_COUNTS and kept[-1] * factor > most:
             kept.pop()
-        while factor > LEAST and kept[-1] * factor > most:
+        while factor > MIN_REFINEMENT and kept[-1] * factor > most:
             factor //= 2
         if len(kept) < len(counts):
             gone = ", ".join(f"h = {self.T / count:.4g}" for count in counts[len(kept) :])
             self.notes.append(f"{gone}: left out, their reference would take more than {self.seconds:.3g} s; see budget")
         quick = probe.method
         candidates = [quick, *(replace(quick, name=other.name, model=other.model, order=other.order) for other in finer)]
-        refined = self._refined(candidates, kept[-1] * factor, why)
+        refined = self._best_refined_run(candidates, kept[-1] * factor, why)
         if exact is not None:
-            return closed_form(exact, self.model, probe.run.t, refined, why), kept, probe.run
+            return closed_form_reference(exact, self.model, probe.run.t, refined, why), kept, probe.run
         if refined is None:
             raise StepError(f"no refined run comes to its end, so there is nothing to compare with: {self.notes[-1]}")
-        return self._better(refined), kept, probe.run
+        return self._event_driven_if_better(refined), kept, probe.run
 
-    def _better(self, refined: Reference) -> Reference:
+    def _event_driven_if_better(self, refined: Reference) -> Reference:
         """An event-driven run as reference, where that applies, comes to its end in time, and errs less."""
         runs: list[Trajectory] = []
         until = time.perf_counter() + self.seconds / 2
-        for rtol in EVENT_DRIVEN:
-            self.say(f"reference: event-driven, rtol = {rtol:g}")
+        for rtol in EVENT_DRIVEN_RTOLS:
+            self.report_status(f"reference: event-driven, rtol = {rtol:g}")
             try:
                 run = prepare(self.model, rtol=rtol, method="event-driven")
-                while not run.walk.ended:
-                    run.walk.advance(1, ())
+                while not run.propagator.finished:
+                    run.propagator.advance(1, ())
                     if time.perf_counter() > until:
                         return refined
                 runs.append(run.go(progress=False))
             except NsmodelError:
                 return refined
-        found, doubt = polynomials(self.model, EVENT_DRIVEN[1], runs[0], runs[1], refined)
+        found, doubt = event_driven_reference(self.model, EVENT_DRIVEN_RTOLS[1], runs[0], runs[1], refined)
         if doubt:
             self.notes.append(doubt)
             return found
         return found if found.own["max"] < refined.own["max"] else refined
 
-    def _most(self, probe: Probe, candidates: int) -> float:
+    def _max_steps(self, probe: ProbeRun, candidates: int) -> float:
         """The steps that a reference can have: there are three runs for each candidate."""
         left = self.seconds / candidates - 3 * probe.setup
         row = 8 * (len(self.model.names) + 3 * probe.run.multipliers.shape[1] + 8)
-        return min(left / probe.each, MEMORY / row) / PARTS
+        return min(left / probe.seconds_per_step, MAX_REFERENCE_BYTES / row) / RUNS_WORK_RATIO
 
-    def _refined(self, candidates: Sequence[Method], count: float, why: str) -> Reference | None:
+    def _best_refined_run(self, candidates: Sequence[Method], count: float, why: str) -> Reference | None:
         """The candidates that show the least error of their own, in states and in multipliers; None where none ends."""
         found: list[Reference] = []
         for method in candidates:
             runs = []
             try:
                 for n in (count / 4, count / 2, count):
-                    self.say(f"reference: {n:.0f} steps, {method.name}")
-                    run = self.prepared(method, n)
-                    start = run.walk.state.copy()
+                    self.report_status(f"reference: {n:.0f} steps, {method.name}")
+                    run = self.prepare_run(method, n)
+                    start = run.propagator.state.copy()
                     made = run.go(progress=False)
-                    runs.append(Rows.of(made))
-                step = steps_from(run.walk, start, made)
+                    runs.append(ReferenceRows.of(made))
+                step = make_row_stepper(run.propagator, start, made)
             except NsmodelError as error:
                 self.notes.append(f"no reference by {method.name} with {count:.0f} steps: {error}")
             else:
-                found.append(refined_run(self.model, f"a run of {count:.0f} steps, {method.name}", runs, why, step))
+                found.append(refined_run_reference(self.model, f"a run of {count:.0f} steps, {method.name}", runs, why, step))
         if not found:
             return None
         best = min(found, key=lambda reference: reference.own["max"])
@@ -164,5 +174,5 @@ class Search:
             return best
         # theta = gamma = 1/2 may have the better states, and multipliers that swing from step to step.
         calm = min(found, key=lambda reference: reference.own["multipliers"])
-        rows = replace(sure(best.rows), multipliers=sure(calm.rows).multipliers)  # Both have the same times.
+        rows = replace(not_none(best.rows), multipliers=not_none(calm.rows).multipliers)  # Both have the same times.
         return replace(best, run=calm.run, rows=rows, own={**best.own, "multipliers": calm.own["multipliers"]})

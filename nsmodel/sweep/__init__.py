@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsmodel.later import later as _later
+from nsmodel.later import lazy_attributes as _later
 
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep

@@ -10,29 +10,32 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.grid import Grid, is_number, make_grid, written
+from nsmodel.grid import TimeGrid, format_value, is_number, make_grid
+from nsmodel.later import former_names
 from nsmodel.model.base import Model
 from nsmodel.pieces import asked as pieces
 from nsmodel.sweep.outputs import Reduction
-from nsmodel.sweep.variable import NOT_RUN
+from nsmodel.sweep.variable import CELL_NOT_RUN
 
-ABOUT = 200  # Rows that are kept of a run, where nothing else is asked for.
-FACTS: Mapping[str, tuple[str, Any]] = {  # {name of what is kept of every cell: (data type, value of a cell that was not run)}
-    "status": ("i1", NOT_RUN),
+TARGET_ROWS = 200  # Rows that are kept of a run, where nothing else is asked for.
+CELL_FACTS: Mapping[
+    str, tuple[str, Any]
+] = {  # {name of what is kept of every cell: (data type, value of a cell that was not run)}
+    "status": ("i1", CELL_NOT_RUN),
     "failed_at": ("f8", np.nan),
     "steps": ("i8", 0),
     "worst_residual": ("f8", np.nan),
     "index_set_changes": ("i8", 0),
     "way": ("i1", -1),
 }
-OF_PIECES: Mapping[str, tuple[str, Any]] = {"pieces": ("i8", 0), "estimate": ("f8", np.nan)}  # And of event-driven runs.
-BATCH, PIECES, ALONE = "batch", "pieces", "alone"
+EVENT_DRIVEN_FACTS: Mapping[str, tuple[str, Any]] = {"pieces": ("i8", 0), "estimate": ("f8", np.nan)}  # And of event-driven runs.
+BATCH_BACKEND, PIECES_BACKEND, ALONE_BACKEND = "batch", "pieces", "alone"
 _NOT_IN_NAMES = set("/\\:\n\r\0")  # They mean something to files.
-WAYS = (BATCH, PIECES, ALONE)  # Of a cell, by their numbers in ``way``.
+CELL_BACKENDS = (BATCH_BACKEND, PIECES_BACKEND, ALONE_BACKEND)  # Of a cell, by their numbers in ``way``.
 
 
 @dataclass(frozen=True)
-class Asked:
+class SweepRequest:
     """What is asked of every cell.
 
     Attributes:
@@ -46,13 +49,13 @@ class Asked:
     every: int | None
     outputs: Mapping[str, Callable[[Any], Any]]
     options: Mapping[str, Any]
-    way: str = ALONE
+    way: str = ALONE_BACKEND
 
     def __post_init__(self) -> None:
         """Refuse what no sweep has."""
         if self.every is not None and not (is_number(self.every) and self.every >= 1 and float(self.every).is_integer()):
-            raise UsageError(f"every = {written(self.every)}; expected a whole number >= 1")
-        if self.every is not None and self.event_driven:
+            raise UsageError(f"every = {format_value(self.every)}; expected a whole number >= 1")
+        if self.every is not None and self.is_event_driven:
             raise UsageError("every counts steps, which runs with rtol do not have; give times=, those of the rows")
         if not self.keep and not self.outputs:
             raise UsageError(
@@ -70,52 +73,52 @@ class Asked:
     @property
     def facts(self) -> Mapping[str, tuple[str, Any]]:
         """What is kept of every cell beside what is asked for: {name: (data type, value of a cell that was not run)}."""
-        return {**FACTS, **OF_PIECES} if self.event_driven else FACTS
+        return {**CELL_FACTS, **EVENT_DRIVEN_FACTS} if self.is_event_driven else CELL_FACTS
 
     @property
     def names(self) -> tuple[str, ...]:
         """All quantities, in their order."""
         return (*self.keep, *self.outputs, *self.facts)
 
-    def without(self, rows: int) -> dict[str, tuple[str, tuple[int, ...]]]:
+    def quantity_types(self, rows: int) -> dict[str, tuple[str, tuple[int, ...]]]:
         """{name: (data type, shape of a cell)} of all quantities, where no cell says it by what it gave."""
         kept = dict.fromkeys(self.keep, ("f8", (rows,)))
         return {**kept, **dict.fromkeys(self.outputs, ("f8", ())), **{name: (kind, ()) for name, (kind, _) in self.facts.items()}}
 
     def bytes_kept(self, rows: int) -> int:
         """At least the memory of what is kept of a cell."""
-        return sum(np.dtype(kind).itemsize * prod(shape) for kind, shape in self.without(rows).values())
+        return sum(np.dtype(kind).itemsize * prod(shape) for kind, shape in self.quantity_types(rows).values())
 
     @property
-    def event_driven(self) -> bool:
+    def is_event_driven(self) -> bool:
         """Whether runs have a tolerance in place of steps."""
         return self.options.get("rtol") is not None
 
-    def bytes_of(self, model: Model, step: float | None) -> int:
+    def row_bytes(self, model: Model, step: float | None) -> int:
         """About the memory of a cell's rows while it is run with others."""
-        whole = [one for one in self.outputs.values() if isinstance(one, Reduction) and one.needs is None]
-        rows = ABOUT if self.event_driven or not whole else self.grid(model, step).N
+        whole = [one for one in self.outputs.values() if isinstance(one, Reduction) and one.needed_rows is None]
+        rows = TARGET_ROWS if self.is_event_driven or not whole else self.grid(model, step).N
         return 8 * rows * (len(whole) + len(self.keep) * len(model.names) + 1)
 
-    def grid(self, model: Model, step: float | None) -> Grid:
+    def grid(self, model: Model, step: float | None) -> TimeGrid:
         """The steps of a cell's run."""
         return make_grid(model, step, None, self.options.get("t_end"), driven=bool(model.inputs))
 
-    def rows(self, model: Model, step: float | None, longest: float | None = None) -> Rows:
+    def rows(self, model: Model, step: float | None, longest: float | None = None) -> RowSelection:
         """The rows that are kept of a run; ``longest``: of the steps that the sweep has, whose rows all of them have."""
-        if self.event_driven:
+        if self.is_event_driven:
             T = float(self.options.get("t_end") or model.t_end)
             times = self.options.get("times")
-            pieces.relative(self.options["rtol"])
-            pieces.absolute(self.options.get("atol"), model.names)
+            pieces.checked_rtol(self.options["rtol"])
+            pieces.checked_atol(self.options.get("atol"), model.names)
             if times is not None:
-                pieces.times(times, T)
-            ends = not self.keep and all(isinstance(one, Reduction) and one.needs for one in self.outputs.values())
-            evenly = np.array([0.0, T]) if ends else np.linspace(0.0, T, ABOUT + 1)
-            return Rows(evenly if times is None else np.asarray(times, float), 0)
+                pieces.checked_row_times(times, T)
+            ends = not self.keep and all(isinstance(one, Reduction) and one.needed_rows for one in self.outputs.values())
+            evenly = np.array([0.0, T]) if ends else np.linspace(0.0, T, TARGET_ROWS + 1)
+            return RowSelection(evenly if times is None else np.asarray(times, float), 0)
         grid = self.grid(model, step)
         first = grid if longest is None else self.grid(model, longest)
-        every = self.every or max(1, -(-first.N // ABOUT))
+        every = self.every or max(1, -(-first.N // TARGET_ROWS))
         ratio = 1 if longest is None or step is None else longest / step
         if abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise UsageError(
@@ -124,11 +127,11 @@ class Asked:
             )
         every *= round(ratio)
         numbers = np.append(np.arange(0, grid.N, every), grid.N)
-        return Rows(np.array([grid.time(int(k)) for k in numbers]), every)
+        return RowSelection(np.array([grid.time(int(k)) for k in numbers]), every)
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowSelection:
     """The rows that are kept of each run: their times; ``every`` how many steps, 0 where they are asked for by time."""
 
     times: np.ndarray
@@ -136,7 +139,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Found:
+class CellResults:
     """What cells gave: ``arrays`` {name: (K, ...)}, FACTS among them; ``messages`` of those that are not done."""
 
     arrays: Mapping[str, np.ndarray]
@@ -146,3 +149,6 @@ class Found:
     def cells(self) -> int:
         """How many there are."""
         return len(self.arrays["status"])
+
+
+__getattr__ = former_names(__name__, Asked="SweepRequest", Rows="RowSelection")

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import bdtr, ndtri
 
 
-def wilson(holds: np.ndarray, count: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+def wilson_interval(holds: np.ndarray, count: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
     """Interval of a probability of which `holds` of `count` independent draws show: (low, high), both in [0, 1].
 
     The set of p with |holds/count - p| <= z sqrt(p (1 - p) / count) (Wilson 1927). Its coverage is near the level for p away
@@ -24,17 +24,17 @@ def wilson(holds: np.ndarray, count: np.ndarray, level: float) -> tuple[np.ndarr
 
 
 @functools.lru_cache(maxsize=4096)
-def ranks(count: int, q: float, level: float) -> tuple[int, int, float]:
+def quantile_interval_ranks(count: int, q: float, level: float) -> tuple[int, int, float]:
     """Ranks r, s whose values X_(r) <= X_(s) hold the quantile q of any distribution between them, and how surely.
 
     With B ~ Bin(count, q): r is the largest with P(B < r) <= (1 - level)/2, s the smallest with P(B >= s) <= (1 - level)/2, and
     P(X_(r) <= x_q <= X_(s)) >= P(r <= B < s), with equality where the distribution is continuous (David and Nagaraja,
     Order Statistics, 2003, section 7.1). r = 0 and s = count + 1 stand for -inf and inf: count is too small for this end.
 
-    >>> low, high, reached = ranks(20, 0.5, 0.95)
+    >>> low, high, reached = quantile_interval_ranks(20, 0.5, 0.95)
     >>> low, high, round(reached, 4)
     (6, 15, 0.9586)
-    >>> ranks(20, 0.05, 0.95)[:2]
+    >>> quantile_interval_ranks(20, 0.05, 0.95)[:2]
     (0, 4)
     """
 
@@ -49,7 +49,7 @@ def ranks(count: int, q: float, level: float) -> tuple[int, int, float]:
     return r, s, below(s - 1) - (below(r - 1) if r else 0.0)
 
 
-def middle(count: int, q: float) -> tuple[int, int]:
+def median_ranks(count: int, q: float) -> tuple[int, int]:
     """Ranks whose mean estimates the quantile q: one value, two where q count is whole (Hyndman and Fan 1996, definition 2)."""
     place = q * count
     whole = round(place)

@@ -13,28 +13,39 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
+from nsmodel.later import former_names
 from nsmodel.model.base import Model
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.simulate import simulate
-from nsmodel.sweep.asked import ALONE, BATCH, FACTS, OF_PIECES, PIECES, WAYS, Asked, Found, Rows
-from nsmodel.sweep.outputs import Reduction, column
-from nsmodel.sweep.variable import DONE, FAILED, NO_MODEL, NOT_RUN
+from nsmodel.sweep.asked import (
+    ALONE_BACKEND,
+    BATCH_BACKEND,
+    CELL_BACKENDS,
+    CELL_FACTS,
+    EVENT_DRIVEN_FACTS,
+    PIECES_BACKEND,
+    CellResults,
+    RowSelection,
+    SweepRequest,
+)
+from nsmodel.sweep.outputs import Reduction, run_column
+from nsmodel.sweep.variable import CELL_DONE, CELL_FAILED, CELL_NOT_RUN, CELL_REFUSED
 from nsmodel.trajectory import Trajectory
 
-UNKNOWN = -2  # Index set of a row that is not there.
-KEPT_MODELS = 8  # Models that a process keeps ready.
-Stop = Callable[[], bool]
+UNKNOWN_INDEX_SET = -2  # Index set of a row that is not there.
+MAX_OPEN_GROUPS = 8  # Models that a process keeps ready.
+StopCheck = Callable[[], bool]
 
 
 @dataclass(frozen=True)
-class Group:
+class CellGroup:
     """Cells of one model: ``names`` of the parameters that vary; ``step`` where it is not the model's."""
 
     model: Model
     names: tuple[str, ...]
     step: float | None
-    rows: Rows
+    rows: RowSelection
 
     def packed(self) -> bytes:
         """It as bytes, for another process."""
@@ -42,7 +53,7 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Task:
+class CellTask:
     """Cells of one group: ``at``, their places in the chunk, and the values (K, p) of their parameters.
 
     In place of a packed group there may be why there is none: the model was refused.
@@ -53,184 +64,186 @@ class Task:
     values: np.ndarray
 
 
-def never() -> bool:
+def never_stop() -> bool:
     """Go on."""
     return False
 
 
-def run_chunk(asked: Asked, tasks: Sequence[Task], stop: Stop = never) -> Found:
+def run_chunk(request: SweepRequest, tasks: Sequence[CellTask], stop: StopCheck = never_stop) -> CellResults:
     """Run the cells of a chunk; those that were not reached when ``stop`` said so have the status NOT_RUN."""
-    parts = [(task.at, _run(asked, task, stop)) for task in tasks]
+    parts = [(task.at, _run_task(request, task, stop)) for task in tasks]
     size = sum(len(at) for at, _ in parts)
-    arrays = blank(size, parts[0][1].arrays)
+    arrays = unrun_arrays(size, parts[0][1].arrays)
     messages: dict[int, str] = {}
     for at, found in parts:
         for name, values in found.arrays.items():
             if name not in arrays:
-                arrays |= blank(size, {name: values})
-            refuse_other_shape(name, values.shape[1:], arrays[name].shape[1:])
+                arrays |= unrun_arrays(size, {name: values})
+            check_same_shape(name, values.shape[1:], arrays[name].shape[1:])
             arrays[name][at] = values
         messages |= {int(at[i]): text for i, text in found.messages.items()}
-    return Found(arrays, messages)
+    return CellResults(arrays, messages)
 
 
-def refuse_other_shape(name: str, now: tuple[int, ...], before: tuple[int, ...]) -> None:
+def check_same_shape(name: str, now: tuple[int, ...], before: tuple[int, ...]) -> None:
     """Raise UsageError for a quantity that is of another shape in another cell."""
     if now != before:
         raise UsageError(f"'{name}' has shape {now} in one cell and {before} in another; give numbers, or arrays of one shape")
 
 
-def blank(size: int, like: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def unrun_arrays(size: int, like: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays for so many cells that were not run."""
     made = {}
     for name, array in like.items():
-        kind = {**FACTS, **OF_PIECES}.get(name, (array.dtype,))[0]
-        made[name] = np.full((size, *array.shape[1:]), nothing(name, np.dtype(kind)), kind)
+        kind = {**CELL_FACTS, **EVENT_DRIVEN_FACTS}.get(name, (array.dtype,))[0]
+        made[name] = np.full((size, *array.shape[1:]), missing_value(name, np.dtype(kind)), kind)
     return made
 
 
-def not_run(size: int, facts: Mapping[str, tuple[str, Any]] = FACTS) -> dict[str, np.ndarray]:
+def unrun_facts(size: int, facts: Mapping[str, tuple[str, Any]] = CELL_FACTS) -> dict[str, np.ndarray]:
     """What is kept of every cell, of so many that were not run."""
-    return blank(size, {name: np.zeros(1, kind) for name, (kind, _) in facts.items()})
+    return unrun_arrays(size, {name: np.zeros(1, kind) for name, (kind, _) in facts.items()})
 
 
-def nothing(name: str, kind: np.dtype) -> Any:
+def missing_value(name: str, kind: np.dtype) -> Any:
     """The value of a quantity where a cell has none."""
-    facts = {**FACTS, **OF_PIECES}
-    return facts[name][1] if name in facts else np.nan if kind.kind == "f" else UNKNOWN
+    facts = {**CELL_FACTS, **EVENT_DRIVEN_FACTS}
+    return facts[name][1] if name in facts else np.nan if kind.kind == "f" else UNKNOWN_INDEX_SET
 
 
-def _run(asked: Asked, task: Task, stop: Stop) -> Found:
+def _run_task(request: SweepRequest, task: CellTask, stop: StopCheck) -> CellResults:
     """The cells of one group; of those that are run together, what C does not go on with has the status NOT_RUN."""
     if isinstance(task.group, str):
-        return _refused(len(task.at), task.group)
-    group = opened(asked, task.group)
-    if asked.way == ALONE:
-        return alone(asked, group.group, task.values, stop)
+        return _refused_cells(len(task.at), task.group)
+    group = open_group(request, task.group)
+    if request.way == ALONE_BACKEND:
+        return run_alone(request, group.group, task.values, stop)
     if group.batch is None:
-        return Found(not_run(len(task.at), asked.facts), {})
-    return group.together(asked, task.values, stop)
+        return CellResults(unrun_facts(len(task.at), request.facts), {})
+    return group.together(request, task.values, stop)
 
 
-class Opened:
+class OpenGroup:
     """A group in this process, with its library, or why it has none."""
 
-    def __init__(self, asked: Asked, group: Group) -> None:
-        self.group, found = group, _library(asked, group)
+    def __init__(self, request: SweepRequest, group: CellGroup) -> None:
+        self.group, found = group, _make_library(request, group)
         self.batch: Any = None if isinstance(found, str) else found
         self.why = found if isinstance(found, str) else ""
 
-    def together(self, asked: Asked, values: np.ndarray, stop: Stop) -> Found:
+    def together(self, request: SweepRequest, values: np.ndarray, stop: StopCheck) -> CellResults:
         """Cells in C; what C does not go on with has the status NOT_RUN."""
-        rows, number = self.group.rows, WAYS.index(asked.way)
-        reduced = {name: one for name, one in asked.outputs.items() if isinstance(one, Reduction)}
-        all_rows = any(one.needs is None for one in reduced.values())
-        names = list(dict.fromkeys([*asked.keep, *(one.name for one in reduced.values())]))
+        rows, number = self.group.rows, CELL_BACKENDS.index(request.way)
+        reduced = {name: one for name, one in request.outputs.items() if isinstance(one, Reduction)}
+        all_rows = any(one.needed_rows is None for one in reduced.values())
+        names = list(dict.fromkeys([*request.keep, *(one.name for one in reduced.values())]))
         if rows.every:
             every = 1 if all_rows else rows.every
             cells = self.batch.run(values, names, every, stop=stop)
-            kept = np.isin(self.batch.rows_kept(every), rows.times)
+            kept = np.isin(self.batch.kept_times(every), rows.times)
         else:
             cells, kept = self.batch.run(values, names, stop=stop), slice(None)
         arrays = dict(cells.arrays)
-        out = {name: arrays[name][:, kept] for name in asked.keep}
+        out = {name: arrays[name][:, kept] for name in request.keep}
         with np.errstate(invalid="ignore"):
-            out |= {name: np.asarray(one.of_rows(arrays[one.name]), float) for name, one in reduced.items()}
+            out |= {name: np.asarray(one.reduce_rows(arrays[one.name]), float) for name, one in reduced.items()}
         done = cells.status == 0
         facts = {
-            "status": np.where(done, DONE, NOT_RUN), "failed_at": cells.failed_at,
+            "status": np.where(done, CELL_DONE, CELL_NOT_RUN), "failed_at": cells.failed_at,
             "steps": cells.steps, "worst_residual": cells.worst_residual, "index_set_changes": cells.index_set_changes,
             "way": np.where(done, number, -1),
         }  # fmt: skip
-        if asked.event_driven:
+        if request.is_event_driven:
             facts |= {"pieces": cells.pieces, "estimate": cells.estimate}
-        return Found(out | {name: np.asarray(values, asked.facts[name][0]) for name, values in facts.items()}, {})
+        return CellResults(out | {name: np.asarray(values, request.facts[name][0]) for name, values in facts.items()}, {})
 
 
-def _library(asked: Asked, group: Group) -> Any:
+def _make_library(request: SweepRequest, group: CellGroup) -> Any:
     """The library of a group's cells; why there is none."""
     try:
-        if asked.way == BATCH:
-            from nsmodel.codegen.batch import Batch
+        if request.way == BATCH_BACKEND:
+            from nsmodel.codegen.batch import StepBatch
 
-            return Batch(group.model, asked.grid(group.model, group.step), asked.options["tolerance"])
-        if asked.way == PIECES:
+            return StepBatch(group.model, request.grid(group.model, group.step), request.options["tolerance"])
+        if request.way == PIECES_BACKEND:
             from nsmodel.codegen.piece_batch import PieceBatch
 
             T = float(group.rows.times[-1])
-            return PieceBatch(group.model, T, asked.options["rtol"], asked.options.get("atol"), group.rows.times.tolist())
+            return PieceBatch(group.model, T, request.options["rtol"], request.options.get("atol"), group.rows.times.tolist())
     except (CodegenError, NotEventDriven) as error:
         return str(error)
     return "each is run alone"
 
 
-_models: OrderedDict[str, Opened] = OrderedDict()
-_one_at_a_time = threading.RLock()
+_open_groups: OrderedDict[str, OpenGroup] = OrderedDict()
+_groups_lock = threading.RLock()
 
 
-def opened(asked: Asked, packed: bytes) -> Opened:
+def open_group(request: SweepRequest, packed: bytes) -> OpenGroup:
     """The group of these bytes, opened once in a process."""
-    key = hashlib.sha256(pickle.dumps((asked.way, dict(asked.options))) + packed).hexdigest()
-    with _one_at_a_time:
-        if key not in _models:
-            _models[key] = Opened(asked, pickle.loads(packed))  # Bytes of this sweep's own: no file is read so.
-            while len(_models) > KEPT_MODELS:
-                _models.popitem(last=False)
-        _models.move_to_end(key)
-        return _models[key]
+    key = hashlib.sha256(pickle.dumps((request.way, dict(request.options))) + packed).hexdigest()
+    with _groups_lock:
+        if key not in _open_groups:
+            _open_groups[key] = OpenGroup(request, pickle.loads(packed))  # Bytes of this sweep's own: no file is read so.
+            while len(_open_groups) > MAX_OPEN_GROUPS:
+                _open_groups.popitem(last=False)
+        _open_groups.move_to_end(key)
+        return _open_groups[key]
 
 
-def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) -> Found:
+def run_alone(request: SweepRequest, group: CellGroup, values: np.ndarray, stop: StopCheck = never_stop) -> CellResults:
     """Cells one by one, each by `simulate`."""
     found: dict[str, np.ndarray] = {}
     messages: dict[int, str] = {}
     for i, own in enumerate(values):
         if stop():
             break
-        status, failed_at, message, run = _simulated(asked, group, dict(zip(group.names, own.tolist(), strict=True)))
+        status, failed_at, message, run = _simulate_cell(request, group, dict(zip(group.names, own.tolist(), strict=True)))
         try:
-            row = _kept(asked, group.rows, run, done=status == DONE) if run is not None else {}
+            row = _kept_values(request, group.rows, run, done=status == CELL_DONE) if run is not None else {}
         except StepError as error:  # An output says that this run has no result.
-            status, failed_at, message = FAILED, np.nan, str(error)
-            row = _kept(asked, group.rows, run, done=False) if run is not None else {}
+            status, failed_at, message = CELL_FAILED, np.nan, str(error)
+            row = _kept_values(request, group.rows, run, done=False) if run is not None else {}
         totals = {} if run is None else run.metadata.get("totals", {})
         row |= {
-            "status": status, "failed_at": failed_at, "steps": totals.get("steps", 0), "way": WAYS.index(ALONE),
+            "status": status, "failed_at": failed_at, "steps": totals.get("steps", 0), "way": CELL_BACKENDS.index(ALONE_BACKEND),
             "worst_residual": totals.get("worst_residual", np.nan) if run is not None else np.nan,
             "index_set_changes": totals.get("index_set_changes", totals.get("events", 0)),
         }  # fmt: skip
-        if asked.event_driven:
+        if request.is_event_driven:
             row |= {"pieces": totals.get("pieces", 0), "estimate": totals.get("worst_estimate") or np.nan}
-        if status != DONE:
+        if status != CELL_DONE:
             messages[i] = message
         for name, value in row.items():
             array = np.asarray(value)
             if name not in found:
-                found |= blank(len(values), {name: array[None]})
-            refuse_other_shape(name, array.shape, found[name].shape[1:])
+                found |= unrun_arrays(len(values), {name: array[None]})
+            check_same_shape(name, array.shape, found[name].shape[1:])
             found[name][i] = array
-    return Found(found or not_run(len(values)), messages)
+    return CellResults(found or unrun_facts(len(values)), messages)
 
 
-def _simulated(asked: Asked, group: Group, values: dict[str, float]) -> tuple[int, float, str, Trajectory | None]:
+def _simulate_cell(
+    request: SweepRequest, group: CellGroup, values: dict[str, float]
+) -> tuple[int, float, str, Trajectory | None]:
     """A run: its status, when it failed, why, and what there is of it."""
-    options: dict[str, Any] = {name: value for name, value in asked.options.items() if value is not None and name != "times"}
+    options: dict[str, Any] = {name: value for name, value in request.options.items() if value is not None and name != "times"}
     if group.step is not None:
         options["step"] = group.step
-    if asked.event_driven:
-        rows = asked.keep or any(isinstance(one, Reduction) for one in asked.outputs.values())
+    if request.is_event_driven:
+        rows = request.keep or any(isinstance(one, Reduction) for one in request.outputs.values())
         options["times"] = group.rows.times if rows else None
-    elif all(isinstance(one, Reduction) and one.needs for one in asked.outputs.values()):
+    elif all(isinstance(one, Reduction) and one.needed_rows for one in request.outputs.values()):
         options["save_every"] = group.rows.every
     try:
-        return DONE, np.nan, "", _ran(group.model, values, options)
+        return CELL_DONE, np.nan, "", _simulate_with_times(group.model, values, options)
     except StepError as error:
-        return FAILED, np.nan if error.time is None else error.time, str(error), error.trajectory
+        return CELL_FAILED, np.nan if error.time is None else error.time, str(error), error.trajectory
     except (UsageError, ModelError) as error:
-        return NO_MODEL, np.nan, str(error), None
+        return CELL_REFUSED, np.nan, str(error), None
 
 
-def _ran(model: Model, values: dict[str, float], options: dict[str, Any]) -> Trajectory:
+def _simulate_with_times(model: Model, values: dict[str, float], options: dict[str, Any]) -> Trajectory:
     try:
         return simulate(model, parameters=values or None, **options)
     except UsageError as error:
@@ -241,13 +254,13 @@ def _ran(model: Model, values: dict[str, float], options: dict[str, Any]) -> Tra
     return simulate(model, parameters=values or None, **options)
 
 
-def _kept(asked: Asked, rows: Rows, run: Trajectory, *, done: bool) -> dict[str, Any]:
+def _kept_values(request: SweepRequest, rows: RowSelection, run: Trajectory, *, done: bool) -> dict[str, Any]:
     """The rows that are kept, and the outputs; of a failed run the rows up to its end."""
-    kept = {name: _at_rows(run, name, rows, done=done) for name in asked.keep}
-    return kept | {name: np.asarray(_output(name, one, run), float) for name, one in asked.outputs.items() if done}
+    kept = {name: _column_at_rows(run, name, rows, done=done) for name in request.keep}
+    return kept | {name: np.asarray(_evaluate_output(name, one, run), float) for name, one in request.outputs.items() if done}
 
 
-def _output(name: str, function: Callable[[Any], Any], run: Trajectory) -> Any:
+def _evaluate_output(name: str, function: Callable[[Any], Any], run: Trajectory) -> Any:
     try:
         value = np.asarray(function(run))
     except StepError:
@@ -261,29 +274,32 @@ def _output(name: str, function: Callable[[Any], Any], run: Trajectory) -> Any:
     return value
 
 
-def _at_rows(run: Trajectory, name: str, rows: Rows, *, done: bool) -> np.ndarray:
+def _column_at_rows(run: Trajectory, name: str, rows: RowSelection, *, done: bool) -> np.ndarray:
     """A column at the rows that are kept."""
-    values, t, times = column(run, name), run.t, rows.times
+    values, t, times = run_column(run, name), run.t, rows.times
     room = 1e-9 * max(times[-1], 1e-300) / max(len(times), 2)
     at = np.clip(np.searchsorted(t, times - room), 0, len(t) - 1)
-    there = np.abs(t[at] - times) <= room
-    if done and not there.all():
+    is_found = np.abs(t[at] - times) <= room
+    if done and not is_found.all():
         if rows.every == 0:
-            return _between(run, name, times)
-        there |= times > t[-1]  # It ended early, as nothing changes any more.
-    out = np.full((len(times), *values.shape[1:]), np.nan if values.dtype.kind == "f" else UNKNOWN, values.dtype)
-    out[there] = values[at[there]]
+            return _column_at_times(run, name, times)
+        is_found |= times > t[-1]  # It ended early, as nothing changes any more.
+    out = np.full((len(times), *values.shape[1:]), np.nan if values.dtype.kind == "f" else UNKNOWN_INDEX_SET, values.dtype)
+    out[is_found] = values[at[is_found]]
     return out
 
 
-def _between(run: Trajectory, name: str, times: np.ndarray) -> np.ndarray:
+def _column_at_times(run: Trajectory, name: str, times: np.ndarray) -> np.ndarray:
     """A column of states, multipliers or outputs at any times."""
     at = run.at(times)
     held = Trajectory({key: getattr(at, key) for key in ("t", "x", "v", "multipliers", "y")}, run.metadata)
-    return column(held, name)
+    return run_column(held, name)
 
 
-def _refused(cells: int, why: str) -> Found:
-    found = not_run(cells)
-    found["status"][:], found["way"][:] = NO_MODEL, WAYS.index(ALONE)
-    return Found(found, dict.fromkeys(range(cells), why))
+def _refused_cells(cells: int, why: str) -> CellResults:
+    found = unrun_facts(cells)
+    found["status"][:], found["way"][:] = CELL_REFUSED, CELL_BACKENDS.index(ALONE_BACKEND)
+    return CellResults(found, dict.fromkeys(range(cells), why))
+
+
+__getattr__ = former_names(__name__, Group="CellGroup")

@@ -6,57 +6,64 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from nsmodel.classes.registry import class_of
+from nsmodel.later import former_names
 from nsmodel.run.options import METHODS
 from nsmodel.scheme import one_step_problem
-from nsmodel.solve.cost import building, interpreted
-from nsmodel.solve.structure import read
-from nsmodel.sweep.asked import ALONE, BATCH, PIECES, Asked
-from nsmodel.sweep.cells import Group, opened
+from nsmodel.solve.cost import build_seconds, interpreted_step_seconds
+from nsmodel.solve.structure import read_step_structure
+from nsmodel.sweep.asked import ALONE_BACKEND, BATCH_BACKEND, PIECES_BACKEND, SweepRequest
+from nsmodel.sweep.cells import CellGroup, open_group
 from nsmodel.sweep.outputs import Reduction
 
-SET_UP = 5e-3  # Seconds that a run takes beside its steps.
-BUILDING_PIECES, A_PIECE, PIECES_OF_A_RUN = 1.5, 1e-3, 20  # Seconds for building event-driven runs; for a piece without; guessed.
+RUN_SETUP_SECONDS = 5e-3  # Seconds that a run takes beside its steps.
+PIECES_BUILD_SECONDS, PIECE_SECONDS, PIECES_PER_RUN = (
+    1.5,
+    1e-3,
+    20,
+)  # Seconds for building event-driven runs; for a piece without; guessed.
 
 
-class Choice(NamedTuple):
+class BackendChoice(NamedTuple):
     """What is asked, with the way; how the cells are run, for settings and in words."""
 
-    asked: Asked
+    request: SweepRequest
     way: str
-    words: str
+    description: str
 
 
-def choose(asked: Asked, group: Group, cells: int, models: int, there: str | None = None) -> Choice:
+def choose_backend(
+    request: SweepRequest, group: CellGroup, cells: int, models: int, resumed_backend: str | None = None
+) -> BackendChoice:
     """Decide for all cells, by what the first group is; the same wherever it is asked.
 
     ``there``: the way of the sweep that is gone on with, which goes on as it began, unless ``compiled`` says otherwise.
     """
-    goes_on = asked.options["compiled"] == "auto" and there is not None
-    why = _alone_because(asked, group, cells / models, costs=not goes_on or there == ALONE)
-    if goes_on and there == ALONE:
+    goes_on = request.options["compiled"] == "auto" and resumed_backend is not None
+    why = _reason_to_run_alone(request, group, cells / models, costs=not goes_on or resumed_backend == ALONE_BACKEND)
+    if goes_on and resumed_backend == ALONE_BACKEND:
         why = why or "as it began"
-    together = PIECES if asked.event_driven else BATCH
+    together = PIECES_BACKEND if request.is_event_driven else BATCH_BACKEND
     if why is None:
-        own = opened(replace(asked, way=together), group.packed())
+        own = open_group(replace(request, way=together), group.packed())
         if own.batch is None:
             why = own.why
         else:
-            unknown = [name for name in _names(asked) if name not in own.batch.columns()]
+            unknown = [name for name in _read_columns(request) if name not in own.batch.columns()]
             if not unknown:
                 each = ", for each model" if models > 1 else ""
-                return Choice(replace(asked, way=together), own.batch.way, f"{own.batch.way}{each}")
+                return BackendChoice(replace(request, way=together), own.batch.way, f"{own.batch.way}{each}")
             why = f"'{unknown[0]}' is a column of whole runs"
-    return Choice(replace(asked, way=ALONE), ALONE, f"each cell by simulate: {why}")
+    return BackendChoice(replace(request, way=ALONE_BACKEND), ALONE_BACKEND, f"each cell by simulate: {why}")
 
 
-def _names(asked: Asked) -> list[str]:
+def _read_columns(request: SweepRequest) -> list[str]:
     """The columns that are read."""
-    return [*asked.keep, *(one.name for one in asked.outputs.values() if isinstance(one, Reduction))]
+    return [*request.keep, *(one.name for one in request.outputs.values() if isinstance(one, Reduction))]
 
 
-def _alone_because(asked: Asked, group: Group, cells: float, *, costs: bool) -> str | None:
+def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, *, costs: bool) -> str | None:
     """Why cells are not run together; None where they are, if there is a library."""
-    options = asked.options
+    options = request.options
     if options["compiled"] is False:
         return "compiled=False"
     if options["solver"] != "auto":
@@ -65,22 +72,27 @@ def _alone_because(asked: Asked, group: Group, cells: float, *, costs: bool) -> 
         return "no parameter varies within a model"
     if class_of(group.model).optional("walk") is not None:
         return "many bodies"
-    whole = [name for name, one in asked.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
+    whole = [name for name, one in request.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
     if whole:
         return f"the output '{whole[0]}' is of a whole run"
-    if asked.event_driven and options["method"] == METHODS[2]:
+    if request.is_event_driven and options["method"] == METHODS[2]:
         return "the steps of each are chosen by error control"
     if options["compiled"] is True or not costs:
         return None
-    took, build = _seconds(asked, group)
+    took, build = _estimate_seconds(request, group)
     return None if cells * took > build else "they take less time than building a library"
 
 
-def _seconds(asked: Asked, group: Group) -> tuple[float, float]:
+def _estimate_seconds(request: SweepRequest, group: CellGroup) -> tuple[float, float]:
     """About how long a run takes alone, and a library."""
-    if asked.event_driven:
-        return SET_UP + A_PIECE * PIECES_OF_A_RUN, BUILDING_PIECES
+    if request.is_event_driven:
+        return RUN_SETUP_SECONDS + PIECE_SECONDS * PIECES_PER_RUN, PIECES_BUILD_SECONDS
     problem = one_step_problem(group.model)
-    structure = read(problem) if problem.prediction is None else None
+    structure = read_step_structure(problem) if problem.prediction is None else None
     path = "kernel" if structure is not None and structure.constant and structure.affine else "newton"
-    return SET_UP + asked.grid(group.model, group.step).N * interpreted(path, structure), building("newton", structure, problem)
+    return RUN_SETUP_SECONDS + request.grid(group.model, group.step).N * interpreted_step_seconds(path, structure), build_seconds(
+        "newton", structure, problem
+    )
+
+
+__getattr__ = former_names(__name__, Choice="BackendChoice")

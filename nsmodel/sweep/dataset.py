@@ -10,10 +10,10 @@ import numpy as np
 
 from nsmodel.archive import write_npz
 from nsmodel.errors import MissingExtraError, StorageError
-from nsmodel.extras import extra
-from nsmodel.storage import dumps, replacing
-from nsmodel.sweep.asked import WAYS
-from nsmodel.sweep.variable import WORDS
+from nsmodel.extras import import_extra
+from nsmodel.storage import dumps, replace_atomically
+from nsmodel.sweep.asked import CELL_BACKENDS
+from nsmodel.sweep.variable import STATUS_NAMES
 
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
@@ -25,7 +25,7 @@ def design_arrays(sweep: Sweep) -> dict[str, np.ndarray]:
     return dims | {f"value:{name}": values for name, (values, _) in sweep.varied.items()} | {"t": sweep.t}
 
 
-def header(sweep: Sweep) -> dict[str, Any]:
+def sweep_metadata(sweep: Sweep) -> dict[str, Any]:
     """The metadata of its file."""
     along = {name: list(axes) for name, (_, axes) in sweep.varied.items()}
     labels = {dim: sweep.coords[dim].tolist() for dim in sweep.dims if sweep.coords[dim].dtype.kind == "U"}
@@ -33,13 +33,13 @@ def header(sweep: Sweep) -> dict[str, Any]:
     return {**sweep.metadata, "dims": list(sweep.dims), "along": along, "shape": list(sweep.shape), **texts}
 
 
-def write(sweep: Sweep, path: Path) -> None:
+def write_sweep(sweep: Sweep, path: Path) -> None:
     """One npz file."""
     messages = {str(cell): sweep.messages[cell] for cell in sorted(sweep.messages)}
-    write_npz(path, {**design_arrays(sweep), **sweep.cells}, {**header(sweep), "messages": messages})
+    write_npz(path, {**design_arrays(sweep), **sweep.cells}, {**sweep_metadata(sweep), "messages": messages})
 
 
-def table(sweep: Sweep) -> dict[str, np.ndarray]:
+def cell_table(sweep: Sweep) -> dict[str, np.ndarray]:
     """One row a cell: its number, what varies, outputs, facts, status in words and message."""
     places = np.unravel_index(np.arange(sweep.size), sweep.shape) if sweep.dims else ()
     found: dict[str, np.ndarray] = {"cell": np.arange(sweep.size)}
@@ -51,15 +51,15 @@ def table(sweep: Sweep) -> dict[str, np.ndarray]:
         values = sweep.cells[name].reshape(sweep.size, -1)
         if name != "status":
             found |= {name if values.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(values.T)}
-    found["way"] = np.array([WAYS[way] if way >= 0 else "" for way in sweep.cells["way"].tolist()])
-    found["status"] = np.array([WORDS[code] for code in sweep.cells["status"].tolist()])
+    found["way"] = np.array([CELL_BACKENDS[way] if way >= 0 else "" for way in sweep.cells["way"].tolist()])
+    found["status"] = np.array([STATUS_NAMES[code] for code in sweep.cells["status"].tolist()])
     found["message"] = np.array([sweep.messages.get(cell, "") for cell in range(sweep.size)])
     return found
 
 
-def of(sweep: Sweep) -> Any:
+def sweep_dataset(sweep: Sweep) -> Any:
     """An ``xarray.Dataset``: quantities along the sweep's dimensions and their own, what varies as coordinates."""
-    xarray = extra("xarray")
+    xarray = import_extra("xarray")
     units = {name: {"units": unit} for name, unit in sweep.units.items()}
     data = {}
     for name in sweep.cells:
@@ -82,25 +82,25 @@ def of(sweep: Sweep) -> Any:
     return found
 
 
-def to_netcdf(sweep: Sweep, path: Path) -> None:
+def write_netcdf(sweep: Sweep, path: Path) -> None:
     """A netCDF file."""
-    found = of(sweep)
-    if not any(map(_there, ("netCDF4", "h5netcdf"))):
+    found = sweep_dataset(sweep)
+    if not any(map(_is_installed, ("netCDF4", "h5netcdf"))):
         raise MissingExtraError("netCDF files need netCDF4 or h5netcdf; pip install netCDF4, or keep the npz file")
-    with replacing(path) as part:
+    with replace_atomically(path) as part:
         found.to_netcdf(part)
 
 
-def to_zarr(sweep: Sweep, path: Path) -> None:
+def write_zarr(sweep: Sweep, path: Path) -> None:
     """A zarr store."""
-    extra("zarr")
+    import_extra("zarr")
     try:
-        of(sweep).to_zarr(path, mode="w", zarr_format=2)
+        sweep_dataset(sweep).to_zarr(path, mode="w", zarr_format=2)
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
 
 
-def _there(package: str) -> bool:
+def _is_installed(package: str) -> bool:
     try:
         import_module(package)
     except ImportError:
@@ -108,8 +108,8 @@ def _there(package: str) -> bool:
     return True
 
 
-def frame(sweep: Sweep) -> Any:
+def sweep_frame(sweep: Sweep) -> Any:
     """`table` as a ``pandas.DataFrame`` by cell; MissingExtraError where pandas is not installed."""
-    found = extra("pandas").DataFrame(table(sweep)).set_index("cell")
+    found = import_extra("pandas").DataFrame(cell_table(sweep)).set_index("cell")
     found.attrs = {"title": sweep.title, "units": {name: unit for name, unit in sweep.units.items() if name in found}}
     return found

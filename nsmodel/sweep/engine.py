@@ -14,13 +14,15 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPo
 from typing import Any, Protocol
 
 from nsmodel.errors import UsageError
-from nsmodel.grid import is_number, written
-from nsmodel.sweep.asked import Asked, Found
-from nsmodel.sweep.cells import Stop, Task, run_chunk
+from nsmodel.grid import format_value, is_number
+from nsmodel.sweep.asked import CellResults, SweepRequest
+from nsmodel.sweep.cells import CellTask, StopCheck, run_chunk
 
-MOST = 61 if sys.platform == "win32" else 1 << 20  # Processes in a pool: Windows waits for no more at once.
-WATCH = 1.0  # Seconds between two looks of a worker at whether its parent is alive.
-_inherited: dict[int, Asked] = {}  # What sweeps ask for, for workers that are forked: functions without names go no other way.
+MAX_PROCESSES = 61 if sys.platform == "win32" else 1 << 20  # Processes in a pool: Windows waits for no more at once.
+PARENT_CHECK_SECONDS = 1.0  # Seconds between two looks of a worker at whether its parent is alive.
+_forked_requests: dict[
+    int, SweepRequest
+] = {}  # What sweeps ask for, for workers that are forked: functions without names go no other way.
 
 
 class Engine(Protocol):
@@ -33,9 +35,9 @@ class Engine(Protocol):
 
     workers: int
     window: int
-    words: str
+    description: str
 
-    def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
+    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
         """Begin a chunk."""
         ...
 
@@ -44,27 +46,31 @@ class Engine(Protocol):
         ...
 
 
-def timed(asked: Asked | int, tasks: Sequence[Task], attempt: int = 0, stop: Stop | None = None) -> tuple[Found, float]:
+def run_timed_chunk(
+    request: SweepRequest | int, tasks: Sequence[CellTask], attempt: int = 0, stop: StopCheck | None = None
+) -> tuple[CellResults, float]:
     """A chunk and the seconds it took; ``asked`` may be the number under which a forked worker has it."""
     del attempt  # tells engines that keep results by their arguments that this is another one
     began = time.perf_counter()
-    found = run_chunk(_inherited[asked] if isinstance(asked, int) else asked, tasks, *([] if stop is None else [stop]))
+    found = run_chunk(
+        _forked_requests[request] if isinstance(request, int) else request, tasks, *([] if stop is None else [stop])
+    )
     return found, time.perf_counter() - began
 
 
-class InTurn:
+class SerialEngine:
     """One chunk after the other, here."""
 
-    workers, window, words = 1, 1, "in this process"
+    workers, window, description = 1, 1, "in this process"
 
-    def __init__(self, asked: Asked, stop: Stop) -> None:
-        self._asked, self._stop = asked, stop
+    def __init__(self, request: SweepRequest, stop: StopCheck) -> None:
+        self._request, self._stop = request, stop
 
-    def submit(self, tasks: Sequence[Task], attempt: int) -> Future:
+    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Future:
         """Compute it now."""
         future: Future = Future()
         try:
-            future.set_result(timed(self._asked, tasks, attempt, self._stop))
+            future.set_result(run_timed_chunk(self._request, tasks, attempt, self._stop))
         except Exception as error:
             future.set_exception(error)
         return future
@@ -73,115 +79,115 @@ class InTurn:
         """Nothing is left."""
 
 
-class Threads:
+class ThreadEngine:
     """Threads of this process: for C, which runs without Python's lock."""
 
-    def __init__(self, asked: Asked, stop: Stop, workers: int) -> None:
-        self._asked, self._stop, self.workers = asked, stop, workers
-        self.words, self.window = f"{workers} threads", workers + 1
+    def __init__(self, request: SweepRequest, stop: StopCheck, workers: int) -> None:
+        self._request, self._stop, self.workers = request, stop, workers
+        self.description, self.window = f"{workers} threads", workers + 1
         self._pool = ThreadPoolExecutor(workers)
 
-    def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
+    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
         """Begin a chunk."""
-        return self._pool.submit(timed, self._asked, tasks, attempt, self._stop)
+        return self._pool.submit(run_timed_chunk, self._request, tasks, attempt, self._stop)
 
     def close(self, *, wait: bool) -> None:
         """End the threads."""
         self._pool.shutdown(wait=True, cancel_futures=not wait)
 
 
-class Processes:
+class ProcessEngine:
     """Processes of this machine. Ctrl-C is this process's own: they end what they do, and go when it is gone."""
 
-    def __init__(self, asked: Asked, workers: int) -> None:
-        workers = min(workers, MOST)
-        self.workers, self.window, self.words, self._asked = workers, workers + 1, f"{workers} processes", asked
-        self._forks = forks()
+    def __init__(self, request: SweepRequest, workers: int) -> None:
+        workers = min(workers, MAX_PROCESSES)
+        self.workers, self.window, self.description, self._request = workers, workers + 1, f"{workers} processes", request
+        self._forks = can_fork()
         self._context = multiprocessing.get_context("fork" if self._forks else "spawn")
-        self._given: Asked | int = asked
+        self._sent_request: SweepRequest | int = request
         if self._forks:
-            self._given = id(asked)
-            _inherited[id(asked)] = asked
+            self._sent_request = id(request)
+            _forked_requests[id(request)] = request
         else:
-            portable(asked)
-        self._pool = self._made()
+            check_picklable(request)
+        self._pool = self._make_pool()
 
-    def _made(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(self.workers, self._context, initializer=_begin, initargs=(os.getpid(), self._forks))
+    def _make_pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(self.workers, self._context, initializer=_init_worker, initargs=(os.getpid(), self._forks))
 
-    def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
+    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
         """Begin a chunk; in new processes where one of the old has died."""
         try:
-            return self._pool.submit(timed, self._given, tasks, attempt)
+            return self._pool.submit(run_timed_chunk, self._sent_request, tasks, attempt)
         except BrokenExecutor:
             self._pool.shutdown(wait=False)
-            self._pool = self._made()
-            return self._pool.submit(timed, self._given, tasks, attempt)
+            self._pool = self._make_pool()
+            return self._pool.submit(run_timed_chunk, self._sent_request, tasks, attempt)
 
     def close(self, *, wait: bool) -> None:
         """End the processes."""
         self._pool.shutdown(wait=wait, cancel_futures=True)
-        _inherited.pop(id(self._asked), None)
+        _forked_requests.pop(id(self._request), None)
 
 
-class Given:
+class UserEngine:
     """An engine of the user's: a Dask ``Client``, an ``Executor``."""
 
-    def __init__(self, asked: Asked, engine: Any) -> None:
-        self._asked, self._engine = asked, engine
-        self.workers = _size(engine)
+    def __init__(self, request: SweepRequest, engine: Any) -> None:
+        self._request, self._engine = request, engine
+        self.workers = _engine_capacity(engine)
         self.window = 2 * self.workers
-        self.words = f"{type(engine).__module__.partition('.')[0]}.{type(engine).__name__}, {self.workers} at once"
+        self.description = f"{type(engine).__module__.partition('.')[0]}.{type(engine).__name__}, {self.workers} at once"
         if isinstance(engine, ProcessPoolExecutor):
-            portable(asked)
+            check_picklable(request)
 
-    def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
+    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
         """Begin a chunk."""
-        return self._engine.submit(timed, self._asked, list(tasks), attempt)
+        return self._engine.submit(run_timed_chunk, self._request, list(tasks), attempt)
 
     def close(self, *, wait: bool) -> None:
         """It is the user's."""
 
 
-def engine_of(workers: Any, asked: Asked, stop: Stop, *, threads: bool, chunks: int) -> Engine:
+def make_engine(workers: Any, request: SweepRequest, stop: StopCheck, *, threads: bool, chunks: int) -> Engine:
     """Return who computes: ``workers`` None: as many as there are cores, threads or processes; a number; an engine.
 
     Raises:
         UsageError: none of these.
     """
-    refuse_workers(workers)
+    check_workers(workers)
     if hasattr(workers, "submit"):
-        return Given(asked, workers)
-    count = min(cores() if workers is None else int(workers), max(chunks, 1))
+        return UserEngine(request, workers)
+    count = min(available_cores() if workers is None else int(workers), max(chunks, 1))
     if count == 1:
-        return InTurn(asked, stop)
-    return Threads(asked, stop, count) if threads else Processes(asked, count)
+        return SerialEngine(request, stop)
+    return ThreadEngine(request, stop, count) if threads else ProcessEngine(request, count)
 
 
-def refuse_workers(workers: Any) -> None:
+def check_workers(workers: Any) -> None:
     """Raise UsageError for what cannot compute."""
     if not (
         workers is None or hasattr(workers, "submit") or (is_number(workers) and workers >= 1 and float(workers).is_integer())
     ):
         raise UsageError(
-            f"workers = {written(workers)}; expected a whole number >= 1, or an engine with submit(), such as a Dask Client or "
-            "an Executor"
+            f"workers = {format_value(workers)}; expected a whole number >= 1, or an engine with submit(), such as a Dask Client "
+            "or an Executor"
         )
 
 
-def forks() -> bool:
+def can_fork() -> bool:
     """Whether workers are copies of this process: not on Windows, nor on macOS, whose libraries do not survive it."""
     return sys.platform != "darwin" and "fork" in multiprocessing.get_all_start_methods()
 
 
-def cores() -> int:
+def available_cores() -> int:
     """The cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def portable(asked: Asked) -> None:
+def check_picklable(request: SweepRequest) -> None:
     """Refuse what cannot go to another process."""
-    for name, function in asked.outputs.items():
+    for name, function in request.outputs.items():
         try:
             pickle.dumps(function)
         except Exception as error:
@@ -191,13 +197,13 @@ def portable(asked: Asked) -> None:
             ) from error
 
 
-def lost(error: BaseException) -> bool:
+def is_worker_lost(error: BaseException) -> bool:
     """Whether a chunk failed because who computed it is gone, not because of what it is."""
     gone = isinstance(error, BrokenExecutor | CancelledError | ConnectionError | EOFError)
     return gone or type(error).__name__ in ("KilledWorker", "CommClosedError", "TerminatedWorkerError", "FutureCancelledError")
 
 
-def _size(engine: Any) -> int:
+def _engine_capacity(engine: Any) -> int:
     """How many chunks an engine computes at once."""
     for name in ("_max_workers", "nthreads"):
         number: Any = getattr(engine, name, None)
@@ -206,20 +212,20 @@ def _size(engine: Any) -> int:
         if callable(number):
             found: Any = number()
             return max(1, sum(found.values()) if hasattr(found, "values") else int(found))
-    return cores()
+    return available_cores()
 
 
-def _begin(parent: int, forked: bool) -> None:
+def _init_worker(parent: int, forked: bool) -> None:
     """In a new worker: signals of the terminal are for its parent, with which it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if hasattr(os, "setpgrp"):
         os.setpgrp()
 
-    def watch() -> None:
+    def exit_with_parent() -> None:
         above = multiprocessing.parent_process()
         while os.getppid() == parent and (forked or above is None or above.is_alive()):  # Windows keeps the number of the dead.
-            time.sleep(WATCH)
+            time.sleep(PARENT_CHECK_SECONDS)
         os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+    threading.Thread(target=exit_with_parent, daemon=True).start()

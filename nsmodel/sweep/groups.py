@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.sweep.variable import DRAWN, Variable, causes_of
+from nsmodel.sweep.variable import DRAWN_DIMS, Variable, failure_counts
 
 Over = str | Sequence[str] | None
 
 
 @dataclass(frozen=True, eq=False)
-class Groups:
+class StatisticGroups:
     """Cells by group: those of one group are along the last axis.
 
     Attributes:
@@ -46,7 +46,7 @@ class Groups:
     @property
     def causes(self) -> dict[str, int]:
         """Of all cells that have no result, how many came to what."""
-        return causes_of(self.variable.status)
+        return failure_counts(self.variable.status)
 
     @property
     def coords(self) -> dict[str, np.ndarray]:
@@ -59,7 +59,7 @@ class Groups:
         return tuple(dim for dim in self.dims if dim in self.variable.cell_dims)
 
 
-def grouped(variable: Variable, over: Over) -> Groups:
+def group_cells(variable: Variable, over: Over) -> StatisticGroups:
     """Return the cells of a variable, grouped by the dims that are not in `over`.
 
     Raises:
@@ -87,10 +87,10 @@ def grouped(variable: Variable, over: Over) -> Groups:
     cells = int(np.prod([variable.sizes[dim] for dim in dims]))
     done = variable.done.transpose(order).reshape(*shape, cells)
     values = variable.values.astype(float).transpose(order).reshape(*shape, cells)
-    return Groups(variable, dims, kept, shape, np.where(done, values, np.nan), done)
+    return StatisticGroups(variable, dims, kept, shape, np.where(done, values, np.nan), done)
 
 
-def checked_level(level: float | None) -> float:
+def check_level(level: float | None) -> float:
     """The level, NaN where none is asked for; UsageError where it is not in (0, 1)."""
     if level is None:
         return np.nan
@@ -99,7 +99,7 @@ def checked_level(level: float | None) -> float:
     return float(level)
 
 
-def refuse_dependent(groups: Groups, level: float, replicates: str | None) -> None:
+def check_independent(groups: StatisticGroups, level: float, replicates: str | None) -> None:
     """Refuse an interval asked of points that are not independent, and replicates that are none.
 
     Raises:
@@ -119,19 +119,19 @@ def refuse_dependent(groups: Groups, level: float, replicates: str | None) -> No
         )
 
 
-def by_replicate(groups: Groups, values: np.ndarray, replicates: str) -> np.ndarray:
+def split_by_replicate(groups: StatisticGroups, values: np.ndarray, replicates: str) -> np.ndarray:
     """Values (*shape, cells) as (*shape, replicates, cells of one)."""
     sizes, at = [groups.variable.sizes[dim] for dim in groups.over], groups.over.index(replicates)
-    apart = np.moveaxis(values.reshape(*groups.shape, *sizes), len(groups.shape) + at, len(groups.shape))
-    return apart.reshape(*groups.shape, sizes[at], -1)
+    separated = np.moveaxis(values.reshape(*groups.shape, *sizes), len(groups.shape) + at, len(groups.shape))
+    return separated.reshape(*groups.shape, sizes[at], -1)
 
 
-def evenly_laid_out(groups: Groups) -> list[str]:
+def evenly_spaced_dims(groups: StatisticGroups) -> list[str]:
     """Those dims within a group whose values look like a grid, not like draws: evenly spaced, or in a geometric series."""
-    return [dim for dim in groups.over if dim not in DRAWN and is_even(groups.variable.coords[dim])]
+    return [dim for dim in groups.over if dim not in DRAWN_DIMS and is_evenly_spaced(groups.variable.coords[dim])]
 
 
-def is_even(values: np.ndarray, *, geometric: bool | None = None) -> bool:
+def is_evenly_spaced(values: np.ndarray, *, geometric: bool | None = None) -> bool:
     """Whether three or more numbers have equal steps or ratios (`geometric`: ratios alone); 0, 1, 2, ... just count."""
     if values.dtype.kind not in "iuf" or len(values) < 3 or not np.isfinite(values).all():
         return False

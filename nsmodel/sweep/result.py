@@ -13,17 +13,26 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import StepError, StorageError, UsageError
-from nsmodel.notebook import shown_by
+from nsmodel.later import former_names
+from nsmodel.notebook import html_repr
 from nsmodel.storage import write_csv
-from nsmodel.stored import StoredArrays, mapped
+from nsmodel.stored import StoredArrays, map_archive
 from nsmodel.sweep import dataset
-from nsmodel.sweep.asked import ALONE, WAYS
-from nsmodel.sweep.binomial import wilson
-from nsmodel.sweep.files import CODES, DIM, LABELS, OF_THE_FILE, VALUE, WHOLE, refuse_no_sweep
-from nsmodel.sweep.variable import DONE, FAILED, NOT_RUN, WORDS, Variable
-from nsmodel.words import shown
+from nsmodel.sweep.asked import ALONE_BACKEND, CELL_BACKENDS
+from nsmodel.sweep.binomial import wilson_interval
+from nsmodel.sweep.files import (
+    CODE_CHECKS,
+    DIM_PREFIX,
+    FILE_METADATA_KEYS,
+    LABELS_KEY,
+    SWEEP_FILE,
+    VALUE_PREFIX,
+    check_sweep_file,
+)
+from nsmodel.sweep.variable import CELL_DONE, CELL_FAILED, CELL_NOT_RUN, STATUS_NAMES, Variable
+from nsmodel.words import escape_invisible
 
-WIDTH, SHOWN = 100, 4
+SUMMARY_WIDTH, MAX_FAILURE_KINDS = 100, 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +63,7 @@ class Sweep:
     engine: str = ""
     _again: Callable[..., Any] | None = field(default=None)
 
-    _repr_html_ = shown_by("sweep")
+    _repr_html_ = html_repr("sweep")
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -159,17 +168,19 @@ class Sweep:
     @property
     def failures(self) -> list[tuple[int, str]]:
         """(cell, why) of those that were run and are not done."""
-        return [(cell, self.messages.get(cell, "")) for cell in np.flatnonzero(self.cells["status"] > DONE).tolist()]
+        return [(cell, self.messages.get(cell, "")) for cell in np.flatnonzero(self.cells["status"] > CELL_DONE).tolist()]
 
     def raise_failed(self) -> None:
         """Raise StepError with the first failure where a cell has failed or was refused."""
         if self.failures:
             cell, why = self.failures[0]
-            raise StepError(f"{len(self.failures)} of {self.size} cells are not done; cell {cell} ({self._where(cell)}): {why}")
+            raise StepError(
+                f"{len(self.failures)} of {self.size} cells are not done; cell {cell} ({self._describe_cell(cell)}): {why}"
+            )
 
     def save(self, path: str | Path) -> None:
         """Write one npz file at ``path``; ``Sweep.load`` reads it, and ``numpy.load``. StorageError where that fails."""
-        dataset.write(self, Path(path))
+        dataset.write_sweep(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
@@ -183,33 +194,33 @@ class Sweep:
         """
         path = Path(path)
         if path.is_dir():
-            if not (path / WHOLE).exists():
+            if not (path / SWEEP_FILE).exists():
                 raise StorageError(
-                    f"{path} holds no {WHOLE}: no sweep, or one that is not done; go on with resume=True (--resume)"
+                    f"{path} holds no {SWEEP_FILE}: no sweep, or one that is not done; go on with resume=True (--resume)"
                 )
-            path = path / WHOLE
-        archive, arrays = mapped(path)
-        refuse_no_sweep(archive, arrays)
-        archive.warn(stacklevel=2)
-        return made(arrays, archive.metadata)
+            path = path / SWEEP_FILE
+        archive, arrays = map_archive(path)
+        check_sweep_file(archive, arrays)
+        archive.warn_unverified(stacklevel=2)
+        return make_sweep(arrays, archive.metadata)
 
     def to_csv(self, path: str | Path) -> None:
         """Write to ``path`` a row a cell: what varies, numbers of each run, how it went, why not; no rows over time."""
-        write_csv(path, dataset.table(self))
+        write_csv(path, dataset.cell_table(self))
 
     def to_pandas(self) -> Any:
         """Return the table of ``to_csv`` as a ``pandas.DataFrame`` by cell, units in its ``attrs``.
 
         MissingExtraError where pandas is not installed.
         """
-        return dataset.frame(self)
+        return dataset.sweep_frame(self)
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset``: quantities along what varies, which has its values as coordinates.
 
         MissingExtraError where xarray is not installed.
         """
-        return dataset.of(self)
+        return dataset.sweep_dataset(self)
 
     @property
     def data(self) -> Any:
@@ -218,11 +229,11 @@ class Sweep:
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write ``data`` to ``path`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""
-        dataset.to_netcdf(self, Path(path))
+        dataset.write_netcdf(self, Path(path))
 
     def to_zarr(self, path: str | Path) -> None:
         """Write ``data`` to ``path`` as a zarr store; MissingExtraError where xarray or zarr is not installed."""
-        dataset.to_zarr(self, Path(path))
+        dataset.write_zarr(self, Path(path))
 
     def plot(self, name: str, **options: Any) -> Any:
         """Draw the quantity ``name`` over what varies, and return the axes.
@@ -239,8 +250,8 @@ class Sweep:
     def summary(self) -> dict[str, Any]:
         """Return the sweep in short, as numbers, strings, lists and dictionaries."""
         status = Counter(self.cells["status"].tolist())
-        ran = self.cells["status"] != NOT_RUN
-        worst = self.cells["worst_residual"][self.cells["status"] == DONE]
+        ran = self.cells["status"] != CELL_NOT_RUN
+        worst = self.cells["worst_residual"][self.cells["status"] == CELL_DONE]
         pieces = self.cells.get("pieces")
         estimates = self.cells["estimate"][np.isfinite(self.cells["estimate"])] if pieces is not None else np.zeros(0)
         ways = Counter(self.cells["way"][ran].tolist())
@@ -249,7 +260,7 @@ class Sweep:
             "model_class": self.metadata.get("model_class"),
             "dims": dict(zip(self.dims, self.shape, strict=True)),
             "cells": self.size,
-            "status": {word: status[code] for code, word in WORDS.items() if status[code]},
+            "status": {word: status[code] for code, word in STATUS_NAMES.items() if status[code]},
             "failures": [{"cell": cell, "at": self.at(cell), "message": why} for cell, why in self.failures],
             "keep": list(self.metadata.get("keep", ())),
             "outputs": dict(self.metadata.get("outputs", {})),
@@ -259,7 +270,7 @@ class Sweep:
             "worst_residual": float(np.max(worst)) if worst.size else None,
             "pieces": None if pieces is None else int(pieces.sum()),
             "estimate": float(estimates.max()) if estimates.size else None,
-            "ways": {WAYS[way]: count for way, count in sorted(ways.items())},
+            "ways": {CELL_BACKENDS[way]: count for way, count in sorted(ways.items())},
             "plan": self.plan,
         }
 
@@ -267,39 +278,49 @@ class Sweep:
         """Return the sweep in short as a table of at most 100 columns."""
         s = self.summary()
         of = " x ".join(f"{dim} {size}" for dim, size in s["dims"].items())
-        lines = [f"{s['title']}", _line("cells", f"{s['cells']}: {of}")]
-        done = s["status"].get(WORDS[DONE], 0)
-        lines.append(_line("done", f"{done} of {s['cells']}"))
+        lines = [f"{s['title']}", _summary_line("cells", f"{s['cells']}: {of}")]
+        done = s["status"].get(STATUS_NAMES[CELL_DONE], 0)
+        lines.append(_summary_line("done", f"{done} of {s['cells']}"))
         for word, count in s["status"].items():
-            if word != WORDS[DONE]:
-                low, high = (float(end) for end in wilson(np.array(count), np.array(s["cells"]), 0.95))
+            if word != STATUS_NAMES[CELL_DONE]:
+                low, high = (float(end) for end in wilson_interval(np.array(count), np.array(s["cells"]), 0.95))
                 share = (
-                    f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})" if word == WORDS[FAILED] else ""
+                    f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})"
+                    if word == STATUS_NAMES[CELL_FAILED]
+                    else ""
                 )
-                lines.append(_line(word, f"{count}{share}"))
-        for kind, count in Counter(_kind(why) for _, why in self.failures).most_common(SHOWN):
-            cell, why = next((cell, why) for cell, why in self.failures if _kind(why) == kind)
-            lines.append(_line("", f"{f'{count} times, the first' if count > 1 else 'once,'} at {self._where(cell)}: {why}"))
+                lines.append(_summary_line(word, f"{count}{share}"))
+        for kind, count in Counter(_without_numbers(why) for _, why in self.failures).most_common(MAX_FAILURE_KINDS):
+            cell, why = next((cell, why) for cell, why in self.failures if _without_numbers(why) == kind)
+            lines.append(
+                _summary_line(
+                    "", f"{f'{count} times, the first' if count > 1 else 'once,'} at {self._describe_cell(cell)}: {why}"
+                )
+            )
         kept = ", ".join(s["keep"]) or "no rows"
         unit = f" {s['t']['unit']}" if s["t"]["unit"] else ""
         if s["keep"]:
-            lines.append(_line("kept", f"{kept}: {s['rows']} rows, t = {s['t']['start']:.6g} to {s['t']['end']:.6g}{unit}"))
-        lines += [_line("outputs" if i == 0 else "", f"{name}: {text}") for i, (name, text) in enumerate(s["outputs"].items())]
+            lines.append(
+                _summary_line("kept", f"{kept}: {s['rows']} rows, t = {s['t']['start']:.6g} to {s['t']['end']:.6g}{unit}")
+            )
+        lines += [
+            _summary_line("outputs" if i == 0 else "", f"{name}: {text}") for i, (name, text) in enumerate(s["outputs"].items())
+        ]
         if s["pieces"] is not None:
-            lines.append(_line("pieces", f"{s['pieces']:,} in all"))
+            lines.append(_summary_line("pieces", f"{s['pieces']:,} in all"))
             if s["estimate"] is not None:
-                lines.append(_line("worst estimate", f"{s['estimate']:.2g} of rtol, of the error of a piece"))
+                lines.append(_summary_line("worst estimate", f"{s['estimate']:.2g} of rtol, of the error of a piece"))
         else:
-            lines.append(_line("steps", f"{s['steps']:,} in all, each verified"))
+            lines.append(_summary_line("steps", f"{s['steps']:,} in all, each verified"))
             if s["worst_residual"] is not None:
-                lines.append(_line("worst residual", f"{s['worst_residual']:.2e}"))
-        lines.append(_line("way", self.plan))
-        alone = s["ways"].get(ALONE, 0)
+                lines.append(_summary_line("worst residual", f"{s['worst_residual']:.2e}"))
+        lines.append(_summary_line("way", self.plan))
+        alone = s["ways"].get(ALONE_BACKEND, 0)
         if alone and len(s["ways"]) > 1:
-            lines.append(_line("", f"{alone} cells, which C did not go on with, by simulate"))
-        return shown("\n".join(lines))
+            lines.append(_summary_line("", f"{alone} cells, which C did not go on with, by simulate"))
+        return escape_invisible("\n".join(lines))
 
-    def _where(self, cell: int) -> str:
+    def _describe_cell(self, cell: int) -> str:
         """What varies at a cell, in words."""
         at = self.at(cell)
         numbers = {name: value for name, value in at.items() if isinstance(value, int | float | str)}
@@ -315,32 +336,32 @@ class Sweep:
         """Return one line: title, dimensions, what came of the cells."""
         of = " x ".join(f"{dim} {size}" for dim, size in zip(self.dims, self.shape, strict=True))
         status = Counter(self.cells["status"].tolist())
-        went = ", ".join(f"{status[code]} {word}" for code, word in WORDS.items() if status[code])
+        went = ", ".join(f"{status[code]} {word}" for code, word in STATUS_NAMES.items() if status[code])
         return f"Sweep({self.title!r}, {of}: {went})"
 
 
-def made(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], again: Callable[..., Any] | None = None) -> Sweep:
+def make_sweep(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], again: Callable[..., Any] | None = None) -> Sweep:
     """The sweep of arrays as files have them, which are not read before they are used where they lie in one."""
     dims, along = tuple(metadata["dims"]), metadata["along"]
-    about = {key: value for key, value in metadata.items() if key not in OF_THE_FILE}
-    labels = {dim: np.array(texts) for dim, texts in metadata.get(LABELS, {}).items()}
-    coords = Lazily({dim: partial(_coordinate, arrays, labels, dim) for dim in dims})
-    varied = Lazily({name: partial(_varied, arrays, name, tuple(axes)) for name, axes in along.items()})
-    names = [name for name in arrays if not name.startswith((DIM, VALUE)) and name != "t"]
-    cells = arrays.only(names, CODES) if isinstance(arrays, StoredArrays) else {name: arrays[name] for name in names}
+    about = {key: value for key, value in metadata.items() if key not in FILE_METADATA_KEYS}
+    labels = {dim: np.array(texts) for dim, texts in metadata.get(LABELS_KEY, {}).items()}
+    coords = LazyMapping({dim: partial(_read_coordinate, arrays, labels, dim) for dim in dims})
+    varied = LazyMapping({name: partial(_read_varied, arrays, name, tuple(axes)) for name, axes in along.items()})
+    names = [name for name in arrays if not name.startswith((DIM_PREFIX, VALUE_PREFIX)) and name != "t"]
+    cells = arrays.only(names, CODE_CHECKS) if isinstance(arrays, StoredArrays) else {name: arrays[name] for name in names}
     messages = {int(cell): text for cell, text in metadata.get("messages", {}).items()}
     return Sweep(dims, coords, varied, np.asarray(arrays["t"]), cells, messages, about, _again=again)
 
 
-def _coordinate(arrays: Mapping[str, np.ndarray], labels: Mapping[str, np.ndarray], dim: str) -> np.ndarray:
-    return labels[dim] if dim in labels else np.asarray(arrays[f"{DIM}{dim}"])
+def _read_coordinate(arrays: Mapping[str, np.ndarray], labels: Mapping[str, np.ndarray], dim: str) -> np.ndarray:
+    return labels[dim] if dim in labels else np.asarray(arrays[f"{DIM_PREFIX}{dim}"])
 
 
-def _varied(arrays: Mapping[str, np.ndarray], name: str, axes: tuple[int, ...]) -> tuple[np.ndarray, tuple[int, ...]]:
-    return np.asarray(arrays[f"{VALUE}{name}"]), axes
+def _read_varied(arrays: Mapping[str, np.ndarray], name: str, axes: tuple[int, ...]) -> tuple[np.ndarray, tuple[int, ...]]:
+    return np.asarray(arrays[f"{VALUE_PREFIX}{name}"]), axes
 
 
-class Lazily(Mapping[str, Any]):
+class LazyMapping(Mapping[str, Any]):
     """Values that are computed when they are asked for."""
 
     def __init__(self, make: Mapping[str, Callable[[], Any]]) -> None:
@@ -359,10 +380,13 @@ class Lazily(Mapping[str, Any]):
         return len(self._make)
 
 
-def _line(head: str, text: str) -> str:
-    return textwrap.fill(text, WIDTH, initial_indent=f"  {head:16}", subsequent_indent=" " * 18)
+def _summary_line(head: str, text: str) -> str:
+    return textwrap.fill(text, SUMMARY_WIDTH, initial_indent=f"  {head:16}", subsequent_indent=" " * 18)
 
 
-def _kind(message: str) -> str:
+def _without_numbers(message: str) -> str:
     """A message without its numbers: what failures have in common."""
     return "".join(character for character in message if not character.isdigit() and character not in ".e+-")
+
+
+__getattr__ = former_names(__name__, Lazily="LazyMapping", _coordinate="_read_coordinate")

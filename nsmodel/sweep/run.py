@@ -12,40 +12,41 @@ from typing import Any
 import numpy as np
 
 from nsmodel import lock
-from nsmodel.defaults import TOLERANCE
+from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.grid import check_times
-from nsmodel.identity import digest_of, fingerprint, versions
+from nsmodel.identity import content_digest, fingerprint, versions
+from nsmodel.later import former_names
 from nsmodel.model.parameters import Values
-from nsmodel.run.interrupt import Signals, deferred_signals
+from nsmodel.run.interrupt import PendingSignals, deferred_signals
 from nsmodel.run.options import Options
-from nsmodel.run.told import of_model
+from nsmodel.run.told import model_metadata
 from nsmodel.simulate import simulate
-from nsmodel.solve.choose import SOLVERS
+from nsmodel.solve.choose import STEP_SOLVERS
 from nsmodel.sweep import dataset, same
-from nsmodel.sweep.asked import ALONE, WAYS, Asked, Found
-from nsmodel.sweep.cells import nothing
-from nsmodel.sweep.choice import Choice, choose
-from nsmodel.sweep.design import Design, design_of, refuse_more_than_memory
-from nsmodel.sweep.engine import engine_of, refuse_workers
-from nsmodel.sweep.files import DIM, VALUE
-from nsmodel.sweep.outputs import Reduction, outputs_of
-from nsmodel.sweep.result import Sweep, made
-from nsmodel.sweep.source import Source
-from nsmodel.sweep.store import InMemory, SweepStore, manifest_of, missing, nothing_of
-from nsmodel.sweep.tasks import Groups
-from nsmodel.sweep.variable import NOT_RUN
-from nsmodel.sweep.work import work
+from nsmodel.sweep.asked import ALONE_BACKEND, CELL_BACKENDS, CellResults, SweepRequest
+from nsmodel.sweep.cells import missing_value
+from nsmodel.sweep.choice import BackendChoice, choose_backend
+from nsmodel.sweep.design import SweepDesign, check_memory, make_design
+from nsmodel.sweep.engine import check_workers, make_engine
+from nsmodel.sweep.files import DIM_PREFIX, VALUE_PREFIX
+from nsmodel.sweep.outputs import Reduction, read_outputs
+from nsmodel.sweep.result import Sweep, make_sweep
+from nsmodel.sweep.source import ModelSource
+from nsmodel.sweep.store import CellsInMemory, SweepStore, missing_cells, read_sweep_manifest, unrun_results
+from nsmodel.sweep.tasks import ModelGroups
+from nsmodel.sweep.variable import CELL_NOT_RUN
+from nsmodel.sweep.work import run_chunks
 
-WORKING = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
-EXPORTS = {".nc": dataset.to_netcdf, ".zarr": dataset.to_zarr}
+WORKING_BYTES = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
+EXPORT_WRITERS = {".nc": dataset.write_netcdf, ".zarr": dataset.write_zarr}
 
 
 class SweepInterrupted(KeyboardInterrupt):
     """Ctrl-C or SIGTERM during a sweep; ``result`` holds the cells that were run, ``signal`` is which of them came."""
 
     def __init__(self, result: Sweep, signal: int = signal.SIGINT) -> None:
-        ran = int((result.cells["status"] != NOT_RUN).sum())
+        ran = int((result.cells["status"] != CELL_NOT_RUN).sum())
         super().__init__(f"interrupted after {ran} of {result.size} cells")
         self.result, self.signal = result, signal
 
@@ -69,7 +70,7 @@ def sweep(
     method: str = "auto",
     times: Sequence[float] | None = None,
     solver: str = "auto",
-    tolerance: float = TOLERANCE,
+    tolerance: float = DEFAULT_TOLERANCE,
     compiled: bool | str = "auto",
     workers: Any = None,
     out: str | Path | None = None,
@@ -119,8 +120,8 @@ def sweep(
         SweepInterrupted: Ctrl-C or SIGTERM; ``error.result`` has what was run.
     """
     several = step is not None and np.ndim(step) > 0
-    many_inputs = isinstance(inputs, list | tuple) or _labelled(inputs)
-    design = design_of(
+    many_inputs = isinstance(inputs, list | tuple) or _has_labels(inputs)
+    design = make_design(
         grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
     )  # fmt: skip
     given: Any = step
@@ -130,88 +131,90 @@ def sweep(
     )  # fmt: skip
     check_times(step=None if several else step, t_end=t_end)
     one_step = None if several or step is None else float(given)
-    refuse_workers(workers)
-    _refuse(solver, resume=resume, retry=retry)
+    check_workers(workers)
+    _check_solver_and_retry(solver, resume=resume, retry=retry)
     options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
                "method": method, "times": times}  # fmt: skip
-    asked = Asked(_columns(keep), every, outputs_of(outputs), options)
+    request = SweepRequest(_kept_columns(keep), every, read_outputs(outputs), options)
     fixed = {key if isinstance(key, str) else str(key): value for key, value in (parameters or {}).items()}
-    refuse_twice(design, asked, fixed)
-    groups = Groups(
-        Source(model), design, asked, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
+    check_varied_names(design, request, fixed)
+    groups = ModelGroups(
+        ModelSource(model), design, request, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
     )  # fmt: skip
     if out is None:
-        refuse_more_than_memory(design.dims, design.shape, asked.bytes_kept(len(groups.first.rows.times)))
-        choice = choose(asked, groups.first, design.size, groups.count)
-        return _Sweeping(design, groups, choice, low_discrepancy).go(None, workers, progress=progress)
+        check_memory(design.dims, design.shape, request.bytes_kept(len(groups.first.rows.times)))
+        choice = choose_backend(request, groups.first, design.size, groups.count)
+        return _SweepRun(design, groups, choice, low_discrepancy).go(None, workers, progress=progress)
     place = Path(out)
-    export = EXPORTS.get(place.suffix)
+    export = EXPORT_WRITERS.get(place.suffix)
     folder = place.with_name(f"{place.name}.parts") if export else place
-    there = manifest_of(folder)["settings"].get("way") if resume else None
-    of = _Sweeping(design, groups, choose(asked, groups.first, design.size, groups.count, there), low_discrepancy)
-    with lock.held(folder):
-        store = of.opened(folder, resume=resume)
+    resumed_backend = read_sweep_manifest(folder)["settings"].get("way") if resume else None
+    of = _SweepRun(
+        design, groups, choose_backend(request, groups.first, design.size, groups.count, resumed_backend), low_discrepancy
+    )
+    with lock.hold_folder(folder):
+        store = of.open_folder(folder, resume=resume)
         found = of.go(store, workers, progress=progress, retry=retry)
         if export:
             export(found, place)
     return found
 
 
-def _refuse(solver: str, *, resume: bool, retry: bool) -> None:
-    if solver not in SOLVERS:
-        raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
+def _check_solver_and_retry(solver: str, *, resume: bool, retry: bool) -> None:
+    if solver not in STEP_SOLVERS:
+        raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(STEP_SOLVERS)}")
     if retry and not resume:
         raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
 
 
-def _columns(keep: Any) -> tuple[str, ...]:
+def _kept_columns(keep: Any) -> tuple[str, ...]:
     if not isinstance(keep, str | Sequence):
         raise UsageError(f"keep = {keep!r:.60}; expected names of columns, such as ['x1']")
     return (keep,) if isinstance(keep, str) else tuple(keep)
 
 
-def refuse_twice(design: Design, asked: Asked, fixed: Mapping[str, Any]) -> None:
+def check_varied_names(design: SweepDesign, request: SweepRequest, fixed: Mapping[str, Any]) -> None:
     """Raise UsageError for a name that is given two meanings."""
     varied = {one.name for one in design.columns if one.kind == "value"}
     for name in sorted(varied & fixed.keys()):
         raise UsageError(f"'{name}' is varied, and parameters gives it {fixed[name]!r:.40}; keep one")
-    for name in (*asked.keep, *asked.outputs):
+    for name in (*request.keep, *request.outputs):
         if name in {*varied, *design.dims}:
             raise UsageError(f"'{name}' is what is varied, and known of each cell; leave it out, or call the output otherwise")
 
 
-class _Sweeping:
+class _SweepRun:
     """A sweep that is about to be made."""
 
-    def __init__(self, design: Design, groups: Groups, choice: Choice, low_discrepancy: bool) -> None:
+    def __init__(self, design: SweepDesign, groups: ModelGroups, choice: BackendChoice, low_discrepancy: bool) -> None:
         self.design, self.groups, self.choice, self.low = design, groups, choice, low_discrepancy
 
     @cached_property
-    def _binding(self) -> same.Binding:
-        return same.Binding(self.settings, self.design)
+    def _binding(self) -> same.SweepBinding:
+        return same.SweepBinding(self.settings, self.design)
 
     @cached_property
-    def _bound(self) -> dict[str, Any]:
+    def _cells_metadata(self) -> dict[str, Any]:
         return self._binding.of(np.arange(self.design.size), self.design.shape)
 
     @cached_property
     def settings(self) -> dict[str, Any]:
         """All that its numbers depend on but what varies."""
-        first, asked = self.groups.first, self.choice.asked
-        grid = asked.grid(first.model, first.step)
+        first, request = self.groups.first, self.choice.request
+        grid = request.grid(first.model, first.step)
         return {
             "model": fingerprint(first.model, grid),
             "step": first.step if first.step is not None else grid.h,
-            "columns": list(asked.keep),
-            "rows": f"{len(first.rows.times)} rows, {digest_of([first.rows.times])}",
-            "outputs": {name: described(one) for name, one in asked.outputs.items()},
-            "inputs": digest_of([dict(first.model.inputs)]) if first.model.inputs else "",
-            **{name: _plain(value) for name, value in asked.options.items() if name not in ("compiled", "times")},
+            "columns": list(request.keep),
+            "rows": f"{len(first.rows.times)} rows, {content_digest([first.rows.times])}",
+            "outputs": {name: describe_output(one) for name, one in request.outputs.items()},
+            "inputs": content_digest([dict(first.model.inputs)]) if first.model.inputs else "",
+            **{name: _to_json_value(value) for name, value in request.options.items() if name not in ("compiled", "times")},
             "way": self.choice.way,
             "versions": versions(),
         }
 
-    def opened(self, folder: Path, *, resume: bool) -> SweepStore:
+    def open_folder(self, folder: Path, *, resume: bool) -> SweepStore:
         """The folder of the sweep: a new one, or the same that is there.
 
         Raises:
@@ -220,106 +223,118 @@ class _Sweeping:
         """
         store = SweepStore(folder, self.design, self.settings, self._binding)
         if resume:
-            store.refuse_other()
+            store.check_same_sweep()
         elif store.exists:
-            manifest_of(folder)
+            read_sweep_manifest(folder)
             raise UsageError(f"{folder} holds a sweep; go on with it by resume=True (--resume), or give another folder")
         store.begin()
         return store
 
     def go(self, store: SweepStore | None, workers: Any, *, progress: bool, retry: bool = False) -> Sweep:
         """Run the cells that are missing."""
-        kept = InMemory(self.design.size) if store is None else store
-        cells = missing(kept.status(), retry=retry)
+        kept = CellsInMemory(self.design.size) if store is None else store
+        cells = missing_cells(kept.status(), retry=retry)
         with deferred_signals() as signals:
-            words, left = self._work(self.choice.asked, cells, kept, workers, signals, progress=progress)
+            description, left = self._run_cells(self.choice.request, cells, kept, workers, signals, progress=progress)
             if left.size and not signals:  # What C did not go on with.
-                self._work(replace(self.choice.asked, way=ALONE), left, kept, workers, signals, progress=progress)
+                self._run_cells(replace(self.choice.request, way=ALONE_BACKEND), left, kept, workers, signals, progress=progress)
         if signals:
-            raise SweepInterrupted(self._result(kept.read(), words), signals.number)
+            raise SweepInterrupted(self._make_result(kept.read(), description), signals.number)
         if store is None:
-            return self._result(kept.read(), words)
-        empty = self._result(nothing_of(self.design.size), words)
+            return self._make_result(kept.read(), description)
+        empty = self._make_result(unrun_results(self.design.size), description)
         store.join(
-            dataset.header(empty), dataset.design_arrays(empty), self.choice.asked.without(len(self.groups.first.rows.times))
+            dataset.sweep_metadata(empty),
+            dataset.design_arrays(empty),
+            self.choice.request.quantity_types(len(self.groups.first.rows.times)),
         )
-        return replace(Sweep.load(store.folder), engine=words, _again=self._simulate)
+        return replace(Sweep.load(store.folder), engine=description, _again=self._simulate)
 
-    def _work(
-        self, asked: Asked, cells: np.ndarray, kept: SweepStore | InMemory, workers: Any, signals: Signals, *, progress: bool
+    def _run_cells(
+        self, request: SweepRequest, cells: np.ndarray, kept: SweepStore | CellsInMemory, workers: Any, signals: PendingSignals,
+        *, progress: bool
     ) -> tuple[str, np.ndarray]:  # fmt: skip
         """Run cells, and return who did, in words, and those that are left."""
-        together, first, left = asked.way != ALONE, self.groups.first, []
+        together, first, left = request.way != ALONE_BACKEND, self.groups.first, []
 
-        def keep(chunk: np.ndarray, found: Found) -> None:
+        def keep(chunk: np.ndarray, found: CellResults) -> None:
             kept.put(chunk, found)
-            left.append(chunk[found.arrays["status"] == NOT_RUN])
+            left.append(chunk[found.arrays["status"] == CELL_NOT_RUN])
 
-        engine = engine_of(workers, asked, lambda: bool(signals), threads=together, chunks=len(cells))
+        engine = make_engine(workers, request, lambda: bool(signals), threads=together, chunks=len(cells))
         try:
-            work(
+            run_chunks(
                 cells, 64 if together else 1, self.groups.tasks, engine, keep, signals,
-                most=max(1, WORKING // asked.bytes_of(first.model, first.step)), progress=progress,
+                most=max(1, WORKING_BYTES // request.row_bytes(first.model, first.step)), progress=progress,
             )  # fmt: skip
         finally:
             engine.close(wait=not signals)
-        return engine.words, np.concatenate([*left, np.zeros(0, int)])
+        return engine.description, np.concatenate([*left, np.zeros(0, int)])
 
-    def _result(self, found: Found, engine: str) -> Sweep:
-        asked, rows = self.choice.asked, self.groups.first.rows
-        without = {name: (np.dtype(kind), shape) for name, (kind, shape) in asked.without(len(rows.times)).items()}
-        unknown = {name: np.asarray(nothing(name, kind), kind) for name, (kind, _) in without.items()}
+    def _make_result(self, found: CellResults, engine: str) -> Sweep:
+        request, rows = self.choice.request, self.groups.first.rows
+        without = {name: (np.dtype(kind), shape) for name, (kind, shape) in request.quantity_types(len(rows.times)).items()}
+        unknown = {name: np.asarray(missing_value(name, kind), kind) for name, (kind, _) in without.items()}
         of = {name: np.broadcast_to(unknown[name], (self.design.size, *shape)) for name, (_, shape) in without.items()}
         of |= found.arrays
-        arrays = {f"{DIM}{dim}": coords for dim, coords in self.design.coords.items()}
+        arrays = {f"{DIM_PREFIX}{dim}": coords for dim, coords in self.design.coords.items()}
         own = [one for one in self.design.columns if one.numeric and one.kind in ("value", "start")]
         names = {one.name if one.kind == "value" else f"{one.name}(0)": one for one in own}
         names = {name: one for name, one in names.items() if name not in self.design.dims or one.values.ndim > len(one.along)}
-        arrays |= {f"{VALUE}{name}": one.values for name, one in names.items()} | {"t": rows.times}
+        arrays |= {f"{VALUE_PREFIX}{name}": one.values for name, one in names.items()} | {"t": rows.times}
         metadata = self._metadata() | {"dims": list(self.design.dims), "along": {n: list(one.along) for n, one in names.items()}}
-        metadata |= self._bound
+        metadata |= self._cells_metadata
         metadata["messages"] = {str(cell): text for cell, text in sorted(found.messages.items())}
-        sweep = made(arrays | {name: of[name] for name in asked.names}, metadata, self._simulate)
+        sweep = make_sweep(arrays | {name: of[name] for name in request.names}, metadata, self._simulate)
         return replace(sweep, engine=engine)
 
     def _metadata(self) -> dict[str, Any]:
-        asked, about = self.choice.asked, of_model(self.groups.first.model)
+        request, about = self.choice.request, model_metadata(self.groups.first.model)
         units = dict(about["units"])
         for stem, at in about["stems"].items():
             if stem in units:
                 units |= {about["state_names"][i]: units.get(about["state_names"][i], units[stem]) for i in at}
-        units |= {name: units[one.name] for name, one in asked.outputs.items() if isinstance(one, Reduction) and one.name in units
-                  and one.how in ("row", "max", "min", "mean", "rms")}  # fmt: skip
+        units |= {
+            name: units[one.name]
+            for name, one in request.outputs.items()
+            if isinstance(one, Reduction) and one.name in units and one.how in ("row", "max", "min", "mean", "rms")
+        }
         units |= {f"{name}(0)": unit for name, unit in units.items()}
         return {
-            "title": about["title"], "model_class": about["model_class"], "units": units, "keep": list(asked.keep),
-            "outputs": {name: described(one) for name, one in asked.outputs.items()}, "settings": self.settings,
-            "plan": self.choice.words, "entropy": self.design.entropy, "low_discrepancy": self.low, "ways": list(WAYS),
+            "title": about["title"], "model_class": about["model_class"], "units": units, "keep": list(request.keep),
+            "outputs": {name: describe_output(one) for name, one in request.outputs.items()}, "settings": self.settings,
+            "plan": self.choice.description, "entropy": self.design.entropy, "low_discrepancy": self.low,
+            "ways": list(CELL_BACKENDS),
         }  # fmt: skip
 
     def _simulate(self, cell: int, options: dict[str, Any]) -> Any:
         """One cell alone, as a whole run."""
         group, values = self.groups.of(cell)
-        asked = {name: value for name, value in self.choice.asked.options.items() if value is not None}
-        if self.choice.asked.event_driven and asked.get("times") is None:
-            asked.pop("times", None)
+        requested = {name: value for name, value in self.choice.request.options.items() if value is not None}
+        if self.choice.request.is_event_driven and requested.get("times") is None:
+            requested.pop("times", None)
         if group.step is not None:
-            asked["step"] = group.step
-        return simulate(group.model, parameters=dict(zip(group.names, values.tolist(), strict=True)) or None, **(asked | options))
+            requested["step"] = group.step
+        return simulate(
+            group.model, parameters=dict(zip(group.names, values.tolist(), strict=True)) or None, **(requested | options)
+        )
 
 
-def described(output: Any) -> str:
+def describe_output(output: Any) -> str:
     """An output in words: its text; of a function its name and a hash of its code."""
     if isinstance(output, Reduction):
         return output.text
     code = getattr(output, "__code__", None)
     made_of = [] if code is None else [code.co_code.hex(), [repr(one) for one in code.co_consts if not hasattr(one, "co_code")]]
-    return f"{getattr(output, '__qualname__', type(output).__name__)} {digest_of([*made_of])}"
+    return f"{getattr(output, '__qualname__', type(output).__name__)} {content_digest([*made_of])}"
 
 
-def _labelled(inputs: Any) -> bool:
+def _has_labels(inputs: Any) -> bool:
     return isinstance(inputs, Mapping) and bool(inputs) and all(isinstance(one, Mapping) for one in inputs.values())
 
 
-def _plain(value: Any) -> Any:
+def _to_json_value(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else np.asarray(value, float).tolist()
+
+
+__getattr__ = former_names(__name__, _Sweeping="_SweepRun")

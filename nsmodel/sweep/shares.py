@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import UsageError
-from nsmodel.notebook import shown_by
-from nsmodel.sweep.binomial import wilson
-from nsmodel.sweep.groups import Groups, Over, by_replicate, checked_level, grouped, refuse_dependent
+from nsmodel.notebook import html_repr
+from nsmodel.sweep.binomial import wilson_interval
+from nsmodel.sweep.groups import Over, StatisticGroups, check_independent, check_level, group_cells, split_by_replicate
 from nsmodel.sweep.variable import as_variable
-from nsmodel.words import shown
+from nsmodel.words import escape_invisible
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +59,15 @@ class Share:
     causes: Mapping[str, int]
     replicates: str | None = None
 
-    __repr__ = brief
-    _repr_html_ = shown_by("statistics")
+    __repr__ = short_repr
+    _repr_html_ = html_repr("statistics")
 
     @property
     def text(self) -> str:
         """A table with a row for each group, and what of it is to be known."""
         from nsmodel.sweep.table import share_text
 
-        return shown(share_text(self))
+        return escape_invisible(share_text(self))
 
     def __str__(self) -> str:
         return self.text
@@ -86,40 +86,40 @@ def share(condition: Any, over: Over = None, level: float | None = 0.95, replica
         UsageError: a value that is neither 0 nor 1, unknown dims, an interval asked of points that are not independent.
     """
     found = as_variable(condition, "share")
-    groups, level = grouped(found, over), checked_level(level)
+    groups, level = group_cells(found, over), check_level(level)
     values = groups.values[groups.done & ~np.isnan(groups.values)]
     other = values[(values != 0) & (values != 1)]
     if other.size:
         raise UsageError(f"share of {found.name}: it is {other[0]:g} in a cell; expected a condition, such as {found.name} > 0.5")
-    return shares_of(groups, groups.values, groups.done, found.title, level, replicates)
+    return group_shares(groups, groups.values, groups.done, found.title, level, replicates)
 
 
-def failures(groups: Groups, level: float, replicates: str | None) -> Share:
+def failure_share(groups: StatisticGroups, level: float, replicates: str | None) -> Share:
     """The share of cells without a result; here each cell counts."""
     failed = 1.0 - groups.done
     everywhere = np.ones_like(groups.done)
-    return shares_of(groups, failed, everywhere, "without a result", level, replicates)
+    return group_shares(groups, failed, everywhere, "without a result", level, replicates)
 
 
-def shares_of(
-    groups: Groups, values: np.ndarray, done: np.ndarray, title: str, level: float, replicates: str | None
+def group_shares(
+    groups: StatisticGroups, values: np.ndarray, done: np.ndarray, title: str, level: float, replicates: str | None
 ) -> Share:  # fmt: skip
     """The share of 1 among values (*shape, cells) where `done`, of groups; NaN where such a value is NaN."""
-    refuse_dependent(groups, level, replicates)
+    check_independent(groups, level, replicates)
     count, holds = done.sum(axis=-1), np.where(done, values, 0).sum(axis=-1)
     failed, nothing = groups.cells - count, np.full(np.shape(holds), np.nan)
-    value = holds / _some(count)
+    value = holds / _count_or_nan(count)
     low, high = least, most = nothing, nothing
     if replicates is not None:
-        parts, there = (by_replicate(groups, array, replicates) for array in (np.where(done, values, 0), done))
-        value, _, low, high = interval_of_means(parts.sum(axis=-1) / _some(there.sum(axis=-1)), level)
+        parts, has_result = (split_by_replicate(groups, array, replicates) for array in (np.where(done, values, 0), done))
+        value, _, low, high = student_interval(parts.sum(axis=-1) / _count_or_nan(has_result.sum(axis=-1)), level)
         low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)
-        ends = (interval_of_means((parts + extra).mean(axis=-1), level) for extra in (0, ~there))
+        ends = (student_interval((parts + extra).mean(axis=-1), level) for extra in (0, ~has_result))
         least, most = np.clip(next(ends)[2], 0, 1), np.clip(next(ends)[3], 0, 1)
     elif not np.isnan(level):
-        low, high = wilson(holds, count, level)
+        low, high = wilson_interval(holds, count, level)
         every = np.full(np.shape(holds), groups.cells)
-        least, most = wilson(holds, every, level)[0], wilson(holds + failed, every, level)[1]
+        least, most = wilson_interval(holds, every, level)[0], wilson_interval(holds + failed, every, level)[1]
         low, high, least, most = (np.where(np.isnan(holds), np.nan, end) for end in (low, high, least, most))
     return Share(
         title=title, over=groups.over, dims=groups.dims, cell_dims=groups.cell_dims, coords=groups.coords, cells=groups.cells,
@@ -129,12 +129,12 @@ def shares_of(
     )  # fmt: skip
 
 
-def _some(count: np.ndarray) -> np.ndarray:
+def _count_or_nan(count: np.ndarray) -> np.ndarray:
     """A count, NaN for none."""
     return np.where(count, count, np.nan)
 
 
-def interval_of_means(means: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def student_interval(means: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Mean, standard error (ddof 1) and interval by Student's t of independent values along the last axis."""
     n = means.shape[-1]
     with np.errstate(invalid="ignore"):

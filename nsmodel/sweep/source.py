@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
-from nsmodel.loader import arguments_of, load, load_with
-from nsmodel.model.arguments import shown
+from nsmodel.later import former_names
+from nsmodel.loader import load, load_with_values, model_arguments
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
 
 
-class Source:
+class ModelSource:
     """A model, the path of a model file, or a function that returns a model.
 
     Raises:
@@ -25,16 +26,16 @@ class Source:
         if isinstance(self._given, Model):
             self._takes: tuple[str, ...] | None = ()
         elif isinstance(self._given, Path):
-            self._takes = arguments_of(self._given)
+            self._takes = model_arguments(self._given)
         elif callable(given) and not isinstance(given, type):
             kinds = inspect.signature(given).parameters
             self._takes = None if any(p.kind is p.VAR_KEYWORD for p in kinds.values()) else tuple(kinds)
         else:
             raise UsageError(
-                f"expected a model, the path of a model file, or a function that returns a model, not {shown(given)}"
+                f"expected a model, the path of a model file, or a function that returns a model, not {describe_argument(given)}"
             )
 
-    def takes(self, name: str) -> bool:
+    def has_argument(self, name: str) -> bool:
         """Whether its function has an argument of this name."""
         return self._takes is None or name in self._takes
 
@@ -56,12 +57,15 @@ class Source:
         except Exception as error:
             raise ModelError(f"{name}() raised {type(error).__name__}: {error}") from error
         if not isinstance(found, Model):
-            raise ModelError(f"{name}() returned {shown(found)}; expected one of nsmodel's models")
+            raise ModelError(f"{name}() returned {describe_argument(found)}; expected one of nsmodel's models")
         return found
 
-    def refuse(self, name: str, model: Model) -> None:
+    def raise_unknown_name(self, name: str, model: Model) -> None:
         """Raise UsageError for a name that is neither an argument nor a parameter, and say how to make it one."""
         if isinstance(self._given, Path):
-            load_with(self._given, {name: 0.0})
+            load_with_values(self._given, {name: 0.0})
         model.values_of({name: 0.0})
         raise UsageError(f"'{name}' cannot be varied")
+
+
+__getattr__ = former_names(__name__, Source="ModelSource")

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import UsageError
-from nsmodel.notebook import shown_by
-from nsmodel.sweep.binomial import middle, ranks
-from nsmodel.sweep.groups import Over, by_replicate, checked_level, evenly_laid_out, grouped, refuse_dependent
-from nsmodel.sweep.shares import Share, failures, interval_of_means
-from nsmodel.sweep.variable import as_variable, paired
-from nsmodel.words import shown
+from nsmodel.notebook import html_repr
+from nsmodel.sweep.binomial import median_ranks, quantile_interval_ranks
+from nsmodel.sweep.groups import Over, check_independent, check_level, evenly_spaced_dims, group_cells, split_by_replicate
+from nsmodel.sweep.shares import Share, failure_share, student_interval
+from nsmodel.sweep.variable import as_variable, combine_variables
+from nsmodel.words import escape_invisible
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Quantile:
     high: np.ndarray
     reached: np.ndarray
 
-    __repr__ = brief
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,23 +91,23 @@ class Statistics:
     replicates: str | None = None
     even: tuple[str, ...] = ()
 
-    __repr__ = brief
-    _repr_html_ = shown_by("statistics")
+    __repr__ = short_repr
+    _repr_html_ = html_repr("statistics")
 
     def quantile(self, q: float) -> Quantile:
         """Return the quantile that was asked for with this q; UsageError where it was not."""
         for one in self.quantiles:
             if one.q == q:
                 return one
-        there = ", ".join(f"{one.q:g}" for one in self.quantiles) or "none"
-        raise UsageError(f"quantile {q!r} was not asked for; there are {there}")
+        known = ", ".join(f"{one.q:g}" for one in self.quantiles) or "none"
+        raise UsageError(f"quantile {q!r} was not asked for; there are {known}")
 
     @property
     def text(self) -> str:
         """A table with a row for each group, and what of it is to be known."""
         from nsmodel.sweep.table import statistics_text
 
-        return shown(statistics_text(self))
+        return escape_invisible(statistics_text(self))
 
     def __str__(self) -> str:
         return self.text
@@ -133,16 +133,16 @@ def statistics(
     Raises:
         UsageError: unknown dims, an axis within a cell ("t"), quantiles or a level out of range, an error asked of a single net.
     """
-    groups, level = grouped(as_variable(variable), over), checked_level(level)
-    asked = _checked_quantiles(quantiles)
-    refuse_dependent(groups, level, replicates)
+    groups, level = group_cells(as_variable(variable), over), check_level(level)
+    requested = _check_quantiles(quantiles)
+    check_independent(groups, level, replicates)
     count = groups.count
     numbers = _moments(groups.values, groups.done)
-    inside = _quantiles(groups.values, groups.done, asked, np.nan if replicates else level)
+    inside = _group_quantiles(groups.values, groups.done, requested, np.nan if replicates else level)
     if replicates is not None:
-        values, done = (by_replicate(groups, array, replicates) for array in (groups.values, groups.done))
-        numbers["mean"], numbers["error"], low, high = interval_of_means(_moments(values, done)["mean"], level)
-        inside = tuple(_over_replicates(part, level) for part in _quantiles(values, done, asked, np.nan))
+        values, done = (split_by_replicate(groups, array, replicates) for array in (groups.values, groups.done))
+        numbers["mean"], numbers["error"], low, high = student_interval(_moments(values, done)["mean"], level)
+        inside = tuple(_quantile_over_replicates(part, level) for part in _group_quantiles(values, done, requested, np.nan))
     else:
         half = stdtrit(np.maximum(count - 1, 1), (1 + level) / 2) * numbers["error"]
         with np.errstate(invalid="ignore"):
@@ -152,8 +152,8 @@ def statistics(
     return Statistics(
         title=groups.variable.title, unit=groups.variable.unit, over=groups.over, dims=groups.dims, cell_dims=groups.cell_dims,
         coords=groups.coords, cells=groups.cells, count=count, failed=groups.cells - count,
-        failed_share=failures(groups, level, replicates), low=low, high=high, quantiles=inside, level=level,
-        causes=groups.causes, replicates=replicates, even=tuple(evenly_laid_out(groups)), **numbers,
+        failed_share=failure_share(groups, level, replicates), low=low, high=high, quantiles=inside, level=level,
+        causes=groups.causes, replicates=replicates, even=tuple(evenly_spaced_dims(groups)), **numbers,
     )  # fmt: skip
 
 
@@ -177,10 +177,10 @@ def difference(
     if first.unit != second.unit:
         units = [one.unit or "no unit" for one in (first, second)]
         raise UsageError(f"{first.name} is in {units[0]}, {second.name} is in {units[1]}; expected the same unit")
-    return statistics(paired(first, second, _minus, "-"), over, quantiles, level, replicates)
+    return statistics(combine_variables(first, second, _subtract, "-"), over, quantiles, level, replicates)
 
 
-def _minus(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _subtract(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a, dtype=float) - b
 
 
@@ -202,28 +202,28 @@ def _moments(values: np.ndarray, done: np.ndarray) -> dict[str, np.ndarray]:
     return {"mean": mean, "std": std, "error": std / np.sqrt(some), "least": least, "largest": largest}
 
 
-def _quantiles(values: np.ndarray, done: np.ndarray, asked: Sequence[float], level: float) -> tuple[Quantile, ...]:
+def _group_quantiles(values: np.ndarray, done: np.ndarray, requested: Sequence[float], level: float) -> tuple[Quantile, ...]:
     """Quantiles along the last axis, with their intervals by rank."""
     count, holes = done.sum(axis=-1), (np.isnan(values) & done).any(axis=-1)
     ordered = np.concatenate([np.full((*count.shape, 1), -np.inf), np.sort(values, axis=-1)], axis=-1)  # rank 0: no lower end
     found = []
-    for q in asked:
+    for q in requested:
         parts = {name: np.full(count.shape, np.nan) for name in ("value", "low", "high", "reached")}
         for n in np.unique(count):
             here = (count == n) & ~holes
             rows = ordered[here]
             if n:
-                parts["value"][here] = _mean_of_two(*(rows[:, k] for k in middle(int(n), q)))
+                parts["value"][here] = _mean_of_two(*(rows[:, k] for k in median_ranks(int(n), q)))
             if not np.isnan(level):
-                r, s, reached = ranks(int(n), q, level)
+                r, s, reached = quantile_interval_ranks(int(n), q, level)
                 parts["low"][here], parts["reached"][here] = rows[:, r], reached
                 parts["high"][here] = rows[:, s] if s <= n else np.inf
         found.append(Quantile(q, **parts))
     return tuple(found)
 
 
-def _over_replicates(part: Quantile, level: float) -> Quantile:
-    value, _, low, high = interval_of_means(part.value, level)
+def _quantile_over_replicates(part: Quantile, level: float) -> Quantile:
+    value, _, low, high = student_interval(part.value, level)
     return Quantile(part.q, value, low, high, np.where(np.isnan(value), np.nan, level))
 
 
@@ -231,9 +231,9 @@ def _mean_of_two(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(a == b, a, a / 2 + b / 2)
 
 
-def _checked_quantiles(quantiles: Sequence[float]) -> tuple[float, ...]:
-    asked = tuple(quantiles) if isinstance(quantiles, Iterable) else (quantiles,)
-    for q in asked:
+def _check_quantiles(quantiles: Sequence[float]) -> tuple[float, ...]:
+    requested = tuple(quantiles) if isinstance(quantiles, Iterable) else (quantiles,)
+    for q in requested:
         if not (isinstance(q, float | np.floating) and 0 < q < 1):
             raise UsageError(f"quantiles={quantiles!r}: {q!r} is not between 0 and 1")
-    return tuple(float(q) for q in asked)
+    return tuple(float(q) for q in requested)

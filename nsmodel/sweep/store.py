@@ -18,67 +18,69 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.archive import Member, write_archive, write_npz
+from nsmodel.archive import ArchiveMember, write_archive, write_npz
 from nsmodel.errors import StorageError
-from nsmodel.fields import SWEEP_MANIFEST
-from nsmodel.manifest import MANIFEST, read_manifest, signed
-from nsmodel.storage import STAMP, inside, read_json, stream_beside, write_json
-from nsmodel.stored import Archive, mapped, read_archive
+from nsmodel.fields import SWEEP_MANIFEST_FIELDS
+from nsmodel.manifest import MANIFEST_FILE, read_manifest, with_checksum
+from nsmodel.storage import FORMAT_STAMP, atomic_stream, path_inside, read_json, write_json
+from nsmodel.stored import Archive, map_archive, read_archive
 from nsmodel.sweep import same
-from nsmodel.sweep.asked import Found
-from nsmodel.sweep.cells import blank, not_run, nothing, refuse_other_shape
-from nsmodel.sweep.design import Design
-from nsmodel.sweep.files import CELL, DESIGN, DIM, VALUE, WHOLE, refuse_no_part, refuse_no_sweep
-from nsmodel.sweep.variable import FAILED, NOT_RUN
+from nsmodel.sweep.asked import CellResults
+from nsmodel.sweep.cells import check_same_shape, missing_value, unrun_arrays, unrun_facts
+from nsmodel.sweep.design import SweepDesign
+from nsmodel.sweep.files import CELL_ARRAY, DESIGN_FILE, DIM_PREFIX, SWEEP_FILE, VALUE_PREFIX, check_part_file, check_sweep_file
+from nsmodel.sweep.variable import CELL_FAILED, CELL_NOT_RUN
 
-_PART = re.compile(r"part-(\d+)\.npz")
-_BLOCK = 1 << 22
-_AWAY = "take it out of the folder, or give another folder"
-Kinds = Mapping[str, tuple[str, tuple[int, ...]]]
+_PART_NAME_PATTERN = re.compile(r"part-(\d+)\.npz")
+_BLOCK_BYTES = 1 << 22
+_REMOVE_HINT = "take it out of the folder, or give another folder"
+QuantityTypes = Mapping[str, tuple[str, tuple[int, ...]]]
 
 
 class SweepStore:
     """The folder of a sweep of this design; no file is read, written or removed but in it, by its own name."""
 
-    def __init__(self, folder: Path, design: Design, settings: Mapping[str, Any], binding: same.Binding) -> None:
+    def __init__(self, folder: Path, design: SweepDesign, settings: Mapping[str, Any], binding: same.SweepBinding) -> None:
         self.folder, self.design, self.shape, self.size = folder, design, design.shape, design.size
         self._settings, self._binding = settings, binding
-        self._next = 1 + max((int(found[1]) for path in self._files() if (found := _PART.fullmatch(path.name))), default=0)
+        self._next = 1 + max(
+            (int(found[1]) for path in self._part_files() if (found := _PART_NAME_PATTERN.fullmatch(path.name))), default=0
+        )
 
     @property
     def exists(self) -> bool:
         """Whether a sweep is there."""
-        return (self.folder / MANIFEST).exists() or (self.folder / WHOLE).exists()
+        return (self.folder / MANIFEST_FILE).exists() or (self.folder / SWEEP_FILE).exists()
 
     def begin(self) -> None:
         """Say what sweep it is, before any cell of it is there."""
-        write_npz(self._file(DESIGN), same.arrays(self.design), {"sweep": self._binding.sweep})
-        about = {"sweep": self._binding.sweep, "settings": self._settings, "design": same.document(self.design)}
-        write_json(self._file(MANIFEST), signed({**STAMP, **about, "shape": list(self.shape)}))
+        write_npz(self._file(DESIGN_FILE), same.design_numbers(self.design), {"sweep": self._binding.sweep})
+        about = {"sweep": self._binding.sweep, "settings": self._settings, "design": same.design_document(self.design)}
+        write_json(self._file(MANIFEST_FILE), with_checksum({**FORMAT_STAMP, **about, "shape": list(self.shape)}))
 
-    def refuse_other(self) -> None:
+    def check_same_sweep(self) -> None:
         """Raise StorageError where another sweep is there, or files that belong to another; nothing is written."""
-        manifest = manifest_of(self.folder)
+        manifest = read_sweep_manifest(self.folder)
         for key, value in self._settings.items():
             if manifest["settings"].get(key) != value:
                 what = "its model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
                 raise StorageError(f"{self.folder}: the sweep there differs in {what}; give another folder")
-        archive, numbers = read_archive(self._file(DESIGN))
+        archive, numbers = read_archive(self._file(DESIGN_FILE))
         if archive.metadata.get("sweep") != manifest["sweep"]:
             raise StorageError(
-                f"{archive.path} belongs to another sweep than {MANIFEST}; put it back from a copy, or give another folder"
+                f"{archive.path} belongs to another sweep than {MANIFEST_FILE}; put it back from a copy, or give another folder"
             )
-        other = same.difference(manifest["design"], numbers, self.design)
+        other = same.design_difference(manifest["design"], numbers, self.design)
         if other is not None:
             raise StorageError(f"{self.folder}: the sweep there has {other}; give another folder")
         self.status()
 
-    def put(self, cells: np.ndarray, found: Found) -> None:
+    def put(self, cells: np.ndarray, found: CellResults) -> None:
         """Write cells (K,) that have been run."""
-        ran = found.arrays["status"] != NOT_RUN
+        ran = found.arrays["status"] != CELL_NOT_RUN
         if not ran.any():
             return
-        arrays = {CELL: cells[ran], **{name: values[ran] for name, values in found.arrays.items()}}
+        arrays = {CELL_ARRAY: cells[ran], **{name: values[ran] for name, values in found.arrays.items()}}
         number = np.cumsum(ran) - 1
         messages = {str(int(number[i])): text for i, text in found.messages.items()}
         about = {"messages": messages, **self._binding.of(cells[ran], self.shape)}
@@ -86,28 +88,28 @@ class SweepStore:
         self._next += 1
 
     def _file(self, name: str) -> Path:
-        return inside(self.folder, name, "nsmodel")
+        return path_inside(self.folder, name, "nsmodel")
 
     def status(self) -> np.ndarray:
         """The status (size,) of each cell, NOT_RUN where it is not there."""
-        status = np.full(self.size, NOT_RUN, np.int8)
-        for cells, arrays, _ in self._parts():
+        status = np.full(self.size, CELL_NOT_RUN, np.int8)
+        for cells, arrays, _ in self._read_parts():
             status[cells] = arrays["status"]
         return status
 
-    def read(self) -> Found:
+    def read(self) -> CellResults:
         """All cells, in memory."""
         found: dict[str, np.ndarray] = {}
         messages: dict[int, str] = {}
-        for cells, arrays, own in self._parts():
-            found |= blank(self.size, {name: values for name, values in arrays.items() if name not in found})
+        for cells, arrays, own in self._read_parts():
+            found |= unrun_arrays(self.size, {name: values for name, values in arrays.items() if name not in found})
             for name, values in arrays.items():
-                refuse_other_shape(name, values.shape[1:], found[name].shape[1:])
+                check_same_shape(name, values.shape[1:], found[name].shape[1:])
                 found[name][cells] = values
-            _put_messages(messages, cells, own)
-        return Found(found, messages)
+            _merge_messages(messages, cells, own)
+        return CellResults(found, messages)
 
-    def join(self, metadata: Mapping[str, Any], design: Mapping[str, np.ndarray], order: Kinds) -> None:
+    def join(self, metadata: Mapping[str, Any], design: Mapping[str, np.ndarray], order: QuantityTypes) -> None:
         """Make one file of all cells, and remove the parts.
 
         Args:
@@ -118,104 +120,108 @@ class SweepStore:
         Raises:
             UsageError: a quantity has another shape in another cell.
         """
-        parts, messages, found = list(self._paths()), {}, {}
-        for cells, arrays, own in self._parts():
+        parts, messages, found = list(self._cell_files()), {}, {}
+        for cells, arrays, own in self._read_parts():
             for name, values in arrays.items():
                 kind = found.setdefault(name, (values.dtype, values.shape[1:]))
-                refuse_other_shape(name, values.shape[1:], kind[1])
-            _put_messages(messages, cells, own)
+                check_same_shape(name, values.shape[1:], kind[1])
+            _merge_messages(messages, cells, own)
         with tempfile.TemporaryDirectory(dir=self.folder, prefix="joining-") as place:
             whole = {}
             for i, (name, blank_kind) in enumerate(order.items()):
                 kind, shape = found.get(name, blank_kind)
-                whole[name] = _OnDisk(Path(place) / str(i), name, np.dtype(kind), (self.size, *shape))
-            for cells, arrays, _ in self._parts():
+                whole[name] = _CellArrayOnDisk(Path(place) / str(i), name, np.dtype(kind), (self.size, *shape))
+            for cells, arrays, _ in self._read_parts():
                 for name, values in arrays.items():
                     if name in whole:
                         whole[name].put(cells, values)
-            members = {name: _member(array) for name, array in design.items()}
-            members |= {name: Member(array.kind, array.shape, array.blocks()) for name, array in whole.items()}
+            members = {name: _array_member(array) for name, array in design.items()}
+            members |= {name: ArchiveMember(array.kind, array.shape, array.blocks()) for name, array in whole.items()}
             text = {str(cell): messages[cell] for cell in sorted(messages)}
             bound = self._binding.of(np.arange(self.size), self.shape)
-            with stream_beside(self._file(WHOLE)) as stream:
+            with atomic_stream(self._file(SWEEP_FILE)) as stream:
                 write_archive(stream, members, {**metadata, **bound, "messages": text})
         for path in parts:
-            if path.name != WHOLE:
+            if path.name != SWEEP_FILE:
                 path.unlink(missing_ok=True)
 
-    def _files(self) -> list[Path]:
-        return sorted(self._file(path.name) for path in self.folder.glob("part-*.npz") if _PART.fullmatch(path.name))
+    def _part_files(self) -> list[Path]:
+        return sorted(self._file(path.name) for path in self.folder.glob("part-*.npz") if _PART_NAME_PATTERN.fullmatch(path.name))
 
-    def _paths(self) -> Iterator[Path]:
+    def _cell_files(self) -> Iterator[Path]:
         """The files that hold cells, later ones last."""
-        if self._file(WHOLE).exists():
-            yield self._file(WHOLE)
-        yield from self._files()
+        if self._file(SWEEP_FILE).exists():
+            yield self._file(SWEEP_FILE)
+        yield from self._part_files()
 
-    def _parts(self) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], dict[int, str]]]:
+    def _read_parts(self) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], dict[int, str]]]:
         """Cells by their numbers in this sweep, their arrays, and messages by places."""
-        for path in self._paths():
-            whole = path.name == WHOLE
-            archive, arrays = mapped(path) if whole else read_archive(path)
-            if not archive.verified:
-                raise StorageError(f"{path} is of format {archive.format}, and not gone on with; {_AWAY}")
-            (refuse_no_sweep if whole else refuse_no_part)(archive, arrays)
+        for path in self._cell_files():
+            whole = path.name == SWEEP_FILE
+            archive, arrays = map_archive(path) if whole else read_archive(path)
+            if not archive.has_digests:
+                raise StorageError(f"{path} is of format {archive.format}, and not gone on with; {_REMOVE_HINT}")
+            (check_sweep_file if whole else check_part_file)(archive, arrays)
             shape = tuple(archive.metadata["shape"])
-            cells = np.arange(prod(shape)) if whole else arrays[CELL]
-            self._refuse_foreign(archive, cells, shape)
-            names = [name for name in arrays if name not in (CELL, "t") and not (whole and name.startswith((DIM, VALUE)))]
+            cells = np.arange(prod(shape)) if whole else arrays[CELL_ARRAY]
+            self._check_own_cells(archive, cells, shape)
+            names = [
+                name
+                for name in arrays
+                if name not in (CELL_ARRAY, "t") and not (whole and name.startswith((DIM_PREFIX, VALUE_PREFIX)))
+            ]
             own = {name: arrays[name] for name in names}
             if shape != self.shape:
                 cells = np.ravel_multi_index(np.unravel_index(cells, shape), self.shape)
             yield cells, own, {int(place): text for place, text in archive.metadata["messages"].items()}
 
-    def _refuse_foreign(self, archive: Archive, cells: np.ndarray, shape: tuple[int, ...]) -> None:
+    def _check_own_cells(self, archive: Archive, cells: np.ndarray, shape: tuple[int, ...]) -> None:
         """Raise StorageError for cells of another sweep."""
         about, path = archive.metadata, archive.path
         what = None
         if about.get("sweep") != self._binding.sweep:
             what = "belongs to another sweep, of another model or other settings"
-        elif len(shape) != len(self.shape) or any(there > now for there, now in zip(shape, self.shape, strict=True)):
+        elif len(shape) != len(self.shape) or any(before > now for before, now in zip(shape, self.shape, strict=True)):
             what = f"belongs to another sweep, of shape {shape}"
         elif about != {**about, **self._binding.of(cells, shape)}:
             what = "belongs to another sweep, of other values"
         if what is not None:
-            raise StorageError(f"{path} {what}; {_AWAY}")
+            raise StorageError(f"{path} {what}; {_REMOVE_HINT}")
 
 
-class InMemory:
+class CellsInMemory:
     """What cells found, where nothing is written."""
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self.found = nothing_of(size)
+        self.found = unrun_results(size)
 
     def status(self) -> np.ndarray:
         """The status (size,) of each cell."""
         return self.found.arrays["status"]
 
-    def read(self) -> Found:
+    def read(self) -> CellResults:
         """All cells."""
         return self.found
 
-    def put(self, cells: np.ndarray, found: Found) -> None:
+    def put(self, cells: np.ndarray, found: CellResults) -> None:
         """Take up what a chunk found."""
-        arrays, ran = dict(self.found.arrays), found.arrays["status"] != NOT_RUN
+        arrays, ran = dict(self.found.arrays), found.arrays["status"] != CELL_NOT_RUN
         for name, values in found.arrays.items():
             if name not in arrays:
-                arrays |= blank(self._size, {name: values})
-            refuse_other_shape(name, values.shape[1:], arrays[name].shape[1:])
+                arrays |= unrun_arrays(self._size, {name: values})
+            check_same_shape(name, values.shape[1:], arrays[name].shape[1:])
             arrays[name][cells[ran]] = values[ran]
         messages = {int(cells[i]): text for i, text in found.messages.items()}
-        self.found = Found(arrays, {**self.found.messages, **messages})
+        self.found = CellResults(arrays, {**self.found.messages, **messages})
 
 
-def nothing_of(size: int) -> Found:
+def unrun_results(size: int) -> CellResults:
     """So many cells that were not run."""
-    return Found(not_run(size), {})
+    return CellResults(unrun_facts(size), {})
 
 
-def _put_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int, str]) -> None:
+def _merge_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int, str]) -> None:
     """Take the messages of cells, in place of those that they had before."""
     if messages:
         for cell in cells.tolist():
@@ -223,14 +229,14 @@ def _put_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int,
     messages |= {int(cells[place]): text for place, text in own.items()}
 
 
-class _OnDisk:
+class _CellArrayOnDisk:
     """An array of all cells in a file, of which no more is in memory than is written."""
 
     def __init__(self, path: Path, name: str, kind: np.dtype, shape: tuple[int, ...]) -> None:
         self._path, self.kind, self.shape = path, kind, shape
         self._each = kind.itemsize * prod(shape[1:])
-        rows = max(1, _BLOCK // max(self._each, 1))
-        blank = np.full((rows, *shape[1:]), nothing(name, kind), kind).tobytes()
+        rows = max(1, _BLOCK_BYTES // max(self._each, 1))
+        blank = np.full((rows, *shape[1:]), missing_value(name, kind), kind).tobytes()
         with path.open("wb") as file:
             for at in range(0, shape[0], rows):
                 file.write(blank[: self._each * min(rows, shape[0] - at)])
@@ -247,31 +253,31 @@ class _OnDisk:
     def blocks(self) -> Iterator[bytes]:
         """Its bytes."""
         with self._path.open("rb") as file:
-            while block := file.read(_BLOCK):
+            while block := file.read(_BLOCK_BYTES):
                 yield block
 
 
-def _member(array: np.ndarray) -> Member:
-    rows = max(1, _BLOCK // max(array[:1].nbytes, 1))
+def _array_member(array: np.ndarray) -> ArchiveMember:
+    rows = max(1, _BLOCK_BYTES // max(array[:1].nbytes, 1))
     blocks = (np.ascontiguousarray(array[i : i + rows]).reshape(-1).view(np.uint8).data for i in range(0, len(array), rows))
-    return Member(array.dtype, array.shape, blocks)
+    return ArchiveMember(array.dtype, array.shape, blocks)
 
 
-def missing(status: np.ndarray, *, retry: bool) -> np.ndarray:
+def missing_cells(status: np.ndarray, *, retry: bool) -> np.ndarray:
     """The cells that are to be run: those that were not, and with ``retry`` those that failed."""
-    return np.flatnonzero((status == NOT_RUN) | (retry & (status == FAILED)))
+    return np.flatnonzero((status == CELL_NOT_RUN) | (retry & (status == CELL_FAILED)))
 
 
-def manifest_of(folder: Path) -> dict[str, Any]:
+def read_sweep_manifest(folder: Path) -> dict[str, Any]:
     """What sweep is there.
 
     Raises:
         StorageError: none, or not to be read.
     """
-    path = inside(folder, MANIFEST, "nsmodel")
+    path = path_inside(folder, MANIFEST_FILE, "nsmodel")
     if not path.exists():
-        raise StorageError(f"{folder} holds no sweep: there is no {MANIFEST}; check the path, or leave resume out")
-    there = read_json(path)
-    if isinstance(there, dict) and "chunks" in there:
-        raise StorageError(f"{folder} holds no sweep: its {MANIFEST} is that of a run; give another folder")
-    return read_manifest(folder, SWEEP_MANIFEST, what="sweep", afresh="give another folder")
+        raise StorageError(f"{folder} holds no sweep: there is no {MANIFEST_FILE}; check the path, or leave resume out")
+    document = read_json(path)
+    if isinstance(document, dict) and "chunks" in document:
+        raise StorageError(f"{folder} holds no sweep: its {MANIFEST_FILE} is that of a run; give another folder")
+    return read_manifest(folder, SWEEP_MANIFEST_FIELDS, what="sweep", afresh="give another folder")

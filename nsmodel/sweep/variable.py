@@ -10,13 +10,19 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.stored import OnDisk
+from nsmodel.stored import ArrayPartOnDisk
 from nsmodel.words import one_line
 
-NOT_RUN, DONE, FAILED, INTERRUPTED, NO_MODEL = -1, 0, 1, 2, 3
-WORDS = {DONE: "done", FAILED: "failed", INTERRUPTED: "interrupted", NO_MODEL: "no model", NOT_RUN: "not run"}
-DRAWN = ("seed", "sample", "replicate", "start")  # Dims along which cells are draws, not values that were laid out.
-TIME = "t"
+CELL_NOT_RUN, CELL_DONE, CELL_FAILED, CELL_INTERRUPTED, CELL_REFUSED = -1, 0, 1, 2, 3
+STATUS_NAMES = {
+    CELL_DONE: "done",
+    CELL_FAILED: "failed",
+    CELL_INTERRUPTED: "interrupted",
+    CELL_REFUSED: "no model",
+    CELL_NOT_RUN: "not run",
+}
+DRAWN_DIMS = ("seed", "sample", "replicate", "start")  # Dims along which cells are draws, not values that were laid out.
+TIME_DIM = "t"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,29 +62,29 @@ class Variable:
     along: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        values = self.values if isinstance(self.values, OnDisk) else _read_only(np.asarray(self.values))
+        values = self.values if isinstance(self.values, ArrayPartOnDisk) else _read_only(np.asarray(self.values))
         if values.dtype.kind not in "biuf":
             raise UsageError(f"{self.name}: values of type {values.dtype}; expected real numbers")
         object.__setattr__(self, "_given", values)
-        if isinstance(values, OnDisk):
+        if isinstance(values, ArrayPartOnDisk):
             object.__delattr__(self, "values")
-        settled = {
-            **({} if isinstance(values, OnDisk) else {"values": values}),
+        checked = {
+            **({} if isinstance(values, ArrayPartOnDisk) else {"values": values}),
             "status": _read_only(np.asarray(self.status, dtype=np.int8)),
             "dims": tuple(self.dims), "cell_dims": tuple(self.cell_dims),
             "coords": {name: _read_only(np.asarray(of)) for name, of in self.coords.items()},
             "units": dict(self.units), "along": dict(self.along),
         }  # fmt: skip
-        for name, value in settled.items():
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
-        _refuse_shapes(self)
+        _check_shapes(self)
 
     def __getattr__(self, name: str) -> Any:
         """Read the values of a file when they are first asked for."""
         if name != "values" or "_given" not in vars(self):
             raise AttributeError(f"a variable has no '{name}'")
         given = vars(self)["_given"]
-        values = _read_only(given.values if isinstance(given, OnDisk) else given)
+        values = _read_only(given.values if isinstance(given, ArrayPartOnDisk) else given)
         object.__setattr__(self, "values", values)
         return values
 
@@ -103,7 +109,7 @@ class Variable:
             more: the other attributes.
         """
         dims = (dims,) if isinstance(dims, str) else tuple(dims)
-        cells = tuple(dim for dim in dims if dim != TIME) if cell_dims is None else tuple(cell_dims)
+        cells = tuple(dim for dim in dims if dim != TIME_DIM) if cell_dims is None else tuple(cell_dims)
         shape = dict(zip(dims, np.shape(values), strict=False))
         known = {**{dim: np.arange(n) for dim, n in shape.items()}, **(coords or {})}
         if status is None:
@@ -113,8 +119,8 @@ class Variable:
     def __repr__(self) -> str:
         """Return one line: name, unit, dims with their lengths, range of the values, what came of the cells."""
         of = " x ".join(f"{dim} {size}" for dim, size in self.sizes.items()) or "one value"
-        there = self.values[np.isfinite(self.values)]
-        span = f", {there.min():.6g} to {there.max():.6g}" if there.size else ""
+        finite = self.values[np.isfinite(self.values)]
+        span = f", {finite.min():.6g} to {finite.max():.6g}" if finite.size else ""
         missing = "".join(f", {count} {word}" for word, count in self.causes.items())
         return one_line(f"Variable({self.name!r}, {of}{span}{f' {self.unit}' if self.unit else ''}{missing})")
 
@@ -132,7 +138,7 @@ class Variable:
     @property
     def done(self) -> np.ndarray:
         """Of each of the values whether its cell is done, bool."""
-        return self.everywhere == DONE
+        return self.everywhere == CELL_DONE
 
     @property
     def title(self) -> str:
@@ -142,7 +148,7 @@ class Variable:
     @property
     def causes(self) -> dict[str, int]:
         """{"failed": 2, ...}: of the cells that have no result, how many came to what; empty where all are done."""
-        return causes_of(self.status)
+        return failure_counts(self.status)
 
     def take(self, dim: str, index: int) -> Variable:
         """Return the variable at one index of a dim, which is gone then."""
@@ -153,8 +159,8 @@ class Variable:
         if dim in cells:
             status = status.take(index, axis=cells.index(dim))
         return replace(
-            self, values=vars(self)["_given"].take(index, axis=axis), dims=_without(self.dims, dim), status=status,
-            cell_dims=_without(cells, dim), coords={name: of for name, of in self.coords.items() if name not in gone},
+            self, values=vars(self)["_given"].take(index, axis=axis), dims=_dims_without(self.dims, dim), status=status,
+            cell_dims=_dims_without(cells, dim), coords={name: of for name, of in self.coords.items() if name not in gone},
             along={name: of for name, of in self.along.items() if of != dim},
         )  # fmt: skip
 
@@ -164,7 +170,7 @@ class Variable:
         for dim, value in where.items():
             if dim not in found.dims:
                 raise UsageError(f"{self.name} has no dim {dim!r}; its dims are {', '.join(found.dims) or 'none'}")
-            found = found.take(dim, _nearest(found.coords[dim], dim, value))
+            found = found.take(dim, _nearest_index(found.coords[dim], dim, value))
         return found
 
     def map(self, function: Callable[[np.ndarray], Any], label: str = "", unit: str = "") -> Variable:
@@ -194,16 +200,16 @@ class Variable:
         return self._holds(">=", np.greater_equal, other)
 
     def __and__(self, other: Variable) -> Variable:
-        return paired(self, other, np.minimum, "and")
+        return combine_variables(self, other, np.minimum, "and")
 
     def __or__(self, other: Variable) -> Variable:
-        return paired(self, other, np.maximum, "or")
+        return combine_variables(self, other, np.maximum, "or")
 
     def __invert__(self) -> Variable:
         return self.map(lambda values: 1.0 - values, f"not ({self.title})")
 
 
-def paired(a: Variable, b: Variable, operation: Callable[[Any, Any], Any], word: str) -> Variable:
+def combine_variables(a: Variable, b: Variable, operation: Callable[[Any, Any], Any], word: str) -> Variable:
     """Return operation(a, b), cell by cell; a cell is done where it is in both.
 
     Raises:
@@ -211,27 +217,27 @@ def paired(a: Variable, b: Variable, operation: Callable[[Any, Any], Any], word:
     """
     if not isinstance(b, Variable):
         raise UsageError(f"{a.name} {word} {b!r}; expected another variable of the same cells")
-    same_cells(a, b)
-    status = np.where(a.status != DONE, a.status, b.status)
+    check_same_cells(a, b)
+    status = np.where(a.status != CELL_DONE, a.status, b.status)
     return replace(
         a, name=f"{a.name} {word} {b.name}", label=f"{a.title} {word} {b.title}", values=operation(a.values, b.values),
         status=status, unit=a.unit if a.unit == b.unit else "", low_discrepancy=a.low_discrepancy or b.low_discrepancy,
     )  # fmt: skip
 
 
-def same_cells(a: Variable, b: Variable) -> None:
+def check_same_cells(a: Variable, b: Variable) -> None:
     """Refuse two variables whose values do not belong to the same cells: UsageError names the first that differs."""
     if a.dims != b.dims or a.cell_dims != b.cell_dims:
         raise UsageError(f"{a.name} has the dims {a.dims}, {b.name} has {b.dims}; expected the same")
     for name, here in a.coords.items():
-        there = b.coords.get(name, here[:0])
-        if here.shape != there.shape:
-            raise UsageError(f"{name} has {len(here)} values of {a.name} and {len(there)} of {b.name}; expected the same values")
-        differs = np.flatnonzero(here != there)
+        other = b.coords.get(name, here[:0])
+        if here.shape != other.shape:
+            raise UsageError(f"{name} has {len(here)} values of {a.name} and {len(other)} of {b.name}; expected the same values")
+        differs = np.flatnonzero(here != other)
         if differs.size:
             k = differs[0]
             raise UsageError(
-                f"{name}[{k}] is {here[k]} of {a.name} and {there[k]} of {b.name}; expected the same values in the same order"
+                f"{name}[{k}] is {here[k]} of {a.name} and {other[k]} of {b.name}; expected the same values in the same order"
             )
 
 
@@ -261,13 +267,13 @@ def as_variable(found: Any, what: str = "statistics") -> Variable:
     )  # fmt: skip
 
 
-def causes_of(status: np.ndarray) -> dict[str, int]:
+def failure_counts(status: np.ndarray) -> dict[str, int]:
     """{"failed": 2, ...} of the cells that are not done, by what came of them."""
     counts = Counter(np.asarray(status).ravel().tolist())
-    return {WORDS[code]: counts[code] for code in WORDS if code != DONE and counts[code]}
+    return {STATUS_NAMES[code]: counts[code] for code in STATUS_NAMES if code != CELL_DONE and counts[code]}
 
 
-def _refuse_shapes(self: Variable) -> None:
+def _check_shapes(self: Variable) -> None:
     if len(set(self.dims)) < len(self.dims) or len(self.dims) != len(self._shape):
         raise UsageError(f"{self.name}: values of shape {self._shape} with dims {self.dims}; expected a name for each axis")
     if self.cell_dims != tuple(dim for dim in self.dims if dim in self.cell_dims):
@@ -276,9 +282,9 @@ def _refuse_shapes(self: Variable) -> None:
     cells = tuple(sizes[dim] for dim in self.cell_dims)
     if self.status.shape != cells:
         raise UsageError(f"{self.name}: status of shape {self.status.shape}; expected {cells}, over {self.cell_dims}")
-    unknown = np.setdiff1d(self.status, list(WORDS))
+    unknown = np.setdiff1d(self.status, list(STATUS_NAMES))
     if unknown.size:
-        raise UsageError(f"{self.name}: status {unknown[0]}; expected one of {', '.join(map(str, WORDS))}")
+        raise UsageError(f"{self.name}: status {unknown[0]}; expected one of {', '.join(map(str, STATUS_NAMES))}")
     for name in (*self.dims, *self.coords):
         dim = name if name in sizes else self.along.get(name)
         if dim not in sizes or name not in self.coords:
@@ -287,7 +293,7 @@ def _refuse_shapes(self: Variable) -> None:
             raise UsageError(f"{self.name}: {name} of shape {self.coords[name].shape}; expected ({sizes[dim]},), along {dim}")
 
 
-def _nearest(coordinate: np.ndarray, dim: str, value: Any) -> int:
+def _nearest_index(coordinate: np.ndarray, dim: str, value: Any) -> int:
     if coordinate.dtype.kind in "biuf" and np.asarray(value).dtype.kind in "biuf":
         return int(np.abs(coordinate - value).argmin())
     equal = np.flatnonzero(coordinate == value)
@@ -303,5 +309,5 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
-def _without(dims: tuple[str, ...], dim: str) -> tuple[str, ...]:
+def _dims_without(dims: tuple[str, ...], dim: str) -> tuple[str, ...]:
     return tuple(name for name in dims if name != dim)

@@ -10,31 +10,31 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.run.interrupt import Signals, progress_bar
+from nsmodel.run.interrupt import PendingSignals, progress_bar
 from nsmodel.run.loop import RunInterrupted
-from nsmodel.sweep.asked import WAYS, Found
-from nsmodel.sweep.cells import Task, not_run
-from nsmodel.sweep.engine import Engine, lost
-from nsmodel.sweep.variable import FAILED
+from nsmodel.sweep.asked import CELL_BACKENDS, CellResults
+from nsmodel.sweep.cells import CellTask, unrun_facts
+from nsmodel.sweep.engine import Engine, is_worker_lost
+from nsmodel.sweep.variable import CELL_FAILED
 
-SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
-BYTES = 16 << 20  # And holds at most so much.
-ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
-LOOK = 0.2  # Seconds between two looks at signals.
+TARGET_CHUNK_SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
+MAX_CHUNK_BYTES = 16 << 20  # And holds at most so much.
+MAX_ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
+POLL_SECONDS = 0.2  # Seconds between two looks at signals.
 
 
 @dataclass
-class Size:
+class ChunkSize:
     """How many cells the next chunk has."""
 
     cells: int
     most: int
 
-    def learn(self, found: Found, seconds: float) -> None:
+    def update(self, found: CellResults, seconds: float) -> None:
         """Take the time and memory of a chunk into account."""
         bytes_each = sum(array.nbytes for array in found.arrays.values()) / max(found.cells, 1)
-        by_time = found.cells * SECONDS / max(seconds, 1e-6)
-        self.cells = int(np.clip(min(by_time, 4 * self.cells, BYTES / max(bytes_each, 1.0)), 1, self.most))
+        by_time = found.cells * TARGET_CHUNK_SECONDS / max(seconds, 1e-6)
+        self.cells = int(np.clip(min(by_time, 4 * self.cells, MAX_CHUNK_BYTES / max(bytes_each, 1.0)), 1, self.most))
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Chunk:
     attempt: int
 
 
-def work(
-    cells: np.ndarray, first: int, tasks: Callable[[np.ndarray], Sequence[Task]], engine: Engine,
-    keep: Callable[[np.ndarray, Found], None], signals: Signals, *, most: int, progress: bool,
+def run_chunks(
+    cells: np.ndarray, first: int, tasks: Callable[[np.ndarray], Sequence[CellTask]], engine: Engine,
+    keep: Callable[[np.ndarray, CellResults], None], signals: PendingSignals, *, most: int, progress: bool,
 ) -> None:  # fmt: skip
     """Run cells (K,) until all are done, or a signal came; ``keep`` gets what each chunk found.
 
@@ -67,12 +67,12 @@ def work(
     again: list[Chunk] = []
     out: dict[Any, Chunk] = {}
     most = max(1, min(most, -(-len(cells) // (2 * engine.workers))))
-    size = Size(min(first, most), most)
+    size = ChunkSize(min(first, most), most)
     at = 0
 
     def send(chunk: Chunk) -> None:
         future = engine.submit(tasks(chunk.cells), chunk.attempt)
-        out[_key(future)] = chunk
+        out[_future_key(future)] = chunk
         future.add_done_callback(back.put)
 
     try:
@@ -86,14 +86,14 @@ def work(
                 send(Chunk(cells[at : at + size.cells], 0))
                 at += size.cells
             try:
-                future = back.get(timeout=LOOK)
+                future = back.get(timeout=POLL_SECONDS)
             except queue.Empty:
                 continue
-            chunk = out.pop(_key(future))
-            found = _result(future, chunk, again, signals)
+            chunk = out.pop(_future_key(future))
+            found = _chunk_result(future, chunk, again, signals)
             if found is not None:
                 keep(chunk.cells, found[0])
-                size.learn(*found)
+                size.update(*found)
                 if bar is not None:
                     bar.update(len(chunk.cells))
     finally:
@@ -101,12 +101,12 @@ def work(
             bar.close()
 
 
-def _key(future: Any) -> Any:
+def _future_key(future: Any) -> Any:
     """What tells a future from others: those of some engines come back as other objects."""
     return getattr(future, "key", None) or id(future)
 
 
-def _result(future: Any, chunk: Chunk, again: list[Chunk], signals: Signals) -> tuple[Found, float] | None:
+def _chunk_result(future: Any, chunk: Chunk, again: list[Chunk], signals: PendingSignals) -> tuple[CellResults, float] | None:
     """What a chunk found; None where it is to be done again, or was interrupted."""
     try:
         return future.result()
@@ -114,18 +114,18 @@ def _result(future: Any, chunk: Chunk, again: list[Chunk], signals: Signals) -> 
         signals.append(0.0)
         signals.number = signal.Signals(stop.signal)
     except BaseException as error:
-        if not lost(error):
+        if not is_worker_lost(error):
             raise
-        if chunk.attempt + 1 >= ATTEMPTS:
-            return _died(error), 0.0
+        if chunk.attempt + 1 >= MAX_ATTEMPTS:
+            return _dead_worker_result(error), 0.0
         parts = [chunk.cells] if chunk.attempt == 0 else chunk.cells[:, None]
         again.extend(Chunk(part, chunk.attempt + 1) for part in parts)
     return None
 
 
-def _died(error: BaseException) -> Found:
+def _dead_worker_result(error: BaseException) -> CellResults:
     """A cell whose worker died each time."""
-    found = not_run(1)
-    found["status"][:], found["way"][:] = FAILED, len(WAYS) - 1
-    text = f"the process that ran it died {ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
-    return Found(found, {0: text})
+    found = unrun_facts(1)
+    found["status"][:], found["way"][:] = CELL_FAILED, len(CELL_BACKENDS) - 1
+    text = f"the process that ran it died {MAX_ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
+    return CellResults(found, {0: text})

@@ -10,28 +10,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel import laws
-from nsmodel.archive import LIST
+from nsmodel.archive import LIST_PREFIXES
 from nsmodel.columns import input_names, model_type, multiplier_names, output_names, state_names, units_of
 from nsmodel.crowd.measure import present
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.quantities import limits, quantity_of
-from nsmodel.view.packed import Rows, codes, column
-from nsmodel.words import shown
+from nsmodel.quantities import quantity_at_step_ends, read_quantity
+from nsmodel.view.packed import PackedRows, pack_codes, pack_column
+from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
-MOST = 24  # Columns of a panel, bands of an index set.
-AT_FIRST = 8  # Of them drawn when the page opens.
-APART = 20  # A few columns without units whose sizes are so far apart have a panel of their own,
-FEW = 6
-NOISE = 1e-9  # but for what is this part of the others: rounding.
-OWN = {"t", "x", "multipliers", "y", "index_set", "reactions", "inputs", "inputs_begin", "v", "energy", "residual", "pressure"}
+MAX_PANEL_COLUMNS = 24  # Columns of a panel, bands of an index set.
+INITIAL_COLUMNS = 8  # Of them drawn when the page opens.
+SIZE_RATIO = 20  # A few columns without units whose sizes are so far apart have a panel of their own,
+FEW_COLUMNS = 6
+ROUNDING_SHARE = 1e-9  # but for what is this part of the others: rounding.
+PANEL_ARRAYS = {
+    "t",
+    "x",
+    "multipliers",
+    "y",
+    "index_set",
+    "reactions",
+    "inputs",
+    "inputs_begin",
+    "v",
+    "energy",
+    "residual",
+    "pressure",
+}
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class TimePanel:
     """Columns over one axis.
 
     Attributes:
@@ -56,115 +69,119 @@ class Panel:
     note: str = ""
     level: tuple[float, str] | None = field(default=None)
 
-    def document(self, rows: Rows, clock: int) -> dict[str, Any]:
+    def document(self, rows: PackedRows, clock: int) -> dict[str, Any]:
         """The panel as plain data; ``clock``: which times its rows have."""
-        first = set(style.spread(len(self.names), AT_FIRST).tolist())
+        first = set(style.evenly_spread(len(self.names), INITIAL_COLUMNS).tolist())
         columns = []
         for k, (name, values) in enumerate(zip(self.names, self.values, strict=True)):
             missing = int(np.count_nonzero(np.isnan(values[1:])))
             columns.append(
-                {"name": shown(name), "shown": k in first, "missing": missing}
-                | column(values, self.begins[k] if self.begins else None, rows)
+                {"name": escape_invisible(name), "shown": k in first, "missing": missing}
+                | pack_column(values, self.begins[k] if self.begins else None, rows)
             )
-        kept = {"title": shown(self.title), "unit": shown(self.unit), "look": self.look, "open": self.open}
+        kept = {"title": escape_invisible(self.title), "unit": escape_invisible(self.unit), "look": self.look, "open": self.open}
         return kept | {"note": self.note, "level": self.level, "clock": clock, "columns": columns}
 
 
-def panels(run: Trajectory, notes: Mapping[str, str] = MappingProxyType({})) -> list[Panel]:
+def run_panels(run: Trajectory, notes: Mapping[str, str] = MappingProxyType({})) -> list[TimePanel]:
     """The panels of the rows of a run, those first that say most; ``notes``: on columns by name."""
     scene, found = bool(run.metadata.get("scene")), []
     units = units_of(run)
     if scene and run.x.shape[1] % 2 == 0:
-        found += _people(run)
-    found += _apart("States", "line", state_names(run), units, list(run.x.T), open=not scene)
+        found += _crowd_panels(run)
+    found += _panels_by_unit("States", "line", state_names(run), units, list(run.x.T), open=not scene)
     if "v" in run.arrays:
-        found += _velocities(run, units)
-    found += _outputs(run, units)
+        found += _velocity_panels(run, units)
+    found += _output_panels(run, units)
     if "inputs" in run.arrays:
         begin = run.arrays["inputs_begin"]
-        found += _apart("Inputs", "step", input_names(run), units, list(run.inputs.T), begins=list(begin.T))
-    found += _of_the_law(run, units)
+        found += _panels_by_unit("Inputs", "step", input_names(run), units, list(run.inputs.T), begins=list(begin.T))
+    found += _law_panels(run, units)
     if "energy" in run.arrays:
-        found.append(Panel("Energy", ["energy"], [run.arrays["energy"]], units.get("energy", ""), note=notes.get("energy", "")))
+        found.append(
+            TimePanel("Energy", ["energy"], [run.arrays["energy"]], units.get("energy", ""), note=notes.get("energy", ""))
+        )
     return found
 
 
-def further(run: Trajectory) -> list[Panel]:
+def further_panels(run: Trajectory) -> list[TimePanel]:
     """The residual, and all arrays that no other panel has: of the rows that were saved."""
     found = []
     if "residual" in run.arrays:
         tolerance = run.metadata.get("tolerance")
         level = (float(tolerance), f"tolerance {tolerance:.3g}") if tolerance else None
-        found.append(Panel("Residual", ["residual"], [run.residual], "", look="log", level=level, note=_counted(run.residual)))
-    taken, units = OWN | {*run.metadata.get("outputs", ())}, units_of(run)
+        found.append(
+            TimePanel("Residual", ["residual"], [run.residual], "", look="log", level=level, note=_off_scale_note(run.residual))
+        )
+    taken, units = PANEL_ARRAYS | {*run.metadata.get("outputs", ())}, units_of(run)
     for name, array in run.arrays.items():
-        if name not in taken and not name.startswith(LIST) and array.ndim <= 2 and array.dtype.kind in "biuf":
+        if name not in taken and not name.startswith(LIST_PREFIXES) and array.ndim <= 2 and array.dtype.kind in "biuf":
             flat = array.reshape(len(array), -1)
             names = [name] if flat.shape[1] == 1 else [f"{name}_{k}" for k in range(flat.shape[1])]
             given = {one: units.get(name, "") for one in names}
-            found += _apart(name, "step", names, given, list(flat.T), open=False, largest=True)
+            found += _panels_by_unit(name, "step", names, given, list(flat.T), open=False, largest=True)
     return found
 
 
-def bands(run: Trajectory, rows: Rows, clock: int) -> dict[str, Any] | None:
+def index_set_bands(run: Trajectory, rows: PackedRows, clock: int) -> dict[str, Any] | None:
     """The index set as plain data: of each row the codes seen, 1 << (code + 2); None where there is none."""
     found = run.arrays.get("index_set")
     if found is None or not found.shape[1]:
         return None
     names = run.metadata.get("index_names") or [f"row {k}" for k in range(found.shape[1])]
-    kinds, words = _words(run, names), {}
+    kinds, labels = _state_labels(run, names), {}
     changes = np.array([np.count_nonzero(one[2:] != one[1:-1]) for one in found.T])
-    picks = np.sort(np.argsort(-changes, kind="stable")[:MOST]).tolist()
+    picks = np.sort(np.argsort(-changes, kind="stable")[:MAX_PANEL_COLUMNS]).tolist()
     starts, bits = np.arange(0, len(found), rows.width), 1 << np.arange(8, dtype=np.uint8)
     entries = []
     for k in picks:
         kind, own = kinds[k]
-        words[kind] = [[bit(code), role, shown(text)] for code, (role, text) in own.items()]
+        labels[kind] = [[code_bit(code), role, escape_invisible(text)] for code, (role, text) in own.items()]
         seen = np.bitwise_or.reduceat(bits[np.clip(found[:, k] + 2, 0, 7)], starts)
-        entries.append({"name": shown(names[k]), "kind": kind, "seen": codes(seen)})
-    note = style.of(len(picks), found.shape[1], "those that change most").strip()
-    return {"title": "Index set", "look": "bands", "open": True, "note": note, "clock": clock, "bands": entries, "words": words}
+        entries.append({"name": escape_invisible(names[k]), "kind": kind, "seen": pack_codes(seen)})
+    note = style.selection_note(len(picks), found.shape[1], "those that change most").strip()
+    return {"title": "Index set", "look": "bands", "open": True, "note": note, "clock": clock, "bands": entries, "words": labels}
 
 
-def bit(code: int) -> int:
+def code_bit(code: int) -> int:
     """The bit of a code of an index set."""
     return 1 << (code + 2)
 
 
-def _words(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.Words]]:
+def _state_labels(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.StateNames]]:
     """Kind and words of each row of the index set."""
     kinds = run.metadata.get("law_kinds") or ["complementarity"] * len(names)
-    own, found = model_type(run).words, []
+    own, found = model_type(run).law_descriptions, []
     if len(kinds) != len(names) or not all(isinstance(kind, str) for kind in kinds):
         raise PlotError(f"law_kinds must name the kind of each of {len(names)} rows, and is {kinds[:8]}")
     for kind, name in zip(kinds, names, strict=True):
-        usual = (kind, laws.WORDS.get(kind, {}))
+        usual = (kind, laws.STATE_NAMES.get(kind, {}))
         found.append(own.get(kind, usual) if not name.startswith("potential ") else usual)
     return found
 
 
-def _people(run: Trajectory) -> list[Panel]:
+def _crowd_panels(run: Trajectory) -> list[TimePanel]:
     """How many bodies are there, and the pressure on them."""
-    there = present(run).sum(axis=1).astype(float)
-    found = [Panel("Bodies there", ["bodies"], [there])] if np.ptp(there) else []
+    present_count = present(run).sum(axis=1).astype(float)
+    found = [TimePanel("Bodies there", ["bodies"], [present_count])] if np.ptp(present_count) else []
     pressure = run.arrays.get("pressure")
     if pressure is not None:
         total, count = np.nansum(pressure, axis=1), np.isfinite(pressure).sum(axis=1)
         mean = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
         unit = units_of(run).get("pressure", "")
         found.append(
-            Panel("Pressure on a body", ["largest", "mean"], [np.fmax.reduce(pressure, axis=1), mean], unit, look="step")
+            TimePanel("Pressure on a body", ["largest", "mean"], [np.fmax.reduce(pressure, axis=1), mean], unit, look="step")
         )
     return found
 
 
-def _velocities(run: Trajectory, units: dict[str, str]) -> list[Panel]:
+def _velocity_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
     length, time, names = [units.get(name, "") for name in state_names(run)], units.get("t", ""), state_names(run)
     given = {f"v of {name}": f"{one}/{time}" if one and time else "" for name, one in zip(names, length, strict=True)}
-    return _apart("Velocities", "line", list(given), given, list(run.arrays["v"].T))
+    return _panels_by_unit("Velocities", "line", list(given), given, list(run.arrays["v"].T))
 
 
-def _outputs(run: Trajectory, units: dict[str, str]) -> list[Panel]:
+def _output_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
     """The declared outputs: by time stepping each step from its begin to its end."""
     names, values, begins = [], [], []
     for name, own in output_names(run).items():
@@ -172,62 +189,66 @@ def _outputs(run: Trajectory, units: dict[str, str]) -> list[Panel]:
         end = run.arrays[name].reshape(len(run.t), -1)
         values += list(end.T)
         if not run.is_event_driven and len(run):
-            begin = limits(run, *quantity_of(run, name), 0, len(run))[0].reshape(len(run), -1)
+            begin = quantity_at_step_ends(run, *read_quantity(run, name), 0, len(run))[0].reshape(len(run), -1)
             begins += list(np.concatenate([end[:1], begin]).T)
     look = "step" if begins else "line"
-    return _apart("Outputs", look, names, units, values, begins=begins, largest=True) if names else []
+    return _panels_by_unit("Outputs", look, names, units, values, begins=begins, largest=True) if names else []
 
 
-def _of_the_law(run: Trajectory, units: dict[str, str]) -> list[Panel]:
+def _law_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
     """Multipliers, reactions and y."""
     names, found = multiplier_names(run), []
     if names and run.is_event_driven and "reactions" in run.arrays:
         given = {name: units.get("reactions", "") for name in names}
-        found += _apart("Reactions", "line", names, given, list(run.arrays["reactions"].T), largest=True)
+        found += _panels_by_unit("Reactions", "line", names, given, list(run.arrays["reactions"].T), largest=True)
     elif names:
         look = "line" if run.is_event_driven else "step"
-        found += _apart("Multipliers", look, names, units, list(run.multipliers.T), largest=True)
+        found += _panels_by_unit("Multipliers", look, names, units, list(run.multipliers.T), largest=True)
         if "reactions" in run.arrays:
             given = {name: units.get("reactions", "") for name in names}
             title = "Reactions (multipliers / step)"
-            found += _apart(title, look, names, given, list(run.arrays["reactions"].T), largest=True, open=False)
+            found += _panels_by_unit(title, look, names, given, list(run.arrays["reactions"].T), largest=True, open=False)
     if "y" in run.arrays and run.y.shape[1]:
         own = names if run.y.shape[1] == len(names) else [str(k) for k in range(run.y.shape[1])]
         y_units = {f"y of {name}": units.get(f"y_{k}", "") for k, name in enumerate(own)}
-        found += _apart("y of the law", "line", list(y_units), y_units, list(run.y.T), largest=True, open=False)
+        found += _panels_by_unit("y of the law", "line", list(y_units), y_units, list(run.y.T), largest=True, open=False)
     return found
 
 
-def _apart(
+def _panels_by_unit(
     title: str, look: str, names: Sequence[str], units: dict[str, str], values: Sequence[np.ndarray], *,
     begins: Sequence[np.ndarray] = (), open: bool = True, largest: bool = False,
-) -> list[Panel]:  # fmt: skip
+) -> list[TimePanel]:  # fmt: skip
     """A panel for each unit; without any, one for each of two very different sizes. Of many columns some, and a note."""
     given = [units.get(name, "") for name in names]
-    size = np.array([_size(one) for one in values] if largest or len(names) <= FEW else np.ones(len(names)))
+    size = np.array([_largest_magnitude(one) for one in values] if largest or len(names) <= FEW_COLUMNS else np.ones(len(names)))
     groups: dict[tuple[str, bool], list[int]] = {}
-    top, told_apart = size.max(initial=0.0), not any(given) and len(names) <= FEW
+    top, separable = size.max(initial=0.0), not any(given) and len(names) <= FEW_COLUMNS
     for k, unit in enumerate(given):
-        small = told_apart and NOISE * top < size[k] <= top / APART
+        small = separable and ROUNDING_SHARE * top < size[k] <= top / SIZE_RATIO
         groups.setdefault((unit, bool(small)), []).append(k)
     found = []
     for (unit, small), members in groups.items():
-        best = np.sort(np.argsort(-size[members], kind="stable")[:MOST]) if largest else style.spread(len(members), MOST)
+        best = (
+            np.sort(np.argsort(-size[members], kind="stable")[:MAX_PANEL_COLUMNS])
+            if largest
+            else style.evenly_spread(len(members), MAX_PANEL_COLUMNS)
+        )
         picks: list[int] = np.array(members)[best].tolist()
-        note = style.of(len(picks), len(members), "the largest" if largest else "evenly spread").strip()
+        note = style.selection_note(len(picks), len(members), "the largest" if largest else "evenly spread").strip()
         name = f"{title}, the small ones" if small else title
         labels: list[str] = [names[k] for k in picks]
         own = [begins[k] for k in picks] if begins else []
-        found.append(Panel(name, labels, [values[k] for k in picks], unit, own, look, open, note))
+        found.append(TimePanel(name, labels, [values[k] for k in picks], unit, own, look, open, note))
     return found
 
 
-def _size(values: np.ndarray) -> float:
+def _largest_magnitude(values: np.ndarray) -> float:
     """The largest absolute value, NaN left out; no copy is made."""
     return float(np.nan_to_num(max(abs(np.fmin.reduce(values)), abs(np.fmax.reduce(values)))))
 
 
-def _counted(residual: np.ndarray) -> str:
+def _off_scale_note(residual: np.ndarray) -> str:
     """How many residuals have no place on a logarithmic axis."""
     zero, unknown = int((residual[1:] == 0).sum()), int(np.isposinf(residual).sum())
     parts = [f"exactly 0: {zero} of {len(residual) - 1}, at the bottom"] if zero else []

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from nsmodel.storage import utf8, write_text
-from nsmodel.words import shown
+from nsmodel.storage import encode_utf8, write_text
+from nsmodel.words import escape_invisible
 
-FOLDER = Path(__file__).parent
-PAGE = """<!DOCTYPE html>
+VIEW_FOLDER = Path(__file__).parent
+PAGE_TEMPLATE = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -36,24 +36,24 @@ PAGE = """<!DOCTYPE html>
 </html>"""
 
 
-def page(title: str, document: Any, scripts: Sequence[str]) -> str:
+def standalone_page(title: str, document: Any, scripts: Sequence[str]) -> str:
     """The page of a document, drawn by scripts of these names.
 
     What is the user's stands in the title, escaped, and in the data, whose ``<`` are escaped: no text ends their element.
     Scripts set it as text.
     """
-    style = (FOLDER / "view.css").read_text(encoding="utf-8")
-    parts = [(FOLDER / f"{name}.js").read_text(encoding="utf-8") for name in scripts]
+    style = (VIEW_FOLDER / "view.css").read_text(encoding="utf-8")
+    parts = [(VIEW_FOLDER / f"{name}.js").read_text(encoding="utf-8") for name in scripts]
     script = "\n".join(['"use strict";', "(() => {", *parts, "})();"])
     data = json.dumps(document, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     policy = (
-        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
+        f"default-src 'none'; script-src '{_csp_hash(script)}'; style-src '{_csp_hash(style)}'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
-    return PAGE.format(policy=policy, title=html.escape(shown(title)), style=style, data=data, script=script)
+    return PAGE_TEMPLATE.format(policy=policy, title=html.escape(escape_invisible(title)), style=style, data=data, script=script)
 
 
-def written(text: str, path: str | Path | None, title: str) -> Path:
+def write_page(text: str, path: str | Path | None, title: str) -> Path:
     """Write a page, and return its path; where none is given, into a new temporary folder, and open it in the browser."""
     if path is not None:
         write_text(path, text)
@@ -61,14 +61,14 @@ def written(text: str, path: str | Path | None, title: str) -> Path:
     name = "".join(c if c.isalnum() else "-" for c in title)[:40].strip("-") or "view"
     made = Path(tempfile.mkdtemp(prefix="nsmodel-")) / f"{name}.html"
     write_text(made, text)
-    opened(made)
+    open_in_browser(made)
     return made
 
 
-def opened(path: Path) -> None:
+def open_in_browser(path: Path) -> None:
     """Show a page in the user's browser, where there is one."""
     webbrowser.open(path.resolve().as_uri())
 
 
-def _hash(text: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(utf8(text)).digest()).decode()}"
+def _csp_hash(text: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(encode_utf8(text)).digest()).decode()}"

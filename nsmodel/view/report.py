@@ -7,55 +7,62 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsmodel.hypotheses.report import table
-from nsmodel.view.page import page, written
-from nsmodel.words import shown
+from nsmodel.view.page import standalone_page, write_page
+from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report
 
-SCRIPTS = ("elements", "report")
+REPORT_SCRIPTS = ("elements", "report")
 
 
 def view_report(report: Report, path: str | Path | None = None) -> Path:
     """Write the page of a report, and return its path; see `Report.view`."""
-    return written(page(report.title, document(report), SCRIPTS), path, report.title)
+    return write_page(standalone_page(report.title, report_document(report), REPORT_SCRIPTS), path, report.title)
 
 
-def document(report: Report) -> dict[str, Any]:
+def report_document(report: Report) -> dict[str, Any]:
     """All that the page shows of a report, as plain data."""
     facts = {
         "model": [f"{report.model_class}; {report.paper}"],
         "region": [report.region],
-        "parameters": table.parameters(report),
+        "parameters": table.parameter_texts(report),
         "inputs": report.inputs,
         "findings": [report.verdict],
     }
     findings = [
-        _card(finding.id, finding, [_numbers(finding), *_witness(finding), table.told(finding)]) for finding in report.findings
+        _finding_card(finding.id, finding, [_value_text(finding), *_witness_lines(finding), table.decision_text(finding)])
+        for finding in report.findings
     ]
     consequences = [
-        _card(one.name, one, [_numbers(one), table.conditions(one), table.rests(one, report)]) for one in report.consequences
+        _finding_card(one.name, one, [_value_text(one), table.validity_text(one), table.premises_text(one, report)])
+        for one in report.consequences
     ]
     return {
         "kind": "report",
-        "title": shown(report.title),
-        "facts": [[label, [shown(line) for line in lines]] for label, lines in facts.items() if lines],
+        "title": escape_invisible(report.title),
+        "facts": [[label, [escape_invisible(line) for line in lines]] for label, lines in facts.items() if lines],
         "findings": findings,
         "consequences": consequences,
-        "notes": [shown(note) for note in report.notes],
+        "notes": [escape_invisible(note) for note in report.notes],
     }
 
 
-def _card(name: str, found: Any, lines: Sequence[str]) -> dict[str, Any]:
-    words = {"name": shown(name), "verdict": found.verdict, "statement": shown(found.statement), "source": shown(found.source)}
-    return words | {"lines": [shown(line) for line in lines if line]}
+def _finding_card(name: str, found: Any, lines: Sequence[str]) -> dict[str, Any]:
+    texts = {
+        "name": escape_invisible(name),
+        "verdict": found.verdict,
+        "statement": escape_invisible(found.statement),
+        "source": escape_invisible(found.source),
+    }
+    return texts | {"lines": [escape_invisible(line) for line in lines if line]}
 
 
-def _numbers(found: Any) -> str:
-    return ", ".join(table.pairs(found.value))
+def _value_text(found: Any) -> str:
+    return ", ".join(table.name_value_pairs(found.value))
 
 
-def _witness(finding: Any) -> list[str]:
-    told = table.witness(finding)
-    lines = [f"{'with' if finding.verdict == 'holds' else 'at'} {', '.join(told)}"] if told else []
-    return lines + ([f"outside it fails at {', '.join(table.pairs(finding.outside))}"] if finding.outside else [])
+def _witness_lines(finding: Any) -> list[str]:
+    witness_texts = table.witness_texts(finding)
+    lines = [f"{'with' if finding.verdict == 'holds' else 'at'} {', '.join(witness_texts)}"] if witness_texts else []
+    return lines + ([f"outside it fails at {', '.join(table.name_value_pairs(finding.outside))}"] if finding.outside else [])

@@ -10,75 +10,78 @@ import numpy as np
 from nsmodel import summary
 from nsmodel.columns import model_type, units_of
 from nsmodel.plot import continuous
-from nsmodel.view.columns import Panel, bands, further, panels
-from nsmodel.view.packed import numbers, rows_for
-from nsmodel.view.page import page, written
-from nsmodel.view.scene import forbidden, scene
-from nsmodel.words import shown
+from nsmodel.view.columns import TimePanel, further_panels, index_set_bands, run_panels
+from nsmodel.view.packed import pack_numbers, packing_for
+from nsmodel.view.page import standalone_page, write_page
+from nsmodel.view.scene import disc_scene_data, forbidden_set_data
+from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
-POINTS = 20_000  # Read off the polynomials of an event-driven run.
-EVENTS = 100_000  # The most that are marked,
-WORDS = 2_000  # and that say what changes.
-LAW = ("Multipliers", "Reactions")  # Before these stands the index set.
-SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
+CURVE_POINTS = 20_000  # Read off the polynomials of an event-driven run.
+MAX_EVENTS = 100_000  # The most that are marked,
+MAX_EVENT_TEXTS = 2_000  # and that say what changes.
+LAW_PANELS = ("Multipliers", "Reactions")  # Before these stands the index set.
+RUN_SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
 
 
 def view_run(run: Trajectory, path: str | Path | None = None, model: Any = None) -> Path:
     """Write the page of a run, and return its path; see `Trajectory.view`."""
-    return written(page(run.title, document(run, model), SCRIPTS), path, run.title)
+    return write_page(standalone_page(run.title, run_document(run, model), RUN_SCRIPTS), path, run.title)
 
 
-def document(run: Trajectory, model: Any = None) -> dict[str, Any]:
+def run_document(run: Trajectory, model: Any = None) -> dict[str, Any]:
     """All that the page shows of a run, as plain data.
 
     Panels name one of the ``clocks``, the times that their rows have. An event-driven run has two: points that are read off its
     polynomials, and the rows that were saved.
     """
-    drawn, lines = continuous.smooth(run, model, POINTS)
-    own, rest = panels(drawn, {"energy": continuous.LINES} if lines else {}), further(run)
+    drawn, lines = continuous.smooth_with_energy(run, model, CURVE_POINTS)
+    own, rest = run_panels(drawn, {"energy": continuous.ENERGY_ON_LINES} if lines else {}), further_panels(run)
     if drawn is run:
-        clocks = [_clock(run, [*own, *rest], run)]
+        clocks = [_panels_with_clock(run, [*own, *rest], run)]
     else:
-        clocks = [_clock(drawn, own, drawn), _clock(run, rest, None)]
+        clocks = [_panels_with_clock(drawn, own, drawn), _panels_with_clock(run, rest, None)]
     return {
         "kind": "run",
-        "title": shown(run.title),
-        "status": shown(run.status),
-        "facts": _facts(run),
-        "time": {"unit": shown(units_of(run).get("t", ""))},
+        "title": escape_invisible(run.title),
+        "status": escape_invisible(run.status),
+        "facts": _summary_facts(run),
+        "time": {"unit": escape_invisible(units_of(run).get("t", ""))},
         "rows": len(drawn.t),
-        "note": _note(run, drawn, clocks[0]["width"]),
+        "note": _rows_note(run, drawn, clocks[0]["width"]),
         "clocks": [{key: clock[key] for key in ("width", "times")} for clock in clocks],
         "panels": [panel for clock in clocks for panel in clock["panels"]],
         "events": _events(run),
         "stretches": [
             [one["start"], min(one["until"], float(run.t[-1]))] for one in (run.metadata.get("totals") or {}).get("stretches", ())
         ],
-        "phase": _phase(run, clocks[0]["panels"]),
-        "scene": scene(run),
-        "forbidden": forbidden(run, model),
+        "phase": _phase_columns(run, clocks[0]["panels"]),
+        "scene": disc_scene_data(run),
+        "forbidden": forbidden_set_data(run, model),
     }
 
 
-def _clock(rows: Trajectory, own: list[Panel], strip: Trajectory | None) -> dict[str, Any]:
+def _panels_with_clock(rows: Trajectory, own: list[TimePanel], strip: Trajectory | None) -> dict[str, Any]:
     """Panels over the rows of one run, with their times: where the rows begin that are held as one, and the last."""
-    held = rows_for(len(rows.t), sum(len(panel.names) * (1 + bool(panel.begins)) for panel in own))
+    held = packing_for(len(rows.t), sum(len(panel.names) * (1 + bool(panel.begins)) for panel in own))
     found = [panel.document(held, int(strip is None)) for panel in own]
-    if strip is not None and (codes := bands(rows, held, 0)) is not None:
-        found.insert(next((k for k, panel in enumerate(own) if panel.title.startswith(LAW)), len(own)), codes)
+    if strip is not None and (codes := index_set_bands(rows, held, 0)) is not None:
+        found.insert(next((k for k, panel in enumerate(own) if panel.title.startswith(LAW_PANELS)), len(own)), codes)
     times = np.append(rows.t[:: held.width], rows.t[-1])
-    return {"width": held.width, "times": numbers(times), "panels": found}
+    return {"width": held.width, "times": pack_numbers(times), "panels": found}
 
 
-def _facts(run: Trajectory) -> list[list[Any]]:
+def _summary_facts(run: Trajectory) -> list[list[Any]]:
     """The summary as labels and lines."""
-    return [[label, [shown(line) for line in lines]] for label, lines in summary.lines(summary.summary(run)).items()]
+    return [
+        [label, [escape_invisible(line) for line in lines]]
+        for label, lines in summary.summary_lines(summary.run_summary(run)).items()
+    ]
 
 
-def _note(run: Trajectory, drawn: Trajectory, width: int) -> str:
+def _rows_note(run: Trajectory, drawn: Trajectory, width: int) -> str:
     """What the page does not have: rows."""
     every = run.metadata.get("save_every", 1)
     saved = f" (1 saved of {every})" if every > 1 else ""
@@ -99,14 +102,14 @@ def _events(run: Trajectory) -> dict[str, Any] | None:
     starts, codes = run.arrays["piece_start"], run.arrays["piece_codes"]
     at = np.flatnonzero(run.arrays["piece_event"] & (starts <= run.t[-1]))
     names = run.metadata.get("index_names") or [f"row {k}" for k in range(codes.shape[1])]
-    words = []
-    for k in at[:WORDS]:
+    texts = []
+    for k in at[:MAX_EVENT_TEXTS]:
         changed = np.flatnonzero(codes[k] != codes[k - 1])[:6] if k else []
-        words.append(", ".join(f"{shown(names[i])}: {codes[k - 1, i]} to {codes[k, i]}" for i in changed))
-    return {"count": len(at), "times": numbers(starts[at[:EVENTS]]), "words": words}
+        texts.append(", ".join(f"{escape_invisible(names[i])}: {codes[k - 1, i]} to {codes[k, i]}" for i in changed))
+    return {"count": len(at), "times": pack_numbers(starts[at[:MAX_EVENTS]]), "words": texts}
 
 
-def _phase(run: Trajectory, found: list[dict[str, Any]]) -> list[list[int]] | None:
+def _phase_columns(run: Trajectory, found: list[dict[str, Any]]) -> list[list[int]] | None:
     """Which columns the phase plane opens with, as (panel, column): over a state a velocity, another state, or what there is."""
     places = [(panel["title"], [p, c]) for p, panel in enumerate(found) for c in range(len(panel.get("columns", ())))]
     states, fast = ([place for title, place in places if title.startswith(kind)] for kind in ("States", "Velocities"))

@@ -9,45 +9,45 @@ import numpy as np
 from nsmodel.columns import state_names, units_of
 from nsmodel.crowd.measure import positions, present
 from nsmodel.plot import style
-from nsmodel.plot.plane import plots_of
-from nsmodel.view.packed import codes, numbers
-from nsmodel.words import shown
+from nsmodel.plot.plane import class_plots
+from nsmodel.view.packed import pack_codes, pack_numbers
+from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
-ROOM = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
-GRID = 100  # Points of the forbidden set along each axis,
-MOMENTS = 60  # at so many times at most.
-TOP = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
+MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
+FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis,
+MAX_MOMENTS = 60  # at so many times at most.
+COLOUR_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 
 
-def scene(run: Trajectory) -> dict[str, Any] | None:
+def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
     """The configuration as plain data; None of a run whose scene has no discs."""
     about = run.metadata.get("scene") or {}
     if "radii" not in about or run.x.shape[1] != 2 * len(about["radii"]) or not len(about["radii"]):
         return None
-    rows = style.spread(len(run.t), max(2, ROOM // (4 * run.x.shape[1])))
-    pressure = _pressure(run, rows, len(about["radii"]))
+    rows = style.evenly_spread(len(run.t), max(2, MAX_PLACES_BYTES // (4 * run.x.shape[1])))
+    pressure = _pressure_rows(run, rows, len(about["radii"]))
     pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
     lines = {key: [np.ravel(one).tolist() for one in about.get(key) or []] for key in ("walls", "exits")}
     unit = units_of(run).get(state_names(run)[0], "")
     return {
         **lines,
         "radii": [float(radius) for radius in about["radii"]],
-        "window": _window(run, about),
-        "unit": shown(unit),
+        "window": _scene_window(run, about),
+        "unit": escape_invisible(unit),
         "rows": [int(row) for row in rows],
         "of": len(run.t),
-        "times": numbers(run.t[rows]),
-        "places": numbers(run.x[rows].T.ravel(), exact=False),
-        "pressure": None if pressure is None else numbers(pressure.T.ravel(), exact=False),
-        "top": float(np.percentile(pressed, TOP)) if pressed.size else 1.0,
-        "pressure_unit": shown(units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", "")),
+        "times": pack_numbers(run.t[rows]),
+        "places": pack_numbers(run.x[rows].T.ravel(), exact=False),
+        "pressure": None if pressure is None else pack_numbers(pressure.T.ravel(), exact=False),
+        "top": float(np.percentile(pressed, COLOUR_PERCENTILE)) if pressed.size else 1.0,
+        "pressure_unit": escape_invisible(units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", "")),
     }
 
 
-def _pressure(run: Trajectory, rows: np.ndarray, bodies: int) -> np.ndarray | None:
+def _pressure_rows(run: Trajectory, rows: np.ndarray, bodies: int) -> np.ndarray | None:
     """The sum of the reactions on each body (rows, bodies); None where the run cannot tell."""
     if "pressure" in run.arrays:
         return run.arrays["pressure"][rows]
@@ -60,7 +60,7 @@ def _pressure(run: Trajectory, rows: np.ndarray, bodies: int) -> np.ndarray | No
     return total
 
 
-def _window(run: Trajectory, about: dict[str, Any]) -> list[float]:
+def _scene_window(run: Trajectory, about: dict[str, Any]) -> list[float]:
     """x0, x1, y0, y1 around walls, exits and where bodies start; without walls around wherever they are."""
     fixed = [np.reshape(about.get(key) or [], (-1, 2)) for key in ("walls", "exits")]
     q, here = positions(run), present(run)
@@ -73,12 +73,12 @@ def _window(run: Trajectory, about: dict[str, Any]) -> list[float]:
     return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
 
 
-def forbidden(run: Trajectory, model: Any) -> dict[str, Any] | None:
+def forbidden_set_data(run: Trajectory, model: Any) -> dict[str, Any] | None:
     """Where a state of one or two components may not be, on a grid and at some times; None where the class knows no such set.
 
     Of one component over the plane (t, q), of two over their plane. ``inside`` is 1 where some constraint is negative.
     """
-    own, n = plots_of(run), run.x.shape[1]
+    own, n = class_plots(run), run.x.shape[1]
     if model is None or not hasattr(own, "gap") or run.metadata.get("scene") or n > 2 or len(run.t) < 2:
         return None
     gap, moving = own.gap(model, run)
@@ -86,15 +86,15 @@ def forbidden(run: Trajectory, model: Any) -> dict[str, Any] | None:
     reach = np.maximum(high - low, 0.6 * ((high - low).max() or 1.0)) * 0.8
     limits = [(run.t[0], run.t[-1])] if n == 1 else []
     limits += [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
-    across, up = np.meshgrid(*(np.linspace(*limit, GRID) for limit in limits))
-    rows = style.spread(len(run.t), MOMENTS) if moving and n == 2 else np.zeros(1, int)
+    across, up = np.meshgrid(*(np.linspace(*limit, FORBIDDEN_GRID) for limit in limits))
+    rows = style.evenly_spread(len(run.t), MAX_MOMENTS) if moving and n == 2 else np.zeros(1, int)
     shape = (len(rows), *up.shape)
     points = [np.broadcast_to(one, shape) for one in ((up,) if n == 1 else (across, up))]
     least = gap(across if n == 1 else run.t[rows][:, None, None], *points)
     return {
-        "size": GRID,
+        "size": FORBIDDEN_GRID,
         "window": [float(end) for limit in limits for end in limit],
-        "times": numbers(run.t[rows]),
-        "inside": codes(np.ma.filled(least < 0, False).ravel()),
+        "times": pack_numbers(run.t[rows]),
+        "inside": pack_codes(np.ma.filled(least < 0, False).ravel()),
         "note": f"The set forbidden is drawn at {len(rows)} of {len(run.t)} rows." if 1 < len(rows) < len(run.t) else "",
     }

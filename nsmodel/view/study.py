@@ -5,50 +5,50 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsmodel.study.lines import FAILED, LEFT_OUT, Line, Point
-from nsmodel.study.text import price
-from nsmodel.view.page import page, written
-from nsmodel.words import shown
+from nsmodel.study.lines import POINT_FAILED, POINT_LEFT_OUT, Line, Point
+from nsmodel.study.text import cost_text
+from nsmodel.view.page import standalone_page, write_page
+from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.study.result import Study
 
-SCRIPTS = ("elements", "axes", "plane", "study")
+STUDY_SCRIPTS = ("elements", "axes", "plane", "study")
 AXES = ("largest relative error", "CPU time of the steps [s]")
 LEGEND = (
     "Cheap and accurate is low and to the left. Dashed: other programs; dotted: one solver alone; pale marks: nearer to the "
     "reference than it is known. Failed runs have no mark: they stand in the table."
 )
-HEAD = ("method", "run", "status", "largest error", "seconds", "set-up", "steps", "residual")
+TABLE_HEADER = ("method", "run", "status", "largest error", "seconds", "set-up", "steps", "residual")
 
 
 def view_study(study: Study, path: str | Path | None = None) -> Path:
     """Write the page of a study, and return its path; see `Study.view`."""
-    return written(page(study.title, document(study), SCRIPTS), path, study.title)
+    return write_page(standalone_page(study.title, study_document(study), STUDY_SCRIPTS), path, study.title)
 
 
-def document(study: Study) -> dict[str, Any]:
+def study_document(study: Study) -> dict[str, Any]:
     """All that the page shows of a study, as plain data."""
     unit = f" {study.time_unit}" if study.time_unit else ""
     facts = {
         "model": [f"{study.model_class}, {study.states} states, until t = {study.t_end:g}{unit}"],
         "reference": [] if study.reference is None else [study.reference.text],
-        "target": [] if study.target is None else [price(study, study.target)],
+        "target": [] if study.target is None else [cost_text(study, study.target)],
         "status": [f"{study.status}, {study.seconds:.3g} s in all"],
         "no point": ["; ".join(line.name for line in study.lines if not _has_points(line))],
         "notes": study.notes,
     }
     return {
         "kind": "study",
-        "title": shown(study.title),
+        "title": escape_invisible(study.title),
         "heading": "Error against run time",
         "axes": AXES,
         "legend": LEGEND,
-        "facts": [[label, [shown(line) for line in lines]] for label, lines in facts.items() if any(lines)],
-        "lines": [_line(line) for line in study.lines if _has_points(line)],
-        "head": HEAD,
-        "rows": [_row(line, point) for line in study.lines for point in line.points if point.status != LEFT_OUT],
-        "text": shown(study.text()),
+        "facts": [[label, [escape_invisible(line) for line in lines]] for label, lines in facts.items() if any(lines)],
+        "lines": [_line_data(line) for line in study.lines if _has_points(line)],
+        "head": TABLE_HEADER,
+        "rows": [_table_row(line, point) for line in study.lines for point in line.points if point.status != POINT_LEFT_OUT],
+        "text": escape_invisible(study.text()),
     }
 
 
@@ -56,21 +56,26 @@ def _has_points(line: Line) -> bool:
     return any(point.drawn for point in line.points)
 
 
-def _line(line: Line) -> dict[str, Any]:
-    gone = {status: sum(point.status == status for point in line.points) for status in (FAILED, LEFT_OUT)}
+def _line_data(line: Line) -> dict[str, Any]:
+    gone = {status: sum(point.status == status for point in line.points) for status in (POINT_FAILED, POINT_LEFT_OUT)}
     aside = ", ".join(f"{count} {status}" for status, count in gone.items() if count)
-    return {"name": shown(line.name), "kind": line.kind, "aside": aside, "points": [_point(point) for point in line.points]}
+    return {
+        "name": escape_invisible(line.name),
+        "kind": line.kind,
+        "aside": aside,
+        "points": [_point_data(point) for point in line.points],
+    }
 
 
-def _point(point: Point) -> dict[str, Any]:
+def _point_data(point: Point) -> dict[str, Any]:
     if not point.drawn:
         return {"drawn": False}
-    words = [shown(point.label), f"error {point.error:.3g}", f"{point.seconds:.3g} s"]
-    return {"drawn": True, "error": point.error, "seconds": point.seconds, "resolved": point.resolved, "words": words}
+    texts = [escape_invisible(point.label), f"error {point.error:.3g}", f"{point.seconds:.3g} s"]
+    return {"drawn": True, "error": point.error, "seconds": point.seconds, "resolved": point.resolved, "words": texts}
 
 
-def _row(line: Line, point: Point) -> list[str]:
+def _table_row(line: Line, point: Point) -> list[str]:
     known = [point.errors.get("max"), point.seconds, point.setup, point.steps, point.residual]
     numbers = ["" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value) for value in known]
     status = f"{point.status}: {point.message}" if point.message else point.status
-    return [shown(line.name), shown(point.label), shown(status), *numbers]
+    return [escape_invisible(line.name), escape_invisible(point.label), escape_invisible(status), *numbers]

@@ -20,8 +20,8 @@ from peers import programs
 import nsmodel
 from nsmodel.codegen.library import compiler
 from nsmodel.simulate import prepare
-from nsmodel.solve.band import AtStep
-from nsmodel.solve.sparse import Sparse
+from nsmodel.solve.band import FactoredJacobian
+from nsmodel.solve.sparse import SparseStepSolver
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "friction_chain.py"
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
@@ -32,10 +32,10 @@ GOALS = {50: 100, 200: 1000}  # times faster than Siconos
 MOST = 10e3  # microseconds a step at the most masses
 EXPONENT = 1.15  # of the growth from 50 masses on
 PARTS = {
-    "right-hand side": ((Sparse, "_constant_part"),),
-    "factors": ((AtStep, "_factored"),),
-    "solutions": ((AtStep, "solve"),),
-    "certificate": ((Sparse, "_judge"), (Sparse, "_residuals")),
+    "right-hand side": ((SparseStepSolver, "_constant_part"),),
+    "factors": ((FactoredJacobian, "_factored"),),
+    "solutions": ((FactoredJacobian, "solve"),),
+    "certificate": ((SparseStepSolver, "_judge"), (SparseStepSolver, "_residuals")),
 }
 
 
@@ -56,7 +56,7 @@ def table() -> str:
         compiled = f"{each[True]:9.1f}" if True in each else f"{'':9}"
         setup = " + ".join(f"{value:.1f}" for value in ready.values())
         lines.append(f"{n:7d} {each[False]:12.1f} {compiled} {beside} {setup:>12} {megabytes(n):8.1f}")
-        if any(line.startswith("sparse matrices") for line in run_of(n, 2).walk.plan.used):
+        if any(line.startswith("sparse matrices") for line in run_of(n, 2).propagator.plan.used):
             parts.append((n, shares(n, min(steps, 100))))
         if peer and n in GOALS:
             lines[-1] += f"   goal {GOALS[n]} times: {'met' if peer / best >= GOALS[n] else 'NOT MET'}"
@@ -90,7 +90,7 @@ def microseconds(n: int, steps: int, compiled: bool) -> tuple[float, float]:
         run = run_of(n, steps, compiled)
         ready = max(ready, time.perf_counter() - start)  # the first one, which builds the library
         run.go()
-        assert run.walk.totals["worst_residual"] <= run.walk.stepper.tolerance
+        assert run.propagator.totals["worst_residual"] <= run.propagator.stepper.tolerance
         times.append(1e6 * run.cpu_seconds / steps)
     return min(times), ready
 
@@ -107,10 +107,10 @@ def megabytes(n: int) -> float:
 def shares(n: int, steps: int) -> dict[str, float]:
     """Microseconds a step of each part."""
     run, spent = run_of(n, steps), defaultdict(float)
-    sparse = run.walk.stepper._sparse
+    sparse = run.propagator.stepper._sparse
     for name, functions in PARTS.items():
         for owner, attribute in functions:
-            for target in [sparse] if owner is Sparse else list(sparse._steps.values()):
+            for target in [sparse] if owner is SparseStepSolver else list(sparse._steps.values()):
                 setattr(target, attribute, timed(getattr(target, attribute), spent, name))
     run.go()
     parts = {name: 1e6 * spent[name] / steps for name in PARTS}

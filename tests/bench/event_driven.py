@@ -32,10 +32,10 @@ from events.smooth import smoothed
 from peers import in_scipy
 
 from nsmodel import UsageError, codegen
-from nsmodel.codegen.library import MATHS, SHARED
+from nsmodel.codegen.library import MATH_LIBRARIES, SHARED_FLAGS
 from nsmodel.codegen.library import compiler as c_compiler
-from nsmodel.codegen.piece_runs import FASTER
-from nsmodel.run.event_driven import problem_of
+from nsmodel.codegen.piece_runs import PIECE_FLAGS
+from nsmodel.run.event_driven import event_driven_problem
 from nsmodel.simulate import prepare
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
@@ -104,7 +104,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         scene = self.scene
-        self.problem = problem_of(scene.model)
+        self.problem = event_driven_problem(scene.model)
         self.t_end = float(scene.model.t_end)
         self.times = np.linspace(0, self.t_end, ROWS)
         self.x0 = np.array([float(v) for v in self.problem.x0.elements()])
@@ -254,8 +254,8 @@ def generated(bench: Bench) -> Path | None:
         text = LOOP.replace("NAME_PIECES", f"{name}_PIECES".upper()).replace("NAME", name)
         text = text.replace("ROWS", str(ROWS)).replace("T_END", repr(bench.t_end))
         (folder / "loop.c").write_text(text)
-        flags = [flag for flag in FASTER if flag not in SHARED]
-        command = [*str(c_compiler()).split(), *flags, "-o", "loop", "loop.c", f"{name}_pieces.c", *MATHS]
+        flags = [flag for flag in PIECE_FLAGS if flag not in SHARED_FLAGS]
+        command = [*str(c_compiler()).split(), *flags, "-o", "loop", "loop.c", f"{name}_pieces.c", *MATH_LIBRARIES]
         if not (folder / f"{name}_pieces.c").exists():
             return None
         subprocess.run(command, cwd=folder, check=True)

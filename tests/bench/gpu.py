@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from lanes import drawn, friction
 
-from nsmodel.codegen.all_values import all_values
-from nsmodel.codegen.batch import Batch
+from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen.batch import StepBatch
 from nsmodel.codegen.source import write_source
-from nsmodel.codegen.structs import CELLS
-from nsmodel.grid import Grid, make_grid
+from nsmodel.codegen.structs import BATCH_CELLS
+from nsmodel.grid import TimeGrid, make_grid
 from nsmodel.model.base import Model
 
 RUNS = 1000 if os.environ.get("NSMODEL_SHORT") else 1_000_000
@@ -65,14 +65,14 @@ extern "C" __global__ void run_each(const step_cells *all, const double *values,
 """
 
 
-def grid_of(model: Model) -> Grid:
+def grid_of(model: Model) -> TimeGrid:
     """The model's own grid."""
     return make_grid(model.bind(dict.fromkeys(model.parameters, 1.0)), None, None, None)
 
 
 def source_of(model: Model) -> tuple[str, dict[str, str]]:
     """CUDA C++ of a model's runs, and the files that it includes."""
-    source = write_source(all_values(model, grid_of(model), 1e-9), "step", "", in_lanes=True)
+    source = write_source(spec_for_all_values(model, grid_of(model), 1e-9), "step", "", in_lanes=True)
     return f"{source.rollout}\n#define WIDTH 64\n{KERNEL}", {"step.c": source.code, "step.h": source.header}
 
 
@@ -95,13 +95,13 @@ def of_one_file(model: Model) -> str:
     return text
 
 
-def on_card(cupy: Any, kernel: Any, values: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def on_card(cupy: Any, kernel: Any, values: np.ndarray, grid: TimeGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(x at the end, status, worst residual) of each run."""
     cells, known = len(values), 1
     given, columns = cupy.asarray(values), cupy.asarray(np.arange(1))
     kept = cupy.full((cells, known + 1, 1), np.nan)
     status, worst = cupy.full(cells, -1, np.int8), cupy.zeros(cells)
-    control = CELLS.in_python()(
+    control = BATCH_CELLS.ctypes_structure()(
         cells=cells, steps=grid.N, every=grid.N, rows=known + 1, first=known, width=1, last=grid.step(grid.N - 1),
         columns=columns.data.ptr, step=-1,
     )  # fmt: skip
@@ -125,7 +125,7 @@ def main() -> None:
     print(f"{RUNS} friction oscillators of {grid.N} steps on a card: {seconds:.2f} s with copies, {RUNS / seconds:.0f} runs/s")
     print(f"  done {int((status == 0).sum())}, worst residual {worst.max():.1e}")
     for words, in_lanes in (("lanes on the processor", True), ("scalar C", False)):
-        found = Batch(model, grid, 1e-9, in_lanes=in_lanes).run(values[:COMPARED], ["x"], grid.N).arrays["x"][:, -1, 0]
+        found = StepBatch(model, grid, 1e-9, in_lanes=in_lanes).run(values[:COMPARED], ["x"], grid.N).arrays["x"][:, -1, 0]
         same = int((found == x[:COMPARED]).sum())
         print(f"  off {words}: {np.abs(found - x[:COMPARED]).max():.1e}, the same bits in {same} of {COMPARED} runs")
 

@@ -41,8 +41,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from nsmodel import simulate  # noqa: E402
-from nsmodel.proof.graph import fold  # noqa: E402
-from nsmodel.run.event_driven import problem_of  # noqa: E402
+from nsmodel.proof.graph import fold_graph  # noqa: E402
+from nsmodel.run.event_driven import event_driven_problem  # noqa: E402
 from tests.search.hidden import KINDS, MOST_SECONDS, RIGHT, SAID, WRONG, Scene, X, first_order, pulse, t  # noqa: E402
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
@@ -103,7 +103,7 @@ SCENES: dict[str, Callable[[random.Random], Scene]] = {
 def task(kind: str, seed: int, rtol: float) -> Task:
     """The scene of a seed."""
     scene = SCENES[kind](random.Random(seed))
-    p = problem_of(scene.model)
+    p = event_driven_problem(scene.model)
     t_end = float(scene.model.t_end)
     return Task(scene, p.t, p.x, p.l, ca.densify(p.rate), ca.densify(p.h), ca.DM(p.x0).full().ravel().tolist(), t_end, rtol)
 
@@ -211,7 +211,7 @@ def by_heyoka(task: Task) -> float:
     }  # fmt: skip
 
     def translated(expr: ca.SX) -> list[Any]:
-        return fold(expr, lambda s: where[s.element_hash()], hy.expression, lambda op, args: algebra[op](*args))
+        return fold_graph(expr, lambda s: where[s.element_hash()], hy.expression, lambda op, args: algebra[op](*args))
 
     events = [hy.t_event(h) for h in translated(task.h)]
     system = list(zip(states, translated(task.rate), strict=True))

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel import FrictionOscillator, LureSystem, complementarity, relay
-from nsmodel.codegen.batch import Batch, Cells
+from nsmodel.codegen.batch import BatchCells, StepBatch
 from nsmodel.codegen.library import compiler
 from nsmodel.grid import make_grid
 from nsmodel.model.base import Model
@@ -122,7 +122,7 @@ def least(job: Callable[[], Any]) -> tuple[float, Any]:
     return min(times), found
 
 
-def line(name: str, seconds: float, scalar: float, found: Cells | None, x: np.ndarray, other: np.ndarray) -> str:
+def line(name: str, seconds: float, scalar: float, found: BatchCells | None, x: np.ndarray, other: np.ndarray) -> str:
     """One way of a scene."""
     worst = f"{found.worst_residual.max():13.1e}" if found is not None else f"{'not known':>13s}"
     difference = np.abs(x[: len(other)] - other).max() / max(1.0, np.abs(other).max())
@@ -135,7 +135,7 @@ def compare(name: str, scene: Scene) -> None:
     grid = make_grid(
         model.bind(dict(zip(model.parameters, values[0].tolist(), strict=True))), None, None, 12e-1 if SHORT else None
     )
-    alone, own = Batch(model, grid, 1e-9, in_lanes=False), Batch(model, grid, 1e-9)
+    alone, own = StepBatch(model, grid, 1e-9, in_lanes=False), StepBatch(model, grid, 1e-9)
     scalar, one_by_one = least(lambda: alone.run(values[:ALONE], ["x"], grid.N))
     scalar, other = scalar / ALONE, one_by_one.arrays["x"][:, -1]
     print(f"{name}, {grid.N} steps    us a run       runs/s    ratio  worst residual  off scalar")

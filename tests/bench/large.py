@@ -44,12 +44,12 @@ def crowd(n: int, place: Path) -> dict[str, float]:
     start = time.perf_counter()
     run = prepare(model, t_end=(jam + steps) * STEP, compiled=True, save_every=jam + steps)
     prepared = time.perf_counter() - start
-    clock, take = Clock(run.walk.step, jam, place, model.bodies.numbers["r"][:, 0], side), run.walk.step
-    run.walk.step = clock
+    clock, take = Clock(run.propagator.step, jam, place, model.bodies.numbers["r"][:, 0], side), run.propagator.step
+    run.propagator.step = clock
     run.go()
     parts = {key: 1e3 * (take.seconds[key] - clock.seconds[key]) / steps for key in clock.seconds}
     total = time.process_time() - clock.start
-    totals = run.walk.totals
+    totals = run.propagator.totals
     return {
         "N": n, "set_up": prepared, "step": 1e3 * total / steps, **parts, "contacts": totals["most_contacts"],
         "overlap": max(0.0, -totals["least_gap"]), "residual": totals["worst_residual"],

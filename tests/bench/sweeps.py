@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 import nsmodel
 from nsmodel import FrictionOscillator, LureSystem, relay
 from nsmodel.codegen import write
-from nsmodel.codegen.library import FLAGS
+from nsmodel.codegen.library import COMPILER_FLAGS
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 N, FEW, PASSES = (200, 5, 1) if SHORT else (10_000, 60, 3)
@@ -110,7 +110,7 @@ def plain_loop(model: object, steps: int, count: int) -> Callable[[], np.ndarray
     folder = Path(tempfile.mkdtemp())
     write(model, folder, name="plain")
     (folder / "loop.c").write_text(PLAIN, encoding="utf-8")
-    flags = [flag for flag in FLAGS if flag != "-lm"]
+    flags = [flag for flag in COMPILER_FLAGS if flag != "-lm"]
     subprocess.run(["cc", *flags, "loop.c", "-o", "loop.so", "-lm"], cwd=folder, check=True)
     library = ctypes.CDLL(str(folder / "loop.so"))
     values, ends = np.ascontiguousarray(SAMPLES["a", "k", "x0"][:count]), np.zeros(count)

@@ -34,7 +34,7 @@ from nsmodel import FirstOrderSystem, LureSystem, Sweep, Trajectory, relay, simu
 from nsmodel.archive import write_npz
 from nsmodel.chunks import ChunkStore
 from nsmodel.errors import NsmodelError, StorageError, UnverifiedWarning
-from nsmodel.manifest import signed
+from nsmodel.manifest import with_checksum
 from nsmodel.storage import dumps, loads
 from nsmodel.stored import read_npz
 from nsmodel.sweep.store import SweepStore
@@ -357,7 +357,7 @@ def manifest_forged(rng: random.Random, path: Path) -> None:
             "C:\\x.npz",
         )
         where[of] = rng.choice((*VALUES, *names))
-    path.write_text(dumps(signed(about)), encoding="utf-8")
+    path.write_text(dumps(with_checksum(about)), encoding="utf-8")
 
 
 # ---------------------------------------------------------------------------------------------- attempts

@@ -253,7 +253,7 @@ def _last_predictor(model: Any, run: Run, t: float, h: float) -> np.ndarray | No
 
     stepper = make_stepper(model, "auto", 1e-9, h=h, state=run.x[-1])
     try:
-        return run.x[-1] + h * stepper._select(t, run.x[-1], np.zeros(stepper._nu))[0]
+        return run.x[-1] + h * stepper._select_velocity(t, run.x[-1], np.zeros(stepper._nu))[0]
     except StepError:
         return None
 

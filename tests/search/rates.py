@@ -23,7 +23,7 @@ from typing import Any
 from tqdm import tqdm
 
 from nsmodel import check
-from nsmodel.hypotheses.findings import ALONG_A_RUN, SAMPLED, UNKNOWN, VERDICTS
+from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, SAMPLED, UNKNOWN, VERDICTS
 
 from .checked import MAKERS, draw, text
 
@@ -43,7 +43,7 @@ def decided(class_name: str, seed: int) -> Row:
         row["findings"] = {
             finding.id: {"verdict": finding.verdict, "how": finding.how}
             for finding in findings
-            if not finding.id.startswith(ALONG_A_RUN)
+            if not finding.id.startswith(RUN_FINDING_PREFIX)
         }
     except Exception as error:  # whatever it is, the others are looked at
         row["crash"] = f"{type(error).__name__}: {error}"

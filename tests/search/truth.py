@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 
 from nsmodel.solve import active_set
 from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.nlp import Programme
+from nsmodel.solve.nlp import NonlinearProgramme
 
 from .digits import CONTEXT, Exact, Rounding, column, exact, floats, solve
 
@@ -497,9 +497,9 @@ class Teller:
             yield by_lemke
         yield np.where(self.lower == 0, -1, 0)
         yield np.zeros(self.m, int)
-        found = Programme(self.problem, NumericLaw(self.lower, self.upper, tuple(("ball", r, a) for r, a in self.balls))).solve(
-            t, h, state, z, zero
-        )
+        found = NonlinearProgramme(
+            self.problem, NumericLaw(self.lower, self.upper, tuple(("ball", r, a) for r, a in self.balls))
+        ).solve(t, h, state, z, zero)
         if found is not None:
             _, l, y = found
             with np.errstate(all="ignore"):
@@ -525,7 +525,7 @@ class Teller:
             found = active_set.lemke(W / unit[:, None] / unit, b / unit, law)
         if found is None or not np.isfinite(found).all():
             return None
-        return active_set.classify(found, W / unit[:, None] / unit @ found + b / unit, law, np.ones(self.m))
+        return active_set.estimate_index_set(found, W / unit[:, None] / unit @ found + b / unit, law, np.ones(self.m))
 
 
 def equilibrate(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

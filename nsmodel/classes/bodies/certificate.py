@@ -6,20 +6,20 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from nsmodel.certificate.data import Subject
-from nsmodel.certificate.hints import Unproved
+from nsmodel.certificate.data import CertificateSubject
+from nsmodel.certificate.hints import UnprovedFinding
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.sweeping import certificate as sweeping
 from nsmodel.hypotheses.findings import Finding
 
-MOST_CONSTRAINTS = 400  # Families of more are not written out.
+MAX_WRITTEN_CONSTRAINTS = 400  # Families of more are not written out.
 STATED = sweeping.STATED
 
 
-def subject(model: ManyBodies, findings: Mapping[str, Finding]) -> Subject:
+def subject(model: ManyBodies, findings: Mapping[str, Finding]) -> CertificateSubject:
     """The sweeping process as data."""
-    if sum(family.count for family in model.constraints.values()) > MOST_CONSTRAINTS:
-        raise Unproved(f"more than {MOST_CONSTRAINTS} constraints of families")
+    if sum(family.count for family in model.constraints.values()) > MAX_WRITTEN_CONSTRAINTS:
+        raise UnprovedFinding(f"more than {MAX_WRITTEN_CONSTRAINTS} constraints of families")
     if not isinstance(model.f, ca.SX):
-        raise Unproved("a velocity that is a function of numbers")
+        raise UnprovedFinding("a velocity that is a function of numbers")
     return sweeping.subject(model.written_out(), findings)

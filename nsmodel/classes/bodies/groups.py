@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import brief
+from nsmodel.brief import short_repr
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import shown
-from nsmodel.pickled import Pickled
-from nsmodel.proof.graph import applied, fold, operations
+from nsmodel.later import former_names
+from nsmodel.model.arguments import describe_argument
+from nsmodel.pickled import Picklable
+from nsmodel.proof.graph import apply_operation, fold_graph, operation_codes
 
-_POLYNOMIAL = {
+_POLYNOMIAL_OPERATIONS = {
     ca.OP_INPUT,
     ca.OP_OUTPUT,
     ca.OP_CONST,
@@ -31,7 +32,7 @@ _POLYNOMIAL = {
 }
 
 
-class Member(Pickled):
+class GroupMember(Picklable):
     """Any one member of a group, in symbols: ``i.q``, ``i.r``, ... are columns of SX, scalars where one number is meant."""
 
     def __init__(self, group: Items, name: str) -> None:
@@ -58,7 +59,7 @@ class Member(Pickled):
         return f"{self.name} with {', '.join(f'{self.name}.{key}' for key in self.group.numbers)}"
 
 
-class Items(Pickled):
+class Items(Picklable):
     """Things that do not move, such as walls: ``Items(a=starts, b=ends)``, each an array of one row (or number) an item.
 
     Attributes:
@@ -69,12 +70,14 @@ class Items(Pickled):
         ModelError: arrays of different lengths, entries that are no finite numbers.
     """
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     def __init__(self, **numbers: Any) -> None:
         if not numbers:
             raise ModelError("Items: no numbers are given; give for example Items(a=starts, b=ends)")
-        self.numbers: Mapping[str, np.ndarray] = MappingProxyType({key: _rows(value, key) for key, value in numbers.items()})
+        self.numbers: Mapping[str, np.ndarray] = MappingProxyType(
+            {key: _checked_rows(value, key) for key, value in numbers.items()}
+        )
         lengths = {key: len(value) for key, value in self.numbers.items()}
         if len(set(lengths.values())) != 1:
             listed = ", ".join(f"{key} has {length}" for key, length in lengths.items())
@@ -86,9 +89,9 @@ class Items(Pickled):
         """The numbers."""
         return self.numbers
 
-    def member(self, name: str) -> Member:
+    def member(self, name: str) -> GroupMember:
         """Any one of them, in symbols that begin with ``name``."""
-        return Member(self, name)
+        return GroupMember(self, name)
 
     @property
     def table(self) -> np.ndarray:
@@ -121,7 +124,7 @@ class Bodies(Items):
 
 
 @dataclass(frozen=True, eq=False)
-class Family(Pickled):
+class Family(Picklable):
     """One constraint g >= 0 for many: ``Family(g, i)``, ``Family(g, i, j)``, ``Family(g, i, w)``.
 
     Attributes:
@@ -133,11 +136,11 @@ class Family(Pickled):
     """
 
     g: Any
-    first: Member
-    second: Member | None = None
+    first: GroupMember
+    second: GroupMember | None = None
     over: Any = None
 
-    __repr__ = brief
+    __repr__ = short_repr
 
     @property
     def of_pairs(self) -> bool:
@@ -145,12 +148,12 @@ class Family(Pickled):
         return self.second is not None and isinstance(self.second.group, Bodies)
 
     @property
-    def members(self) -> tuple[Member, ...]:
+    def members(self) -> tuple[GroupMember, ...]:
         """The one or two of which g speaks."""
         return (self.first,) if self.second is None else (self.first, self.second)
 
     @property
-    def moving(self) -> tuple[Member, ...]:
+    def moving(self) -> tuple[GroupMember, ...]:
         """Those of them that are bodies."""
         return tuple(member for member in self.members if isinstance(member.group, Bodies))
 
@@ -198,45 +201,45 @@ def is_distance(g: Any, q: ca.SX, p: ca.SX) -> bool:
         times = [part[0] for part in parts]
         if op == ca.OP_CALL:
             return other, ca.SX(0)
-        expr = applied(op, [part[1] for part in parts])
+        expr = apply_operation(op, [part[1] for part in parts])
         if all(number == free for number in times):
             return free, expr
-        if op == root and _is_between(parts[0][1], q, p):
+        if op == root and _is_squared_difference(parts[0][1], q, p):
             return 1, expr
         if any(number is None for number in times) or op not in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_ASSIGN):
             return other, expr
         first, *second = [number for number in times if number is not None]
         return (-first if op == ca.OP_NEG else first + (-1 if op == ca.OP_SUB else 1) * sum(second)), expr
 
-    parts = fold(
+    parts = fold_graph(
         ca.SX(g), lambda s: (other if s.element_hash() in states else free, s), lambda value: (free, ca.SX(value)), apply
     )
     return parts[0][0] == 1
 
 
-def _is_between(inside: ca.SX, q: ca.SX, p: ca.SX) -> bool:
+def _is_squared_difference(inside: ca.SX, q: ca.SX, p: ca.SX) -> bool:
     """Whether a root's argument is |q - p|^2, or that of an absolute value q - p or p - q."""
-    if not operations(inside) <= _POLYNOMIAL:
+    if not operation_codes(inside) <= _POLYNOMIAL_OPERATIONS:
         return False
     z, one = ca.vertcat(q, p), q.numel() == 1
     wanted = q - p if one else ca.sumsqr(q - p)
-    if one and not _same_matrix(ca.jacobian(inside, z), ca.jacobian(wanted, z)):
+    if one and not _are_equal_matrices(ca.jacobian(inside, z), ca.jacobian(wanted, z)):
         wanted = p - q
     at_zero = ca.substitute(ca.vertcat(inside, ca.gradient(inside - wanted, z)), z, ca.SX.zeros(2 * q.numel()))
-    return ca.densify(at_zero).is_zero() and _same_matrix(ca.hessian(inside, z)[0], ca.hessian(wanted, z)[0])
+    return ca.densify(at_zero).is_zero() and _are_equal_matrices(ca.hessian(inside, z)[0], ca.hessian(wanted, z)[0])
 
 
-def _same_matrix(a: ca.SX, b: ca.SX) -> bool:
+def _are_equal_matrices(a: ca.SX, b: ca.SX) -> bool:
     """Whether two matrices are numbers, and the same ones."""
     return not ca.symvar(a) and not ca.symvar(b) and bool(np.array_equal(np.array(ca.DM(a)), np.array(ca.DM(b))))
 
 
-def _rows(value: Any, label: str) -> np.ndarray:
+def _checked_rows(value: Any, label: str) -> np.ndarray:
     """One row of numbers for each member (count, k)."""
     try:
         array = np.array(value, float)
     except (TypeError, ValueError):
-        raise ModelError(f"{label}: {shown(value)}; expected numbers, one row for each") from None
+        raise ModelError(f"{label}: {describe_argument(value)}; expected numbers, one row for each") from None
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or not array.size:
         raise ModelError(f"{label}: shape {array.shape}; expected (count,) or (count, k)")
@@ -247,15 +250,15 @@ def _rows(value: Any, label: str) -> np.ndarray:
     return array
 
 
-def times_of_entry(enter: Any, n: int) -> np.ndarray:
+def checked_entry_times(enter: Any, n: int) -> np.ndarray:
     """When each body enters (n,)."""
-    times = _rows(enter, "enter").ravel()
+    times = _checked_rows(enter, "enter").ravel()
     if times.size != n or (times < 0).any():
         raise ModelError(f"enter: {times.size} times, the least {times.min():g}; expected {n} times >= 0, one for each body")
     return times
 
 
-def numbers_of_members(family: Family, label: str) -> np.ndarray:
+def checked_member_numbers(family: Family, label: str) -> np.ndarray:
     """``over`` as whole numbers (P, 2), the second -1 where there is none."""
     over = np.asarray(family.over)
     if family.second is None:
@@ -275,3 +278,6 @@ def numbers_of_members(family: Family, label: str) -> np.ndarray:
     if family.of_pairs and (over[:, 0] == over[:, 1]).any():
         raise ModelError(f"{label}: over pairs a body with itself (number {over[over[:, 0] == over[:, 1]][0, 0]})")
     return over
+
+
+__getattr__ = former_names(__name__, Member="GroupMember")

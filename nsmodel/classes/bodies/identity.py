@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 
 
-def given(model: ManyBodies, grid: Grid) -> list[np.ndarray]:
+def given(model: ManyBodies, grid: TimeGrid) -> list[np.ndarray]:
     """The velocities at the start, where they are a function."""
     return [] if isinstance(model.f, ca.SX) else [np.array(model.f(0.0, model.bodies.q0.copy()), float)]

@@ -10,16 +10,16 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.groups import Bodies, Family, Member, numbers_of_members, times_of_entry
+from nsmodel.classes.bodies.groups import Bodies, Family, GroupMember, checked_entry_times, checked_member_numbers
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import shown
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
 from nsmodel.model.convert import to_sx
-from nsmodel.model.parameters import gathered
+from nsmodel.model.parameters import gather_values
 
-NONE = ca.SX(0, 1)
-WRITTEN_OUT_UP_TO = 20_000  # Constraints that `written_out` puts into one model.
+NO_SYMBOLS = ca.SX(0, 1)
+MAX_WRITTEN_OUT = 20_000  # Constraints that `written_out` puts into one model.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -50,7 +50,7 @@ class ManyBodies(Model):
     scene: Mapping[str, Any] | None = None
 
     q: ca.SX = field(init=False, repr=False)
-    me: Member = field(init=False, repr=False)  # Any one of the bodies, in symbols.
+    me: GroupMember = field(init=False, repr=False)  # Any one of the bodies, in symbols.
 
     paper: ClassVar[str] = SweepingProcess.paper
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
@@ -66,20 +66,22 @@ class ManyBodies(Model):
 
     def _declare(self) -> None:
         if not isinstance(self.bodies, Bodies):
-            raise ModelError(f"bodies: {shown(self.bodies)}; expected Bodies(q0, r=...)")
+            raise ModelError(f"bodies: {describe_argument(self.bodies)}; expected Bodies(q0, r=...)")
         n, d = self.bodies.q0.shape
-        self._settle("q", q=ca.SX.sym("q", n * d))
+        self._declare_symbols("q", q=ca.SX.sym("q", n * d))
         families = {} if self.constraints is None else self.constraints
         if not isinstance(families, Mapping):
             raise ModelError(f"constraints: expected a dictionary {{name: Family(...)}}, not a {type(families).__name__}")
         me = self.bodies.member("i")
         self._set(
             me=me,
-            f=self.f if callable(self.f) and not isinstance(self.f, ca.SX) else self._of_one(self.f, "f", d, me, self.u),
-            constraints=MappingProxyType({str(name): self._family(name, family) for name, family in families.items()}),
-            leave=None if self.leave is None else self._of_one(self.leave, "leave", 1, me),
-            enter=np.zeros(n) if self.enter is None else times_of_entry(self.enter, n),
-            scene=None if self.scene is None else _scene(self.scene, n),
+            f=self.f
+            if callable(self.f) and not isinstance(self.f, ca.SX)
+            else self._body_expressions(self.f, "f", d, me, self.u),
+            constraints=MappingProxyType({str(name): self._checked_family(name, family) for name, family in families.items()}),
+            leave=None if self.leave is None else self._body_expressions(self.leave, "leave", 1, me),
+            enter=np.zeros(n) if self.enter is None else checked_entry_times(self.enter, n),
+            scene=None if self.scene is None else _checked_bodies_scene(self.scene, n),
         )
 
     @property
@@ -106,12 +108,12 @@ class ManyBodies(Model):
         """Whether inputs are in f."""
         return isinstance(self.f, ca.SX) and bool(self.u.numel()) and ca.depends_on(self.f, self.u)
 
-    def _symbols(self, *members: Member, inputs: ca.SX = NONE) -> dict[str, ca.SX]:
+    def _usable_symbols(self, *members: GroupMember, inputs: ca.SX = NO_SYMBOLS) -> dict[str, ca.SX]:
         """{name: symbol} of what an expression of these members may use."""
         known = ca.vertcat(self.t, self.p, inputs, *(member.symbols for member in members))
         return {symbol.name(): symbol for symbol in ca.vertsplit(known)}
 
-    def _of_one(self, value: Any, label: str, size: int, me: Member, inputs: ca.SX = NONE) -> ca.SX:
+    def _body_expressions(self, value: Any, label: str, size: int, me: GroupMember, inputs: ca.SX = NO_SYMBOLS) -> ca.SX:
         """``size`` expressions of the symbols of any one body, written with those of ``me``."""
         value = 0 if value is None else value
         if isinstance(value, list | tuple) and any(isinstance(entry, ca.SX) for entry in value):
@@ -125,35 +127,42 @@ class ManyBodies(Model):
             raise ModelError(f"{label} speaks of several bodies ({', '.join(sorted(prefixes))}); it is a function of one")
         for prefix in prefixes - {me.name}:
             one = {s.name(): s for s in ca.symvar(column)}
-            mine = self._symbols(me)
+            mine = self._usable_symbols(me)
             own = {name: me.name + name[len(prefix) :] for name in one if "." in name}
             unknown = [name for name, wanted in own.items() if wanted not in mine]
             if unknown:
-                raise ModelError(f"{label} depends on '{unknown[0]}', which the bodies do not have; they have {self._has()}")
+                raise ModelError(
+                    f"{label} depends on '{unknown[0]}', which the bodies do not have; they have {self._number_names()}"
+                )
             column = ca.substitute(column, ca.vertcat(*(one[k] for k in own)), ca.vertcat(*(mine[k] for k in own.values())))
-        return to_sx(column, self._symbols(me, inputs=inputs), label)
+        return to_sx(column, self._usable_symbols(me, inputs=inputs), label)
 
-    def _has(self) -> str:
+    def _number_names(self) -> str:
         return ", ".join(self.bodies.numbers)
 
-    def _family(self, name: Any, family: Any) -> Family:
+    def _checked_family(self, name: Any, family: Any) -> Family:
         """The family checked: a scalar g of its members' symbols, numbers of members that exist."""
         label = f"constraint '{name}'"
         if not isinstance(family, Family):
-            raise ModelError(f"{label}: {shown(family)}; expected Family(g, i, j) with members i, j of the bodies or of items")
-        first, second = family.first, family.second
-        if not isinstance(first, Member) or first.group is not self.bodies:
             raise ModelError(
-                f"{label}: the first member, {shown(first)}, is not one of the model's bodies; take bodies.member('i')"
+                f"{label}: {describe_argument(family)}; expected Family(g, i, j) with members i, j of the bodies or of items"
             )
-        if second is not None and (not isinstance(second, Member) or (family.of_pairs and second.group is not self.bodies)):
-            raise ModelError(f"{label}: the second member, {shown(second)}, is neither a body of the model nor one of some Items")
+        first, second = family.first, family.second
+        if not isinstance(first, GroupMember) or first.group is not self.bodies:
+            raise ModelError(
+                f"{label}: the first member, {describe_argument(first)}, is not one of the model's bodies; take "
+                "bodies.member('i')"
+            )
+        if second is not None and (not isinstance(second, GroupMember) or (family.of_pairs and second.group is not self.bodies)):
+            raise ModelError(
+                f"{label}: the second member, {describe_argument(second)}, is neither a body of the model nor one of some Items"
+            )
         if second is not None and second.name == first.name:
             raise ModelError(f"{label}: both members are called '{first.name}'; give them different names")
-        g = ca.densify(to_sx(family.g, self._symbols(*family.members), label))
+        g = ca.densify(to_sx(family.g, self._usable_symbols(*family.members), label))
         if g.numel() != 1:
             raise ModelError(f"{label}: shape {g.shape}; expected one scalar expression")
-        over = None if family.over is None else numbers_of_members(family, label)
+        over = None if family.over is None else checked_member_numbers(family, label)
         return Family(g, first, second, over)
 
     def written_out(self) -> SweepingProcess:
@@ -163,8 +172,8 @@ class ManyBodies(Model):
             ModelError: f is a function, or there are more than WRITTEN_OUT_UP_TO constraints.
         """
         count = sum(family.count for family in self.constraints.values())
-        if count > WRITTEN_OUT_UP_TO:
-            raise ModelError(f"{count} constraints are too many to be written out; at most {WRITTEN_OUT_UP_TO}")
+        if count > MAX_WRITTEN_OUT:
+            raise ModelError(f"{count} constraints are too many to be written out; at most {MAX_WRITTEN_OUT}")
         if not isinstance(self.f, ca.SX):
             raise ModelError("f is a function of numbers; to write the model out it must be an expression")
         n, d = self.bodies.q0.shape
@@ -188,14 +197,16 @@ class ManyBodies(Model):
         u = dict(zip(self.input_names, ca.vertsplit(self.u), strict=True))
         inputs = {ca.vertcat(*(u[one] for one in self.input_groups[name])): signal for name, signal in self.inputs.items()}
         return SweepingProcess(
-            t=self.t, q=self.q, f=f, constraints=rows, q0=self.q0, parameters=gathered(self.parameters, self.vectors),
+            t=self.t, q=self.q, f=f, constraints=rows, q0=self.q0, parameters=gather_values(self.parameters, self.vectors),
             scene=scene, units=units, inputs=inputs, **shared,
         )  # fmt: skip
 
 
-def _scene(scene: Any, n: int) -> dict[str, np.ndarray]:
+def _checked_bodies_scene(scene: Any, n: int) -> dict[str, np.ndarray]:
     if not isinstance(scene, Mapping) or not set(scene) <= {"radii", "walls", "exits", "exit_names"}:
-        raise ModelError(f"scene: {shown(scene)}; expected a dictionary {{'radii': [...], 'walls': [...], 'exits': [...]}}")
+        raise ModelError(
+            f"scene: {describe_argument(scene)}; expected a dictionary {{'radii': [...], 'walls': [...], 'exits': [...]}}"
+        )
     found = {key: np.asarray(value, str if key == "exit_names" else float) for key, value in scene.items()}
     if "radii" in found and found["radii"].shape != (n,):
         raise ModelError(f"scene: radii has shape {found['radii'].shape}; expected ({n},), one for each body")

@@ -12,46 +12,62 @@ import numpy as np
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.record import BodiesRecord
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
-from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
+from nsmodel.contacts import NO_CONTACTS, Contacts, sort_contacts
 from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import Grid
-from nsmodel.hypotheses.quick import warnings_of
-from nsmodel.identity import settings
-from nsmodel.run.in_c import chosen
+from nsmodel.grid import TimeGrid
+from nsmodel.hypotheses.quick import start_warnings
+from nsmodel.identity import run_settings
+from nsmodel.run.in_c import choose_step_backend
 from nsmodel.run.options import Options
-from nsmodel.run.walk import OverGrid, There, check_exact, note_distance_to_exact, overrun, rows_in_memory, runaway
+from nsmodel.run.walk import (
+    GridProgress,
+    ResumedBackend,
+    buffered_row_count,
+    check_exact_function,
+    find_runaway_state,
+    overrun_warnings,
+    update_exact_error,
+)
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.choose import Plan
-from nsmodel.solve.cost import Cost, of_bodies
-from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesStepper, BodiesWarm, explained
-from nsmodel.solve.near import least_gap, near
-from nsmodel.standstill import ROUNDED, WINDOW, Still, arches, autonomous, given_back, held
+from nsmodel.solve.cost import CompilationCost, bodies_cost
+from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepper, BodiesStepResult, BodiesWarmStart, bodies_plan_lines
+from nsmodel.solve.near import least_gap, near_contact_rows
+from nsmodel.standstill import (
+    MOVEMENT_ROUNDING,
+    STANDSTILL_STEPS,
+    StandstillState,
+    find_arches,
+    is_autonomous,
+    is_held_by_contacts,
+    is_state_repeated,
+)
 
 if TYPE_CHECKING:
-    from nsmodel.codegen.bodies_step import CompiledStep
+    from nsmodel.codegen.bodies_step import CompiledBodiesStep
 
-CONTACTS_EACH = 3  # Contacts of a body for which memory is planned.
-OVERRUN = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
+PLANNED_CONTACTS_PER_BODY = 3  # Contacts of a body for which memory is planned.
+OVERRUN_FACTOR = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
 
 
-class OnGrid(OverGrid):
-    """The walk of many bodies over a grid; see `run.walk.Walk`.
+class ManyBodiesPropagator(GridProgress):
+    """The walk of many bodies over a grid; see `run.walk.Propagator`.
 
     It stands at (k, q, waiting, warm): ``q (N, d)`` is NaN where a body is not there, ``waiting (N,)`` who has not yet entered.
     It ends before the grid does where nobody is left, or where nothing will ever change again (see `standstill`).
     ``seconds``: run time of the interpreted steps by what they do.
     """
 
-    def __init__(self, model: ManyBodies, options: Options, grid: Grid, there: There) -> None:
+    def __init__(self, model: ManyBodies, options: Options, grid: TimeGrid, resumed_backend: ResumedBackend) -> None:
         self.model: Any = model
         self.grid, self.N, self.every, self.tolerance = grid, grid.N, options.save_every, options.tolerance
-        check_exact(model)
+        check_exact_function(model)
         for name, signal in model.inputs.items():
             if signal is not None and signal.count is not None:
                 raise UsageError(f"input '{name}': many bodies take no steps(...); give table(t, values)")
         self.problem = BodiesProblem(model)
         self.stepper = BodiesStepper(self.problem, options.solver, self.tolerance)
-        used, left_out = map(tuple, explained(self.problem, options.solver))
+        used, left_out = map(tuple, bodies_plan_lines(self.problem, options.solver))
         plan = Plan("bodies", (), True, "never", True, 0.0, used, left_out)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
@@ -60,25 +76,25 @@ class OnGrid(OverGrid):
             "largest_pressure_body": None, "most_contacts": 0,
         }  # fmt: skip
         self._check_f()
-        steps = chosen(options, plan, there(), grid.N, self._cost, self._build)
-        self.step: BodiesStepper | CompiledStep = self.stepper if steps.steps is None else steps.steps
-        self.plan, self.warnings = steps.plan, [*warnings_of(model, plan), *steps.warnings]
-        self.settings = settings(model, grid, options.solver, self.tolerance, self.every, steps.way)
+        steps = choose_step_backend(options, plan, resumed_backend(), grid.N, self._estimate_cost, self._build_compiled_step)
+        self.step: BodiesStepper | CompiledBodiesStep = self.stepper if steps.steps is None else steps.steps
+        self.plan, self.warnings = steps.plan, [*start_warnings(model, plan), *steps.warnings]
+        self.settings = run_settings(model, grid, options.solver, self.tolerance, self.every, steps.way)
         count, d = model.bodies.q0.shape
-        row = 8 * (count * d + count + 4) + 25 * CONTACTS_EACH * count
-        self.record = BodiesRecord(count, d, rows_in_memory(grid.N, options, row, 1))
-        self.k, self.warm, self.waiting = 0, COLD, model.enter > 0
+        row = 8 * (count * d + count + 4) + 25 * PLANNED_CONTACTS_PER_BODY * count
+        self.record = BodiesRecord(count, d, buffered_row_count(grid.N, options, row, 1))
+        self.k, self.warm, self.waiting = 0, COLD_BODIES_START, model.enter > 0
         self.q = np.where(self.waiting[:, None], np.nan, model.bodies.q0)
-        self.still, self._steady = Still(self.q, 0), autonomous(model)
+        self.still, self._steady = StandstillState(self.q, 0), is_autonomous(model)
         if not options.resume:
-            gap = refuse_start(self.problem, self.q)
-            self._note_gap(gap, 0.0)
+            gap = check_start_gap(self.problem, self.q)
+            self._record_least_gap(gap, 0.0)
             self.record.add(0.0, 0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
 
     @property
-    def ended(self) -> bool:
+    def finished(self) -> bool:
         """Whether the grid has, nobody is left, or nothing will ever change."""
-        return super().ended or "ended" in self.totals
+        return super().finished or "ended" in self.totals
 
     @property
     def runaway(self) -> tuple[str, float] | None:
@@ -88,7 +104,7 @@ class OnGrid(OverGrid):
             present = np.all(np.isfinite(self.q), axis=1)
             after = self.q + self.grid.step(self.k) * self.problem.f(self.grid.time(self.k), self.q, present)
         far = np.nan_to_num([self.q, after], nan=0.0).reshape(2, len(self.q), -1)
-        return runaway([f"q of body {i}" for i in range(len(self.q))], np.abs(far).max(axis=(0, 2)))
+        return find_runaway_state([f"q of body {i}" for i in range(len(self.q))], np.abs(far).max(axis=(0, 2)))
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -98,7 +114,7 @@ class OnGrid(OverGrid):
     def warm_up(self) -> None:
         """Take a step and forget it, and its run time."""
         with contextlib.suppress(StepError):
-            self.step(0.0, self.grid.step(0), np.where(self._present()[:, None], self.q, np.nan), self.warm, 0)
+            self.step(0.0, self.grid.step(0), np.where(self._present_bodies()[:, None], self.q, np.nan), self.warm, 0)
         self.seconds.update(dict.fromkeys(self.seconds, 0.0))
 
     def _check_f(self) -> None:
@@ -108,71 +124,75 @@ class OnGrid(OverGrid):
         except StepError as error:
             raise UsageError(str(error)) from error
 
-    def _build(self) -> Any:
-        from nsmodel.codegen.bodies_step import CompiledStep
+    def _build_compiled_step(self) -> Any:
+        from nsmodel.codegen.bodies_step import CompiledBodiesStep
 
-        return CompiledStep(self.model, self.tolerance)
+        return CompiledBodiesStep(self.model, self.tolerance)
 
-    def _cost(self) -> Cost:
+    def _estimate_cost(self) -> CompilationCost:
         from nsmodel.codegen import bodies_step
 
         model = self.model
-        return of_bodies(self.problem.count, lambda: bodies_step.has_solver(model), lambda: bodies_step.has_own(model))
+        return bodies_cost(
+            self.problem.count, lambda: bodies_step.is_solver_cached(model), lambda: bodies_step.is_model_code_cached(model)
+        )
 
-    def _present(self) -> np.ndarray:
+    def _present_bodies(self) -> np.ndarray:
         """Who takes part in the next step (N,): those that are there and do not leave."""
-        there = np.all(np.isfinite(self.q), axis=1)
-        return there & ~self.problem.leaves(self.grid.time(self.k), self.q, there)
+        present = np.all(np.isfinite(self.q), axis=1)
+        return present & ~self.problem.leaves(self.grid.time(self.k), self.q, present)
 
     def advance(self, steps: int, stop: Sequence[float]) -> None:
         """Go on step by step."""
         for _ in range(steps):
-            if self.ended or stop or self.record.full:
+            if self.finished or stop or self.record.full:
                 return
-            self._one()
+            self._advance_one_step()
 
-    def _one(self) -> None:
+    def _advance_one_step(self) -> None:
         grid = self.grid
         t, h = grid.time(self.k), grid.step(self.k)
-        present = self._present()
-        result = self._take(t, h, np.where(present[:, None], self.q, np.nan))
+        present = self._present_bodies()
+        result = self._compute_step(t, h, np.where(present[:, None], self.q, np.nan))
         left = int(np.all(np.isfinite(self.q), axis=1).sum() - present.sum())
         # From here on nothing fails: the step has happened, or it has not.
-        pressure = self._pressure(result.contacts, present)
+        pressure = self._body_pressures(result.contacts, present)
         q = result.q
-        entering = self._entering(t + h, q) if self.waiting.any() else np.zeros(0, int)
+        entering = self._entering_bodies(t + h, q) if self.waiting.any() else np.zeros(0, int)
         q[entering] = self.model.bodies.q0[entering]
-        self._count(t + h, result, pressure, left, entering)
+        self._update_totals(t + h, result, pressure, left, entering)
         before, self.k, self.q, self.warm = (self.q, self.warm), self.k + 1, q, result.warm
-        self._note_end(before)
-        if self.k % self.every == 0 or self.ended:
-            contacts = in_order(result.contacts)
+        self._detect_end(before)
+        if self.k % self.every == 0 or self.finished:
+            contacts = sort_contacts(result.contacts)
             self.record.add(t, grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
 
-    def _note_end(self, before: tuple[np.ndarray, BodiesWarm]) -> None:
+    def _detect_end(self, before: tuple[np.ndarray, BodiesWarmStart]) -> None:
         """Note that nobody is left, or that nothing will ever change again."""
         self.still = self.still.after(self.k, self.q, self.warm)
         if self.waiting.any():
             return
         if np.isnan(self.q).all():
             self.totals["ended"] = "empty"
-        elif self._steady and (stood := self.k - self.still.since) >= WINDOW:
-            if self.grid.steps is None and given_back(before, (self.q, self.warm)):
+        elif self._steady and (stood := self.k - self.still.since) >= STANDSTILL_STEPS:
+            if self.grid.steps is None and is_state_repeated(before, (self.q, self.warm)):
                 self.totals["ended"] = "given back"
-            elif stood % WINDOW == 0 and held(self.problem, self.grid.time(self.k), before[0], self.q, self.warm.contacts):
+            elif stood % STANDSTILL_STEPS == 0 and is_held_by_contacts(
+                self.problem, self.grid.time(self.k), before[0], self.q, self.warm.contacts
+            ):
                 self.totals["ended"] = "held"
 
-    def _standstill(self) -> dict[str, Any] | None:
+    def _standstill_summary(self) -> dict[str, Any] | None:
         """Since when nobody has moved, and who holds whom; None where somebody moves, or nobody is there."""
-        there = np.all(np.isfinite(self.q), axis=1)
-        if self.k - self.still.since < WINDOW or not there.any():
+        present = np.all(np.isfinite(self.q), axis=1)
+        if self.k - self.still.since < STANDSTILL_STEPS or not present.any():
             return None
         return {
-            "since": self.grid.time(self.still.since), "bodies": int(there.sum()), "for_good": self.totals.get("ended"),
-            "arches": arches(self.problem, self.q, self.warm.contacts),
+            "since": self.grid.time(self.still.since), "bodies": int(present.sum()), "for_good": self.totals.get("ended"),
+            "arches": find_arches(self.problem, self.q, self.warm.contacts),
         }  # fmt: skip
 
-    def _take(self, t: float, h: float, q: np.ndarray) -> BodiesStep:
+    def _compute_step(self, t: float, h: float, q: np.ndarray) -> BodiesStepResult:
         """The step; a compiled one that fails is taken once more interpreted."""
         try:
             return self.step(t, h, q, self.warm, self.k)
@@ -181,7 +201,7 @@ class OnGrid(OverGrid):
                 raise
         return self.stepper(t, h, q, self.warm, self.k)
 
-    def _pressure(self, contacts: Contacts, present: np.ndarray) -> np.ndarray:
+    def _body_pressures(self, contacts: Contacts, present: np.ndarray) -> np.ndarray:
         """The sum of the reactions on each body (N,), NaN where none is there."""
         count = self.problem.count
         pairs = np.array([family.of_pairs for family in self.problem.families], bool)[contacts.family]
@@ -189,14 +209,14 @@ class OnGrid(OverGrid):
         total += np.bincount(contacts.second[pairs], contacts.reaction[pairs], count)
         return np.where(present, total, np.nan)
 
-    def _entering(self, t: float, q: np.ndarray) -> np.ndarray:
+    def _entering_bodies(self, t: float, q: np.ndarray) -> np.ndarray:
         """Who enters at t: those whose time has come and whose start is free, in the order of their numbers."""
         due = self.waiting & (self.model.enter <= t + 1e-9 * self.grid.h)
         if not due.any():
             return np.zeros(0, int)
         placed = np.where(due[:, None], self.model.bodies.q0, q)
-        rows = near(self.problem, t, placed, np.all(np.isfinite(placed), axis=1), 0.0)
-        rows = rows.at(rows.g < -_rounding(rows, placed))
+        rows = near_contact_rows(self.problem, t, placed, np.all(np.isfinite(placed), axis=1), 0.0)
+        rows = rows.at(rows.g < -_gap_rounding(rows, placed))
         both = rows.pair & due[rows.first] & due[rows.other]
         refused = np.zeros(len(due), bool)
         for member in (rows.first[~both], rows.second[~both & rows.pair]):  # by bodies that are there, and by items
@@ -206,9 +226,9 @@ class OnGrid(OverGrid):
                 refused[max(first, second)] = True
         return np.flatnonzero(due & ~refused)
 
-    def _count(self, t: float, result: BodiesStep, pressure: np.ndarray, left: int, entering: np.ndarray) -> None:
+    def _update_totals(self, t: float, result: BodiesStepResult, pressure: np.ndarray, left: int, entering: np.ndarray) -> None:
         """What is known of all steps, whichever rows are kept."""
-        totals, contacts, last = self.totals, in_order(result.contacts), in_order(self.warm.contacts)
+        totals, contacts, last = self.totals, sort_contacts(result.contacts), sort_contacts(self.warm.contacts)
         self.counts[result.solver] += 1
         if result.residual > totals["worst_residual"]:
             totals["worst_residual"], totals["worst_residual_t"] = float(result.residual), t
@@ -222,18 +242,18 @@ class OnGrid(OverGrid):
         if len(contacts.first) and (most := np.nanmax(pressure)) > totals["largest_pressure"]:
             body = int(np.nanargmax(pressure))
             totals |= {"largest_pressure": float(most), "largest_pressure_t": t, "largest_pressure_body": body}
-        self._note_gap(result.gap_min, t, result.q)
+        self._record_least_gap(result.gap_min, t, result.q)
         self.waiting[entering] = False
 
-    def _note_gap(self, gap: float, t: float, q: np.ndarray | None = None) -> None:
+    def _record_least_gap(self, gap: float, t: float, q: np.ndarray | None = None) -> None:
         """Keep the least gap; one below 0 beyond rounding is named: a linearised constraint can be overrun where not convex."""
         totals = self.totals
         if gap < totals["least_gap"]:
             totals["least_gap"], totals["least_gap_t"] = float(gap), t
-        if q is None or gap >= totals.get("overrun", {"gap": 0.0})["gap"] or gap >= -ROUNDED * np.nanmax(np.abs(q)):
+        if q is None or gap >= totals.get("overrun", {"gap": 0.0})["gap"] or gap >= -MOVEMENT_ROUNDING * np.nanmax(np.abs(q)):
             return
-        rows = near(self.problem, t, q, np.all(np.isfinite(q), axis=1), 0.0)
-        over = rows.g + OVERRUN * _rounding(rows, q)
+        rows = near_contact_rows(self.problem, t, q, np.all(np.isfinite(q), axis=1), 0.0)
+        over = rows.g + OVERRUN_FACTOR * _gap_rounding(rows, q)
         if over.size and over.min() < 0:
             i = int(over.argmin())
             name = self.problem.name(int(rows.family[i]), int(rows.first[i]), int(rows.second[i]))
@@ -243,7 +263,7 @@ class OnGrid(OverGrid):
         """Keep the distance to the exact state."""
         if self.record.filled:
             rows = slice(0, self.record.filled)
-            note_distance_to_exact(self.model, self.totals, self.record.t[rows], self.record.x[rows])
+            update_exact_error(self.model, self.totals, self.record.t[rows], self.record.x[rows])
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows in memory as the arrays of a trajectory."""
@@ -252,7 +272,7 @@ class OnGrid(OverGrid):
             arrays |= drive.rows(arrays["t"], self.record.begin[: self.record.filled])
         return arrays
 
-    def standing(self) -> dict[str, Any]:
+    def checkpoint(self) -> dict[str, Any]:
         """What to continue from."""
         contacts = {name: value.tolist() for name, value in self.warm.contacts._asdict().items()}
         return {
@@ -260,46 +280,48 @@ class OnGrid(OverGrid):
             "rows": self.record.first + self.record.filled, "still": {"q": self.still.q.ravel(), "since": self.still.since},
         }  # fmt: skip
 
-    def stand(self, saved: dict[str, Any]) -> None:
+    def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         self.q = np.array(saved["q"], float).reshape(self.q.shape)
         self.waiting = np.isin(np.arange(self.problem.count), saved["waiting"])
         contacts = (np.array(saved["contacts"][name], kind.dtype) for name, kind in NO_CONTACTS._asdict().items())
-        self.warm = BodiesWarm(Contacts(*contacts), saved["moved"])
-        self.still = Still(np.array(saved["still"]["q"], float).reshape(self.q.shape), saved["still"]["since"])
+        self.warm = BodiesWarmStart(Contacts(*contacts), saved["moved"])
+        self.still = StandstillState(np.array(saved["still"]["q"], float).reshape(self.q.shape), saved["still"]["since"])
         self.record.first = saved["rows"]
 
     def metadata(self) -> dict[str, Any]:
         """The families, who is there, who stands still, warnings."""
-        there = np.all(np.isfinite(self.q), axis=1)
+        present = np.all(np.isfinite(self.q), axis=1)
         return {
             "scheme": self.problem.scheme,
             "tolerance": self.tolerance,
             "families": list(self.problem.names),
             "of_pairs": [family.of_pairs for family in self.problem.families],
             "body_numbers": {name: value.tolist() for name, value in self.model.bodies.numbers.items() if name != "q"},
-            "bodies": {"count": self.problem.count, "d": self.problem.d, "there": int(there.sum()),
-                       "waiting": int(self.waiting.sum()), "left": int(self.problem.count - there.sum() - self.waiting.sum()),
+            "bodies": {"count": self.problem.count, "d": self.problem.d, "there": int(present.sum()),
+                       "waiting": int(self.waiting.sum()), "left": int(self.problem.count - present.sum() - self.waiting.sum()),
                        "empty_at": self.grid.time(self.k) if self.totals.get("ended") == "empty" else None,
-                       "standstill": self._standstill()},
-            "warnings": [*self.warnings, *overrun(self.totals)],
+                       "standstill": self._standstill_summary()},
+            "warnings": [*self.warnings, *overrun_warnings(self.totals)],
         }  # fmt: skip
 
 
-def refuse_start(problem: BodiesProblem, q: np.ndarray) -> float:
+def check_start_gap(problem: BodiesProblem, q: np.ndarray) -> float:
     """Refuse a start outside the set; return its least gap. Bodies that enter later have q = NaN.
 
     Raises:
         UsageError: names the constraint, its value, the bodies and where they are.
     """
     present = np.all(np.isfinite(q), axis=1)
-    rows = near(problem, 0.0, q, present, 0.0)
-    bad = np.flatnonzero(~(rows.g >= -_rounding(rows, q)))
+    rows = near_contact_rows(problem, 0.0, q, present, 0.0)
+    bad = np.flatnonzero(~(rows.g >= -_gap_rounding(rows, q)))
     if bad.size:
         i = int(bad[np.argmin(np.nan_to_num(rows.g[bad], nan=-np.inf))])
         first, second, pair = int(rows.first[i]), int(rows.second[i]), bool(rows.pair[i])
         name = problem.name(int(rows.family[i]), first, second)
-        where = f"body {first} at {_short(q[first])}" + (f" and body {second} at {_short(q[second])}" if pair else "")
+        where = f"body {first} at {_format_position(q[first])}" + (
+            f" and body {second} at {_format_position(q[second])}" if pair else ""
+        )
         if not np.isfinite(rows.g[i]):
             raise UsageError(f"constraint '{name}' is not a finite number at the start, {where}: a root or division by 0?")
         raise UsageError(
@@ -309,10 +331,10 @@ def refuse_start(problem: BodiesProblem, q: np.ndarray) -> float:
     return least_gap(problem, 0.0, q, present)
 
 
-def _rounding(rows: ContactRows, q: np.ndarray) -> np.ndarray:
+def _gap_rounding(rows: ContactRows, q: np.ndarray) -> np.ndarray:
     """How far g may be below 0 by the rounding of positions (R,)."""
     return 8 * EPS * rows.size * (np.abs(q[np.isfinite(q)]).max(initial=0.0) + np.abs(rows.g))
 
 
-def _short(values: np.ndarray) -> str:
+def _format_position(values: np.ndarray) -> str:
     return f"({', '.join(f'{v:.6g}' for v in values)})"

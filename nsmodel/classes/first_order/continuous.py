@@ -7,9 +7,9 @@ import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
-from nsmodel.scheme.problem import basic_law
+from nsmodel.scheme.problem import rewrite_as_basic_law
 
-SINGULAR = "M is singular: its rows without x' are equations, which need steps; take method='time-stepping'"
+SINGULAR_MASS = "M is singular: its rows without x' are equations, which need steps; take method='time-stepping'"
 
 
 def continuous_problem(model: FirstOrderSystem) -> ContinuousProblem:
@@ -18,10 +18,12 @@ def continuous_problem(model: FirstOrderSystem) -> ContinuousProblem:
     Raises:
         NotEventDriven: M is singular: a row of it is an algebraic equation.
     """
-    basic = basic_law(model.law, model.multiplier_names, y := ca.SX.sym("y", model.law.size), ca.vertcat(model.t, model.u))
+    basic = rewrite_as_basic_law(
+        model.law, model.multiplier_names, y := ca.SX.sym("y", model.law.size), ca.vertcat(model.t, model.u)
+    )
     g, h = ca.substitute([model.g, model.h], [model.lam], [basic.multipliers]) if model.law.size else (model.g, model.h)
     at_rest = ca.substitute(g, basic.l, ca.SX.zeros(basic.l.numel()))
-    inverse, split = _inverse(model.M), basic.differs
+    inverse, split = _inverse_mass(model.M), basic.differs
     return ContinuousProblem(
         t=model.t, x=model.x, l=basic.l, p=model.p,
         f=inverse @ (model.f + at_rest), g=inverse @ ca.densify(g - at_rest), h=ca.substitute(basic.y, y, h),
@@ -31,14 +33,14 @@ def continuous_problem(model: FirstOrderSystem) -> ContinuousProblem:
     )  # fmt: skip
 
 
-def _inverse(M: ca.SX) -> ca.SX:
+def _inverse_mass(M: ca.SX) -> ca.SX:
     if (M - ca.SX.eye(M.shape[0])).is_zero():
         return ca.SX.eye(M.shape[0])
     if not M.is_constant():
         if ca.sprank(M) < M.shape[0]:
-            raise NotEventDriven(SINGULAR)
+            raise NotEventDriven(SINGULAR_MASS)
         return ca.inv(ca.densify(M))
     numbers = np.array(ca.DM(M))
     if np.linalg.matrix_rank(numbers) < numbers.shape[0]:
-        raise NotEventDriven(SINGULAR)
+        raise NotEventDriven(SINGULAR_MASS)
     return ca.SX(ca.sparsify(ca.DM(np.linalg.inv(numbers))))

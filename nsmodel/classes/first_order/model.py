@@ -10,7 +10,7 @@ import casadi as ca
 
 from nsmodel.errors import ModelError
 from nsmodel.laws import Law
-from nsmodel.model.arguments import shown
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import LEFT_OUT, Model
 from nsmodel.model.convert import Converter
 
@@ -53,11 +53,11 @@ class FirstOrderSystem(Model):
     schemes: ClassVar[tuple[str, ...]] = ("theta-gamma",)
 
     def _declare(self) -> None:
-        c = self._settle("x", x=self.x, lam=self.lam)
+        c = self._declare_symbols("x", x=self.x, lam=self.lam)
         n = len(self.names)
         given = {name: getattr(self, name) is not None for name in ("lam", "h", "g", "law")}
         if any(given.values()) and not all(given.values()):
-            missing = [name for name, there in given.items() if not there]
+            missing = [name for name, is_given in given.items() if not is_given]
             raise ModelError(f"{', '.join(missing)} missing: lam, h, g and law are given together, or none of them")
         law = Law(()) if self.law is None else checked_law(self, c, self.law)
         lam = ca.SX(0, 1) if self.lam is None else self.lam
@@ -66,13 +66,13 @@ class FirstOrderSystem(Model):
             raise ModelError(f"law: it has {law.size} components, but lam = {lam} has {m}; make them equal")
         self._set(
             lam=lam,
-            f=self._vector(c, self.f, "f", n, [self.t, self.x]),
-            h=self._vector(c, [] if self.h is None else self.h, "h", m, [self.t, self.x, lam]) if m else ca.SX(0, 1),
-            g=self._vector(c, 0 if self.g is None else self.g, "g", n, [self.t, self.x, lam]),
-            M=ca.SX.eye(n) if self.M is None else self._matrix(c, self.M, "M", (n, n), f"as there are {n} states"),
+            f=self._read_vector(c, self.f, "f", n, [self.t, self.x]),
+            h=self._read_vector(c, [] if self.h is None else self.h, "h", m, [self.t, self.x, lam]) if m else ca.SX(0, 1),
+            g=self._read_vector(c, 0 if self.g is None else self.g, "g", n, [self.t, self.x, lam]),
+            M=ca.SX.eye(n) if self.M is None else self._read_matrix(c, self.M, "M", (n, n), f"as there are {n} states"),
             law=law,
-            x0=self._numbers(c, self.x0, "x0", n),
-            lam0=self._numbers(c, 0 if self.lam0 is None else self.lam0, "lam0", m) if m else ca.SX(0, 1),
+            x0=self._read_start(c, self.x0, "x0", n),
+            lam0=self._read_start(c, 0 if self.lam0 is None else self.lam0, "lam0", m) if m else ca.SX(0, 1),
             multiplier_names=tuple(str(symbol) for symbol in ca.vertsplit(lam)) if m else (),
         )
         check_weights(self.theta, self.gamma)
@@ -91,11 +91,11 @@ class FirstOrderSystem(Model):
 def checked_law(model: Model, converter: Converter, law: Any, label: str = "law") -> Law:
     """Return ``law`` with its numbers in the symbols of the model's parameters, t and inputs; refuse no law, other symbols."""
     if not isinstance(law, Law):
-        raise ModelError(f"{label}: expected a law such as complementarity(2) or relay(1, -1, 1), not {shown(law)}")
+        raise ModelError(f"{label}: expected a law such as complementarity(2) or relay(1, -1, 1), not {describe_argument(law)}")
 
     def known(name: str, value: ca.SX) -> ca.SX:
         column = converter.convert(value, f"{label}: {name}")
-        model._only(column, f"{label}: {name}", [model.t])
+        model._check_symbols(column, f"{label}: {name}", [model.t])
         return column
 
     return Law(tuple(b.with_numbers(**{name: known(name, value) for name, value in b.numbers.items()}) for b in law.blocks))

@@ -14,10 +14,10 @@ from nsmodel.trajectory import Trajectory
 
 def states(model: FirstOrderSystem, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:
     """(row, h) -> x, and r = g(t, x, l) where gamma < 1."""
-    return with_input(model, model.lam, model.g, run, start)
+    return states_with_input(model, model.lam, model.g, run, start)
 
 
-def with_input(model: Model, l: ca.SX, r: ca.SX, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:
+def states_with_input(model: Model, l: ca.SX, r: ca.SX, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:
     """(row, h) -> x, and r where ``start``, the state at row 0, has it."""
     n = model.state.numel()
     if start.size == n:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import casadi as ca
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.set_valued import constraints, selection
+from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
 from nsmodel.laws import complementarity, product
 from nsmodel.scheme.continuous import ContinuousProblem
 
 
 def continuous_problem(model: MonotoneInclusion) -> ContinuousProblem:
     """Return the model in continuous time; ``v`` is F - S, as in the schemes."""
-    chosen, (c, names) = selection(model), constraints(model)
+    chosen, (c, names) = velocity_selection(model), set_constraints(model)
     n = ca.SX.sym("n", c.numel())
     smooth = ca.substitute(chosen.velocity, chosen.l, ca.SX.zeros(chosen.l.numel()))
     return ContinuousProblem(

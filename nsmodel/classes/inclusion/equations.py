@@ -7,69 +7,69 @@ from collections.abc import Sequence
 import casadi as ca
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.hypotheses.report.formula import Names
+from nsmodel.hypotheses.report.formula import SymbolNames
 from nsmodel.hypotheses.report.typeset import (
-    SHOWN,
-    call,
+    MAX_LISTED_ROWS,
     constraint_lines,
-    names_of,
+    entry_formulas,
+    function_call_latex,
     start_line,
     state_lines,
-    texts,
+    symbol_names,
     vector_lines,
 )
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.proof.graph import column
+from nsmodel.proof.graph import stack_column
 
-JOIN = r",\ "
+LATEX_SEPARATOR = r",\ "
 
 
 def equations(model: MonotoneInclusion) -> list[str]:
     """The model, one formula a line."""
-    names = names_of(model)
+    names = symbol_names(model)
     potential = model.potential_split
     single = potential is None and model.operator.is_zero()
-    bounds = [texts(side, names) for side in (model.lower, model.upper)]
+    bounds = [entry_formulas(side, names) for side in (model.lower, model.upper)]
     box = set(bounds[0]) != {r"-\infty"} or set(bounds[1]) != {r"\infty"}
-    F, jumps = call("F", model.field, model, names, "x"), ca.vertcat(model.operator, model.sign_arguments)
-    Sx = call("S", jumps, model, names, "x")
+    F, jumps = function_call_latex("F", model.field, model, names, "x"), ca.vertcat(model.operator, model.sign_arguments)
+    Sx = function_call_latex("S", jumps, model, names, "x")
     sides_of_C = ca.vertcat(model.lower, model.upper, *model.constraints.values())
-    C = call("C", sides_of_C, model, names) if box or model.constraints else ""
+    C = function_call_latex("C", sides_of_C, model, names) if box or model.constraints else ""
     S, N = ("" if single else f" - {Sx}"), (rf" - N_{{{C}}}(x)" if C else "")
     first = rf"\dot{{x}} \in {F}{S}{N}" if S or N else rf"\dot{{x}} = {F}"
     lines = [first, *state_lines(model), *vector_lines(F, model.field, names)]
     if potential is not None:
-        lines.append(rf"S = \partial\Phi,\quad \Phi(x) = {texts(_potential(potential), names)[0]}")
+        lines.append(rf"S = \partial\Phi,\quad \Phi(x) = {entry_formulas(_joined_potential(potential), names)[0]}")
     elif not single:
-        shown = [rf"\mathrm{{Sgn}}\left({text}\right)" for text in texts(model.sign_arguments, names)]
-        symbols = [str(symbol) for symbol in ca.vertsplit(model.sign_symbols)] if shown else []
-        marked = Names({**names.shown, **dict(zip(symbols, shown, strict=True))}, names.vectors)
+        sign_texts = [rf"\mathrm{{Sgn}}\left({text}\right)" for text in entry_formulas(model.sign_arguments, names)]
+        symbols = [str(symbol) for symbol in ca.vertsplit(model.sign_symbols)] if sign_texts else []
+        marked = SymbolNames({**names.latex, **dict(zip(symbols, sign_texts, strict=True))}, names.vectors)
         lines += vector_lines(Sx, model.operator, marked)
     if N:
-        sides = [_box(*bounds)] if box else []
+        sides = [_box_latex(*bounds)] if box else []
         sides += [r"c_i(x) \geq 0,\ i = 1, \ldots, " + str(len(model.constraint_names))] if model.constraints else []
-        lines.append(rf"{C} = \left\{{ x : {JOIN.join(sides)} \right\}}")
+        lines.append(rf"{C} = \left\{{ x : {LATEX_SEPARATOR.join(sides)} \right\}}")
     return [*lines, *constraint_lines("c", model.constraints, model, names, "x"), start_line("x(0)", model.x0, names)]
 
 
-def _box(lower: Sequence[str], upper: Sequence[str]) -> str:
+def _box_latex(lower: Sequence[str], upper: Sequence[str]) -> str:
     """The conditions lower <= x <= upper, once where all components have the same."""
     pairs = list(zip(lower, upper, strict=True))
     if len(set(pairs)) == 1:
-        return _between(*pairs[0], "x" if len(pairs) == 1 else "x_i")
-    rows = [_between(a, b, f"x_{{{i}}}") for i, (a, b) in enumerate(pairs)]
+        return _bounds_latex(*pairs[0], "x" if len(pairs) == 1 else "x_i")
+    rows = [_bounds_latex(a, b, f"x_{{{i}}}") for i, (a, b) in enumerate(pairs)]
     kept = [row for row in rows if row]
-    return JOIN.join(kept if len(kept) <= SHOWN else [*kept[:SHOWN], r"\ldots"])
+    return LATEX_SEPARATOR.join(kept if len(kept) <= MAX_LISTED_ROWS else [*kept[:MAX_LISTED_ROWS], r"\ldots"])
 
 
-def _between(low: str, high: str, name: str) -> str:
+def _bounds_latex(low: str, high: str, name: str) -> str:
     if low == r"-\infty":
         return rf"{name} \leq {high}" if high != r"\infty" else ""
     return rf"{low} \leq {name} \leq {high}" if high != r"\infty" else rf"{name} \geq {low}"
 
 
-def _potential(split: ConvexSplit) -> ca.SX:
+def _joined_potential(split: ConvexSplit) -> ca.SX:
     """The potential put together again, without the indicators of its domain."""
     shape = {"abs": ca.fabs, "max": lambda u: ca.fmax(u, 0), "norm": ca.norm_2}
     terms = [term.weight * shape[term.kind](term.u) for term in split.terms if term.kind in shape]
-    return split.smooth + ca.sum1(column(terms))
+    return split.smooth + ca.sum1(stack_column(terms))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.grid import Grid
+from nsmodel.grid import TimeGrid
 
 
-def given(model: MonotoneInclusion, grid: Grid) -> list[list[float]]:
+def given(model: MonotoneInclusion, grid: TimeGrid) -> list[list[float]]:
     """The tolerances at the steps of the run, where they are a function."""
     if not callable(model.tolerances):
         return []

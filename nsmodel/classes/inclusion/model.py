@@ -14,10 +14,10 @@ import numpy as np
 from nsmodel.classes.first_order.model import checked_law
 from nsmodel.errors import ModelError
 from nsmodel.laws import Law
-from nsmodel.model.arguments import shown
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
-from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
-from nsmodel.pickled import Pickled
+from nsmodel.model.convex import ConvexSplit, split_convex, split_discontinuities
+from nsmodel.pickled import Picklable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -75,7 +75,7 @@ class MonotoneInclusion(Model):
         return any(part.numel() and ca.depends_on(part, ca.vertcat(self.t, self.u)) for part in parts)
 
     def _declare(self) -> None:
-        c = self._settle("x", x=self.x)
+        c = self._declare_symbols("x", x=self.x)
         n = len(self.names)
         lower, upper = self._bound(c, self.lower, "lower", -np.inf), self._bound(c, self.upper, "upper", np.inf)
         operator, potential, lower, upper = self._operator(c, n, lower, upper)
@@ -90,7 +90,7 @@ class MonotoneInclusion(Model):
                 names += [f"domain {i}"] if rows.numel() == 1 else [f"domain {i}[{j}]" for j in range(rows.numel())]
         smooth, symbols, arguments = split_discontinuities(operator, self.x, "operator")
         self._set(
-            field=self._vector(c, self.field, "field", n, [self.t, self.x]),
+            field=self._read_vector(c, self.field, "field", n, [self.t, self.x]),
             operator=smooth,
             sign_symbols=symbols,
             sign_arguments=arguments,
@@ -99,31 +99,31 @@ class MonotoneInclusion(Model):
             upper=upper,
             constraints=constraints,
             constraint_names=tuple(names),
-            x0=self._numbers(c, self.x0, "x0", n),
+            x0=self._read_start(c, self.x0, "x0", n),
         )
         self._check_tolerances()
 
     def _bound(self, c: Any, value: Any, label: str, default: float) -> ca.SX:
         n = len(self.names)
         column = ca.vec(ca.SX(c.convert(default if value is None else value, label)))
-        return self._vector(c, ca.repmat(column, n, 1) if column.numel() == 1 else column, label, n, [self.t], infinite=True)
+        return self._read_vector(c, ca.repmat(column, n, 1) if column.numel() == 1 else column, label, n, [self.t], infinite=True)
 
     def _operator(self, c: Any, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, ConvexSplit | None, ca.SX, ca.SX]:
         if self.operator is not None and self.phi is not None:
             raise ModelError("operator and phi are both given; keep one")
         if self.phi is not None:
-            potential = split(self._vector(c, self.phi, "phi", 1, [self.x]), self.x, "phi")
+            potential = split_convex(self._read_vector(c, self.phi, "phi", 1, [self.x]), self.x, "phi")
             if potential.tau.numel():
                 raise ModelError("phi: nested nonsmooth terms have no explicit selection; write a sum of fabs, fmax, norm_2")
             if any(term.kind == "equality" for term in potential.terms):
                 raise ModelError("phi: an equality leaves C without interior; eliminate a state instead")
             return ca.SX.zeros(n), potential, lower, upper
         if isinstance(self.operator, Law):
-            return self._from_law(checked_law(self, c, self.operator, "operator"), n, lower, upper)
+            return self._operator_from_law(checked_law(self, c, self.operator, "operator"), n, lower, upper)
         zero = self.operator is None
-        return self._vector(c, 0 if zero else self.operator, "operator", n, [self.t, self.x]), None, lower, upper
+        return self._read_vector(c, 0 if zero else self.operator, "operator", n, [self.t, self.x]), None, lower, upper
 
-    def _from_law(self, law: Law, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, None, ca.SX, ca.SX]:
+    def _operator_from_law(self, law: Law, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, None, ca.SX, ca.SX]:
         """T(x) = {-l : -x ∈ N_[lo, up](l)}: -lo for x > 0, -up for x < 0, between at 0; an infinite end bounds C at 0."""
         if law.size != n or not law.is_box:
             raise ModelError(f"operator: a law of size {n} made of boxes is expected; for other convex potentials use phi=")
@@ -164,7 +164,8 @@ class MonotoneInclusion(Model):
             values = np.zeros(0)
         if values.ndim != 1 or not values.size:
             raise ModelError(
-                f"tolerances: expected a number, a sequence of numbers or a function of the step, not {shown(self.tolerances)}"
+                "tolerances: expected a number, a sequence of numbers or a function of the step, not "
+                f"{describe_argument(self.tolerances)}"
             )
         bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
         if bad.size:
@@ -174,7 +175,7 @@ class MonotoneInclusion(Model):
 
 
 @dataclass(frozen=True, eq=False)
-class Tolerance(Pickled):
+class Tolerance(Picklable):
     """The user's function of the step, its values checked."""
 
     function: Callable[[float], float]

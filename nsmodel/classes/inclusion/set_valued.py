@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.laws import Law, relay
-from nsmodel.model.convex import DOMAIN
+from nsmodel.model.convex import DOMAIN_KINDS
 from nsmodel.scheme.problem import subdifferential
 
 
@@ -24,10 +24,10 @@ class Selection:
     law: Law
 
 
-def selection(model: MonotoneInclusion) -> Selection:
+def velocity_selection(model: MonotoneInclusion) -> Selection:
     """Return F - S with its discontinuities written as multipliers."""
     if model.potential_split is not None:
-        smooth = [term for term in model.potential_split.terms if term.kind not in DOMAIN]
+        smooth = [term for term in model.potential_split.terms if term.kind not in DOMAIN_KINDS]
         part = subdifferential(model.potential_split.with_terms(smooth), model.x, "phi")
         return Selection(part.l, model.field + part.force, -part.force, part.u, part.law)
     m = model.sign_symbols.numel()
@@ -36,7 +36,7 @@ def selection(model: MonotoneInclusion) -> Selection:
     return Selection(l, model.field - S, S, model.sign_arguments, relay(m))
 
 
-def constraints(model: MonotoneInclusion) -> tuple[ca.SX, tuple[str, ...]]:
+def set_constraints(model: MonotoneInclusion) -> tuple[ca.SX, tuple[str, ...]]:
     """C as rows c(t, x) >= 0, the finite bounds first, and their names."""
     rows, names = [ca.SX(0, 1)], []
     for i, name in enumerate(model.names):

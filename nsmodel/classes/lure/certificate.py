@@ -11,65 +11,69 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.certificate import verify
-from nsmodel.certificate.data import Data, Subject, dense, law_data, numbers, program
-from nsmodel.certificate.graph import text
-from nsmodel.certificate.hints import AT_LEAST, Stated, Unproved, cover
+from nsmodel.certificate.data import CertificateSubject, Data, column_text, dense_matrix_text, expression_program, law_data
+from nsmodel.certificate.graph import exact_number_text
+from nsmodel.certificate.hints import ROUND_DOWN, StatedNumber, UnprovedFinding, cover_hint
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.proof import exact, feasibility
 
-STATED = {"4.1": (Stated("least eigenvalue", AT_LEAST, "least"),), "5.2": (Stated("omega"),)}
+STATED = {"4.1": (StatedNumber("least eigenvalue", ROUND_DOWN, "least"),), "5.2": (StatedNumber("omega"),)}
 
 
-def subject(model: LureSystem, findings: Mapping[str, Finding]) -> Subject:
+def subject(model: LureSystem, findings: Mapping[str, Finding]) -> CertificateSubject:
     """The model as data."""
     y = ca.SX.sym("y", 0) if model.law is not None else model.y
     data = {
-        "A": program(model.A, model.x, model.names), "B": dense(model.B), "C": dense(model.C), "D": dense(model.D),
-        "f": program(model.f, model.t, ["t"]), "x0": numbers(model.x0),
+        "A": expression_program(model.A, model.x, model.names), "B": dense_matrix_text(model.B), "C": dense_matrix_text(model.C),
+        "D": dense_matrix_text(model.D), "f": expression_program(model.f, model.t, ["t"]), "x0": column_text(model.x0),
         "law": [] if model.law is None else law_data(model.law),
-        "phi": None if model.law is not None else program(model.phi, y, [f"y_{i}" for i in range(y.numel())]),
+        "phi": None if model.law is not None else expression_program(model.phi, y, [f"y_{i}" for i in range(y.numel())]),
     }  # fmt: skip
-    e = {} if model.e.is_zero() else {"e": numbers(model.e) if model.e.is_constant() else program(model.e, model.t, ["t"])}
-    return Subject(model, data | e)
+    e = (
+        {}
+        if model.e.is_zero()
+        else {"e": column_text(model.e) if model.e.is_constant() else expression_program(model.e, model.t, ["t"])}
+    )
+    return CertificateSubject(model, data | e)
 
 
 def proofs(
     model: LureSystem, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: P, a cover where A is not linear, points in ranges."""
-    return [_hint(model, data, finding)]
+    return [_proof_hint(model, data, finding)]
 
 
-def _hint(model: LureSystem, data: Data, finding: Finding) -> Any:
+def _proof_hint(model: LureSystem, data: Data, finding: Finding) -> Any:
     if finding.id in ("5.1", "5.2"):
         name = "P" if finding.id == "5.1" else "P_omega"
         P = finding.witness.get(f"{name} exactly") or finding.witness.get(name)
         if P is None:
-            raise Unproved("too large a P to write down")
-        P = [[entry if isinstance(entry, str) else text(entry) for entry in row] for row in P]
-        return {"P": P} | cover(model.A, model.x)
-    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _everything(data):
-        return _in_range(
+            raise UnprovedFinding("too large a P to write down")
+        P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
+        return {"P": P} | cover_hint(model.A, model.x)
+    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(data):
+        return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
     return {}
 
 
-def _everything(data: Data) -> bool:
+def _verifier_range_is_whole(data: Data) -> bool:
     with suppress(verify.Undefined):
         return bool(verify.everything(data))
     return False
 
 
-def _refuse_moving_or_curved(model: LureSystem) -> None:
+def _check_constant_boxes(model: LureSystem) -> None:
     if not model.e.is_constant():
-        raise Unproved("an offset e that moves with time")
+        raise UnprovedFinding("an offset e that moves with time")
     if model.law is None or not model.law.is_box:
-        raise Unproved("a law that is no box")
+        raise UnprovedFinding("a law that is no box")
 
 
-def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
+def _point_in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """x, k, y, v with C x + e = D'k + y + S v, k and y inside, of a law of boxes; empty where nothing is asked.
 
     Columns of the homogeneous system: tau > 0, l - low tau > 0 (or high tau - l), where both ends are finite also their sum,
@@ -77,8 +81,8 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """
     m, n = model.D.shape[0], model.x.numel()
     C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
-    _refuse_moving_or_curved(model)
-    low, high = (np.concatenate(ends) for ends in zip(*(block.hull() for block in model.law.blocks), strict=True))
+    _check_constant_boxes(model)
+    low, high = (np.concatenate(ends) for ends in zip(*(block.bounding_box() for block in model.law.blocks), strict=True))
     bounded = np.isfinite(low) & np.isfinite(high)
     S, I = D + D.T, exact.eye(m)
     A = exact.zeros(m + int(bounded.sum()), 1 + 3 * m + m + (n if x is None else 0))
@@ -103,14 +107,14 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     if x is None:
         A[:m, 1 + 4 * m :] = C
     else:
-        A[:m, 0] += exact.product(C, exact.rational(x)[:, None]).ravel()
-    found = feasibility.decide(feasibility.System(A, tuple(positive))).point
+        A[:m, 0] += exact.matrix_product(C, exact.rational(x)[:, None]).ravel()
+    found = feasibility.decide_feasibility(feasibility.ConicSystem(A, tuple(positive))).point
     if found is None:
-        raise Unproved("no point was found")
+        raise UnprovedFinding("no point was found")
     found = found / found[0]
     return {
-        "x": [text(entry) for entry in (found[1 + 4 * m :] if x is None else exact.rational(x))],
-        "k": [text(base + sign * found[1 + i]) for i, (base, sign) in enumerate(k)],
-        "y": [text(k[i][1] * found[1 + 2 * m + i]) for i in range(m)],
-        "v": [text(entry) for entry in found[1 + 3 * m : 1 + 4 * m]],
+        "x": [exact_number_text(entry) for entry in (found[1 + 4 * m :] if x is None else exact.rational(x))],
+        "k": [exact_number_text(base + sign * found[1 + i]) for i, (base, sign) in enumerate(k)],
+        "y": [exact_number_text(k[i][1] * found[1 + 2 * m + i]) for i in range(m)],
+        "v": [exact_number_text(entry) for entry in found[1 + 3 * m : 1 + 4 * m]],
     }

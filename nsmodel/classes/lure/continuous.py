@@ -5,14 +5,14 @@ from __future__ import annotations
 import casadi as ca
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.classes.lure.schemes.theta_gamma import rows_of_law
+from nsmodel.classes.lure.schemes.theta_gamma import law_rows
 from nsmodel.laws import equality, product
 from nsmodel.scheme.continuous import ContinuousProblem
 
 
 def continuous_problem(model: LureSystem) -> ContinuousProblem:
     """Return the model in continuous time; where Phi is given and D is not 0, y = C x + D l(y) + e are rows too, with y free."""
-    law = rows_of_law(model, model.x, model.e)
+    law = law_rows(model, model.x, model.e)
     l, names = ca.vertcat(law.l, law.z), (*law.rows, *(f"y_{i}" for i in range(law.z.numel())))
     r = ca.densify(model.B @ law.multipliers)
     at_rest = ca.substitute(r, l, ca.SX.zeros(l.numel()))

@@ -12,11 +12,11 @@ import casadi as ca
 from nsmodel.classes.first_order.model import check_weights, checked_law
 from nsmodel.errors import ModelError
 from nsmodel.laws import Law, product
-from nsmodel.model.arguments import rows_called, shown
+from nsmodel.model.arguments import describe_argument, numbered_row_names
 from nsmodel.model.base import Model
 from nsmodel.model.convert import Converter
-from nsmodel.model.convex import ConvexSplit, split
-from nsmodel.model.parameters import declared
+from nsmodel.model.convex import ConvexSplit, split_convex
+from nsmodel.model.parameters import declare_parameters
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -62,31 +62,31 @@ class LureSystem(Model):
     schemes: ClassVar[tuple[str, ...]] = ("theta-gamma",)
 
     def _declare(self) -> None:
-        c = self._settle("x", x=ca.SX.sym("x", self._count_states()) if self.x is None else self.x, y=self.y)
+        c = self._declare_symbols("x", x=ca.SX.sym("x", self._count_states()) if self.x is None else self.x, y=self.y)
         n = len(self.names)
         if (self.law is None) == (self.phi is None):
             raise ModelError("law and phi: give exactly one of them (phi with its symbols y=)")
         if self.phi is not None and self.y is None:
             raise ModelError("phi: declare its argument with y=")
-        law, rows = _named_law(self.law)
+        law, rows = _combine_named_laws(self.law)
         law = None if law is None else checked_law(self, c, law)
         m = self.y.numel() if law is None else law.size
         what = f"{m} components of the law" if law is not None else f"{m} symbols of y"
         square = f"a row and a column for each of {what}"
         self._set(
             A=self._rate(c, n),
-            B=self._matrix(c, self.B, "B", (n, m), f"a row for each of {n} states, a column for each of {what}"),
-            C=self._matrix(c, self.C, "C", (m, n), f"a row for each of {what}, a column for each of {n} states"),
-            D=ca.SX(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m), square),
-            f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t]),
-            e=self._vector(c, 0 if self.e is None else self.e, "e", m, [self.t]),
+            B=self._read_matrix(c, self.B, "B", (n, m), f"a row for each of {n} states, a column for each of {what}"),
+            C=self._read_matrix(c, self.C, "C", (m, n), f"a row for each of {what}, a column for each of {n} states"),
+            D=ca.SX(m, m) if self.D is None else self._read_matrix(c, self.D, "D", (m, m), square),
+            f=self._read_vector(c, 0 if self.f is None else self.f, "f", n, [self.t]),
+            e=self._read_vector(c, 0 if self.e is None else self.e, "e", m, [self.t]),
             law=law,
-            x0=self._numbers(c, self.x0, "x0", n),
+            x0=self._read_start(c, self.x0, "x0", n),
             multiplier_names=self._multiplier_names(rows, m),
         )
         if law is None:
-            phi = self._vector(c, self.phi, "phi", 1, [self.y])
-            self._set(phi=phi, phi_split=split(phi, self.y, "phi"))
+            phi = self._read_vector(c, self.phi, "phi", 1, [self.y])
+            self._set(phi=phi, phi_split=split_convex(phi, self.y, "phi"))
         check_weights(self.theta, self.gamma)
 
     def _multiplier_names(self, rows: dict[str, int] | None, m: int) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ class LureSystem(Model):
         for name in rows:
             if name in {"t", *self.names, *self.stems, *self.input_groups}:
                 raise ModelError(f"law: '{name}' is also the name of a state, an input or the time; take another name")
-        return tuple(entry for name, size in rows.items() for entry in rows_called(name, size))
+        return tuple(entry for name, size in rows.items() for entry in numbered_row_names(name, size))
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -113,7 +113,7 @@ class LureSystem(Model):
 
     def _count_states(self) -> int:
         """The number of entries of x0, where no state symbols are given."""
-        c = Converter(declared(self.parameters)[0])
+        c = Converter(declare_parameters(self.parameters)[0])
         x0 = c.convert(self.x0, "x0")
         if not x0.numel() or 1 not in x0.shape:
             raise ModelError(f"x0: shape {x0.shape}; expected a column, one number for each state")
@@ -131,21 +131,23 @@ class LureSystem(Model):
         if ca.depends_on(A, self.x):
             if A.shape == (n, n) and n > 1:
                 raise ModelError(f"A: a matrix {A.shape} with entries of x; write the product with x, as {n} expressions")
-            return self._vector(c, A, "A", n, [self.x])
+            return self._read_vector(c, A, "A", n, [self.x])
         if A.is_zero() and A.numel() == 1:
             return ca.SX.zeros(n)
         states = f"{n} state{'s' if n > 1 else ''} {', '.join(self.names[:3])}{', ...' if n > 3 else ''}"
         why = f"a row and a column for each of {states}; or give {n} expression{'s' if n > 1 else ''} of the state"
-        return ca.densify(ca.mtimes(self._matrix(c, A, "A", (n, n), why), self.x))
+        return ca.densify(ca.mtimes(self._read_matrix(c, A, "A", (n, n), why), self.x))
 
 
-def _named_law(given: Any) -> tuple[Any, dict[str, int] | None]:
+def _combine_named_laws(given: Any) -> tuple[Any, dict[str, int] | None]:
     """The law as one, and {name: number of its rows} where its parts have names."""
     if not isinstance(given, Mapping):
         return given, None
     for name, part in given.items():
         if not isinstance(part, Law) or not isinstance(name, str) or not name:
-            raise ModelError(f"law: {name!r}: {shown(part)}; expected {{name: law}} such as {{'diode': complementarity(1)}}")
+            raise ModelError(
+                f"law: {name!r}: {describe_argument(part)}; expected {{name: law}} such as {{'diode': complementarity(1)}}"
+            )
     if not given:
         raise ModelError("law: an empty dictionary; give {name: law} of each part")
     return product(*given.values()), {name: part.size for name, part in given.items()}

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.classes.units import at, scaled_law
+from nsmodel.classes.units import scaled_law, substitute_pairs
 
 
 def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) -> LureSystem:
@@ -16,12 +16,12 @@ def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) ->
     law = (
         {"law": scaled_law(model.law, u, model.t, tau)}
         if model.law is not None
-        else {"y": model.y, "phi": u**2 * at(model.phi, (model.y, model.y / u))}
+        else {"y": model.y, "phi": u**2 * substitute_pairs(model.phi, (model.y, model.y / u))}
     )
     n = model.x.numel()
     other = LureSystem(
-        x=model.x, x0=u * ca.DM(model.x0), A=ca.SX.zeros(n, n) if model.A.is_zero() else u / tau * at(model.A, x),
-        B=model.B / tau, C=model.C, D=model.D, f=u / tau * at(model.f, t), e=u * at(model.e, t),
+        x=model.x, x0=u * ca.DM(model.x0), A=ca.SX.zeros(n, n) if model.A.is_zero() else u / tau * substitute_pairs(model.A, x),
+        B=model.B / tau, C=model.C, D=model.D, f=u / tau * substitute_pairs(model.f, t), e=u * substitute_pairs(model.e, t),
         theta=model.theta, gamma=model.gamma, **law, **common,
     )  # fmt: skip
     other._set(multiplier_names=model.multiplier_names)

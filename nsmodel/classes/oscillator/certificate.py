@@ -11,31 +11,40 @@ import numpy as np
 from scipy.optimize import minimize
 
 from nsmodel.certificate import verify
-from nsmodel.certificate.data import Data, Subject, dense, numbers, program, steps
-from nsmodel.certificate.graph import text
-from nsmodel.certificate.hints import AT_LEAST, Grown, Stated, Unproved, convexity, inside, nowhere_negative, squares
-from nsmodel.classes.oscillator.hypotheses.check import domain_of
+from nsmodel.certificate.data import CertificateSubject, Data, column_text, dense_matrix_text, expression_program, step_sizes_text
+from nsmodel.certificate.graph import exact_number_text
+from nsmodel.certificate.hints import (
+    ROUND_DOWN,
+    AdaptiveCover,
+    StatedNumber,
+    UnprovedFinding,
+    convexity_hint,
+    gram_matrix_hint,
+    interior_point_hint,
+    nonnegativity_hint,
+)
+from nsmodel.classes.oscillator.hypotheses.check import potential_domain
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.hypotheses.domain import without_domain
+from nsmodel.hypotheses.domain import potential_without_domain
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.proof import exact
 
-STATED = {"O-g": (Stated("lower bound of g", AT_LEAST),), "O-dry": (Stated("radius of A(0)", AT_LEAST),)}
+STATED = {"O-g": (StatedNumber("lower bound of g", ROUND_DOWN),), "O-dry": (StatedNumber("radius of A(0)", ROUND_DOWN),)}
 
 
-def subject(model: FrictionOscillator, findings: Mapping[str, Finding]) -> Subject:
+def subject(model: FrictionOscillator, findings: Mapping[str, Finding]) -> CertificateSubject:
     """The model as data."""
-    domain = domain_of(model)
+    domain = potential_domain(model)
     data = {
-        "theta": [program(element.theta, model.s, ["s"]) for element in model.elements],
-        "H": [dense(ca.SX(element.H)) for element in model.elements],
-        "damping": [] if model.damping is None else dense(model.damping),
-        "g": program(without_domain(model.potential, model.x, "potential"), model.x, model.names),
-        "C": program(ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
-        "x0": numbers(model.x0),
-        "steps": steps(model),
+        "theta": [expression_program(element.theta, model.s, ["s"]) for element in model.elements],
+        "H": [dense_matrix_text(ca.SX(element.H)) for element in model.elements],
+        "damping": [] if model.damping is None else dense_matrix_text(model.damping),
+        "g": expression_program(potential_without_domain(model.potential, model.x, "potential"), model.x, model.names),
+        "C": expression_program(ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
+        "x0": column_text(model.x0),
+        "steps": step_sizes_text(model),
     }
-    return Subject(model, data)
+    return CertificateSubject(model, data)
 
 
 def proofs(
@@ -48,30 +57,30 @@ def proofs(
 ) -> list[Any]:
     """Hints: squares or covers of theta''; of g convexity, and a lower bound in one of two ways."""
     if finding.id == "O-theta":
-        return [{"theta": [_friction(program) for program in data["theta"]]}]
+        return [{"theta": [_friction_hint(program) for program in data["theta"]]}]
     if finding.id != "O-g":
         return [{}]
     atoms, n = verify.Atoms(), list(range(model.x.numel()))
     (p,) = atoms.read(data["g"])
-    hint = inside(model, finding) | convexity(p, n, atoms)
+    hint = interior_point_hint(model, finding) | convexity_hint(p, n, atoms)
     proofs = []
     if "lower bound of g" in value:
-        bound = nowhere_negative(p + verify.constant(-Fraction(value["lower bound of g"])), atoms)
+        bound = nonnegativity_hint(p + verify.constant(-Fraction(value["lower bound of g"])), atoms)
         proofs += [] if bound is None else [hint | {"bound": bound}]
     H = verify.hessian(verify.Poly({m: a for m, a in p.items() if all(v in n for v, _ in m)}), n, atoms)
     least = 0.0 if H is None else float(np.linalg.eigvalsh(exact.doubles(np.array(H, dtype=object)))[0])
-    point, number = _least(model)
+    point, number = _potential_minimum(model)
     if least > 0 and np.isfinite([*point, number]).all():
-        value.setdefault("lower bound of g", text(number - 1e-6 * (1 + abs(number))))
-        proofs.append(hint | {"mu": text(0.99 * least), "least": [text(x) for x in point]})
+        value.setdefault("lower bound of g", exact_number_text(number - 1e-6 * (1 + abs(number))))
+        proofs.append(hint | {"mu": exact_number_text(0.99 * least), "least": [exact_number_text(x) for x in point]})
     if not proofs:
-        raise Unproved("no lower bound of g that is shown by squares or by strong convexity")
+        raise UnprovedFinding("no lower bound of g that is shown by squares or by strong convexity")
     return proofs
 
 
-def _least(model: FrictionOscillator) -> tuple[np.ndarray, float]:
+def _potential_minimum(model: FrictionOscillator) -> tuple[np.ndarray, float]:
     """Where the potential, without its domain, is least, in floating point."""
-    g = without_domain(model.potential, model.x, "potential")
+    g = potential_without_domain(model.potential, model.x, "potential")
     f = ca.Function("g", [model.x], [g, ca.gradient(g, model.x)])
     found = minimize(
         lambda x: (float(f(x)[0]), np.array(f(x)[1]).ravel()), np.array(ca.DM(model.x0)).ravel(), jac=True, tol=1e-12
@@ -79,20 +88,20 @@ def _least(model: FrictionOscillator) -> tuple[np.ndarray, float]:
     return found.x, float(found.fun)
 
 
-def _friction(program: Any) -> dict[str, Any]:
+def _friction_hint(program: Any) -> dict[str, Any]:
     """What shows that one theta is convex: squares of the second derivative of what the rules leave, else a cover."""
     atoms = verify.Atoms()
     (p,), atoms.nonnegative = atoms.read(program), {0}
     rest = verify.leftover(p, atoms)
     polynomial = all(v == 0 for m in rest for v, _ in m)
-    pair = _on_half_line(verify.slope(verify.slope(rest, 0, atoms), 0, atoms)) if polynomial else None
-    return {"slope": Grown()} | ({"cover": Grown()} if pair is None else {"squares": pair})
+    pair = _half_line_squares(verify.slope(verify.slope(rest, 0, atoms), 0, atoms)) if polynomial else None
+    return {"slope": AdaptiveCover()} | ({"cover": AdaptiveCover()} if pair is None else {"squares": pair})
 
 
-def _on_half_line(p: verify.Poly) -> list[Any] | None:
+def _half_line_squares(p: verify.Poly) -> list[Any] | None:
     """Squares a and b with p = a + s b: p(u^2) is a sum of squares in u, whose products of odd powers, by u, are b."""
     doubled = verify.Poly({tuple((v, 2 * n) for v, n in m): a for m, a in p.items()})
-    found = squares(doubled)
+    found = gram_matrix_hint(doubled)
     if found is None:
         return None
     pair = []

@@ -6,13 +6,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
-from nsmodel.classes.oscillator.schemes.inertial_proximal import rest, slope_at_zero
+from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero, smooth_friction
 from nsmodel.laws import ball, complementarity, product
-from nsmodel.model.arguments import rows_called
-from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
-from nsmodel.scheme.problem import at_rest, subdifferential
+from nsmodel.model.arguments import numbered_row_names
+from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven, SlipGrowth
+from nsmodel.scheme.problem import stationary_parts, subdifferential
 
-SOME = 0.7  # A value of parameters like any other.
+SAMPLE_VALUE = 0.7  # A value of parameters like any other.
 
 
 def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
@@ -27,7 +27,7 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
         )
     x, v, driven = model.x, ca.SX.sym("v", model.x.numel()), ca.vertcat(model.t, model.u)
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in model.elements]
-    pushed, growths = _pushed(model, v, driven)
+    pushed, growths = _smooth_force(model, v, driven)
     potential = subdifferential(model.potential_split, x, "potential")
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     n = ca.SX.sym("n", c.numel())
@@ -38,10 +38,10 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
         ca.vertcat(ca.SX(0, 1), *xi, potential.l, n),
         ca.vertcat(ca.SX(0, 1), *(e.H @ v for e in model.elements), potential.u, c),
     )
-    names = tuple(name for e in model.elements for name in rows_called(e.name, e.H.shape[0]))
+    names = tuple(name for e in model.elements for name in numbered_row_names(e.name, e.H.shape[0]))
     rows, g = names + potential.rows + model.constraint_names, ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held))
     balls = (ball(e.H.shape[0], slope_at_zero(e, model.s, driven)) for e in model.elements)
-    own = at_rest(product(*balls, potential.law, complementarity(n.numel())), rows, l, driven, [g, h])
+    own = stationary_parts(product(*balls, potential.law, complementarity(n.numel())), rows, l, driven, [g, h])
     g, h = own.parts
     return ContinuousProblem(
         t=model.t, x=ca.vertcat(x, v), l=own.l, p=model.p,
@@ -53,21 +53,21 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
     )  # fmt: skip
 
 
-def _pushed(model: FrictionOscillator, v: ca.SX, driven: ca.SX) -> tuple[ca.SX, tuple[Growth, ...]]:
+def _smooth_force(model: FrictionOscillator, v: ca.SX, driven: ca.SX) -> tuple[ca.SX, tuple[SlipGrowth, ...]]:
     """What damping and the smooth parts of friction push by, and the factors of the friction where these have no series."""
     pushed = -model.damping @ v if model.damping is not None else ca.SX.zeros(v.numel())
     growths, row = [], 0
     for e in model.elements:
-        growth = _growth(e, model.s, row, driven)
+        growth = _friction_growth(e, model.s, row, driven)
         if growth is None:
-            pushed -= e.H.T @ rest(e, model.s, e.H @ v)
+            pushed -= e.H.T @ smooth_friction(e, model.s, e.H @ v)
         else:
             growths.append(growth)
         row += e.H.shape[0]
     return pushed, tuple(growths)
 
 
-def _growth(element: Friction, s: ca.SX, first: int, driven: ca.SX) -> Growth | None:
+def _friction_growth(element: Friction, s: ca.SX, first: int, driven: ca.SX) -> SlipGrowth | None:
     """theta'(|Hv|)/theta'(0) as a factor of the friction at the threshold; None where the rest of it has a series at Hv = 0.
 
     Raises:
@@ -81,17 +81,17 @@ def _growth(element: Friction, s: ca.SX, first: int, driven: ca.SX) -> Growth | 
         raise NotEventDriven(
             f"friction '{element.name}' moves with time, and theta' is not linear in s: there is no factor of s alone"
         )
-    if element.H.shape[0] == 1 and np.isfinite(_at(ca.substitute(curvature, s, 0))):
+    if element.H.shape[0] == 1 and np.isfinite(_expression_value(ca.substitute(curvature, s, 0))):
         return None
     least = slope_at_zero(element, s)
-    if not _at(least):
+    if not _expression_value(least):
         raise NotEventDriven(
             f"friction '{element.name}': theta'(0) = 0, and theta' is not linear: |Hv| has no series where the motion turns"
         )
-    return Growth(first, s, slope / least)
+    return SlipGrowth(first, s, slope / least)
 
 
-def _at(expression: ca.SX) -> float:
+def _expression_value(expression: ca.SX) -> float:
     """The number that an expression is; of parameters, one that it is at some of them."""
     symbols = ca.veccat(*ca.symvar(expression))
-    return float(ca.substitute(expression, symbols, SOME + 0 * symbols) if symbols.numel() else expression)
+    return float(ca.substitute(expression, symbols, SAMPLE_VALUE + 0 * symbols) if symbols.numel() else expression)

@@ -3,42 +3,42 @@
 from __future__ import annotations
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.hypotheses.report.notation import words
+from nsmodel.hypotheses.report.notation import text_latex
 from nsmodel.hypotheses.report.typeset import (
-    SHOWN,
-    call,
+    MAX_LISTED_ROWS,
     constraint_lines,
+    entry_formulas,
+    function_call_latex,
     matrix_latex,
-    names_of,
     start_line,
     state_lines,
-    texts,
+    symbol_names,
     vector_lines,
 )
 
 
 def equations(model: FrictionOscillator) -> list[str]:
     """The model, one formula a line."""
-    names = names_of(model)
+    names = symbol_names(model)
     damping = r" + M \dot{x}" if model.damping is not None else ""
-    force = call("f", model.force, model, names) if not model.force.is_zero() else ""
+    force = function_call_latex("f", model.force, model, names) if not model.force.is_zero() else ""
     dry = r" + \partial\Phi(\dot{x})" if model.elements else ""
     lines = [
         rf"\ddot{{x}}{dry}{damping} + \partial g(x) \ni {force or 0}",
         *state_lines(model),
-        f"g(x) = {texts(model.potential, names)[0]}",
+        f"g(x) = {entry_formulas(model.potential, names)[0]}",
         *(vector_lines(force, model.force, names) if force else []),
     ]
     plain = len(model.elements) == 1 and model.elements[0].H.is_eye()
     if model.elements:
-        labels = ["" if plain else f"_{{{words(element.name)}}}" for element in model.elements]
-        s = texts(model.s, names)[0]
-        H = [rf"\theta{a}\left(\left\Vert {'' if plain else f'H{a} '}v \right\Vert\right)" for a in labels[:SHOWN]]
-        more = r" + \cdots" if len(labels) > SHOWN else ""
+        labels = ["" if plain else f"_{{{text_latex(element.name)}}}" for element in model.elements]
+        s = entry_formulas(model.s, names)[0]
+        H = [rf"\theta{a}\left(\left\Vert {'' if plain else f'H{a} '}v \right\Vert\right)" for a in labels[:MAX_LISTED_ROWS]]
+        more = r" + \cdots" if len(labels) > MAX_LISTED_ROWS else ""
         lines.append(r"\Phi(v) = " + " + ".join(H) + more)
-        for element, a in list(zip(model.elements, labels, strict=True))[:SHOWN]:
+        for element, a in list(zip(model.elements, labels, strict=True))[:MAX_LISTED_ROWS]:
             matrix = "" if plain else rf",\quad H{a} = {matrix_latex(element.H, names)}"
-            lines.append(rf"\theta{a}({s}) = {texts(element.theta, names)[0]}{matrix}")
+            lines.append(rf"\theta{a}({s}) = {entry_formulas(element.theta, names)[0]}{matrix}")
     if model.damping is not None:
         lines.append(f"M = {matrix_latex(model.damping, names)}")
     if model.constraints:

@@ -6,11 +6,21 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.stress.measures import EQUATION, PROBES, ROUNDING, Misfits, ends, evaluated, known_to, majorant, worst_of
+from nsmodel.stress.measures import (
+    EQUATION_TOLERANCE,
+    EVALUATION_ROUNDING,
+    PROBE_LENGTHS,
+    StepResiduals,
+    evaluate_at_rows,
+    majorant,
+    rounding_allowance,
+    step_ends,
+    worst_ratio,
+)
 from nsmodel.trajectory import Trajectory
 
 
-def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
+def residuals(model: FrictionOscillator, run: Trajectory) -> StepResiduals:
     """v+ minimises J(v) = |v - w|^2/2 + h (Phi(v) + <v, M v>/2 - <v, f>) + g(x + h v), M symmetric, w the last velocity.
 
     f is the force at the end of the step. Of a matrix M the skew part enters as the constant force M v+ that it is at the answer.
@@ -25,12 +35,12 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
     even, odd = (M + M.T) / 2, (M - M.T) / 2
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
 
-    sizes, (t, _, inputs) = majorant(model.potential), (column[first:] for column in ends(run))
-    force = _force(model, run)[first:]
+    sizes, (t, _, inputs) = majorant(model.potential), (column[first:] for column in step_ends(run))
+    force = _end_force(model, run)[first:]
 
     def terms(V_: np.ndarray) -> np.ndarray:
         place = x + h[:, None] * V_
-        friction, g, rows = evaluated([V, model.x, model.t, model.u], [phi, model.potential, c], V_, place, t, inputs)
+        friction, g, rows = evaluate_at_rows([V, model.x, model.t, model.u], [phi, model.potential, c], V_, place, t, inputs)
         friction = np.where((V_ == 0).all(axis=1), 0.0, friction[:, 0, 0]) - at_rest
         linear = h * (
             0.5 * np.einsum("ki,ij,kj->k", V_, even, V_) + np.einsum("ki,ij,kj->k", V_, odd, v) - (V_ * force).sum(axis=1)
@@ -39,32 +49,36 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
         return np.stack([0.5 * ((V_ - w) ** 2).sum(axis=1), h * friction, linear, seen])
 
     still = sum((ca.substitute(e.theta, model.s, 0) for e in model.elements), ca.SX(0))
-    at_rest = evaluated([model.t, model.u], [still], t, inputs)[0][:, 0, 0]
+    at_rest = evaluate_at_rows([model.t, model.u], [still], t, inputs)[0][:, 0, 0]
     J = terms(v)
-    J[3] = evaluated([model.x], [model.potential], x + h[:, None] * v)[0][:, 0, 0]  # constraints may be met up to rounding
+    J[3] = evaluate_at_rows([model.x], [model.potential], x + h[:, None] * v)[0][:, 0, 0]  # constraints may be met up to rounding
     speed = np.maximum(np.linalg.norm(v, axis=1), np.linalg.norm(w, axis=1))[:, None]
-    probes = [np.zeros_like(v), w, *(v + s * size * speed * e for e in np.eye(v.shape[1]) for size in PROBES for s in (1, -1))]
+    probes = [
+        np.zeros_like(v),
+        w,
+        *(v + s * size * speed * e for e in np.eye(v.shape[1]) for size in PROBE_LENGTHS for s in (1, -1)),
+    ]
     worst = 0.0
     for probe in probes:
         other = terms(probe)
         # J is strongly convex: another velocity costs |probe - v|^2/2 more.
         better = J.sum(axis=0) - other.sum(axis=0) + 0.5 * (1 - 1e-6) * ((probe - v) ** 2).sum(axis=1)
         size = np.abs(J).sum(axis=0) + np.where(np.isfinite(other), np.abs(other), 0).sum(axis=0)
-        inside = known_to(*(evaluated([model.x], [sizes], x + h[:, None] * V_)[0] for V_ in (v, probe)))[:, 0]
-        worst = max(worst, worst_of(np.maximum(better, 0), ROUNDING * size + inside))
+        inside = rounding_allowance(*(evaluate_at_rows([model.x], [sizes], x + h[:, None] * V_)[0] for V_ in (v, probe)))[:, 0]
+        worst = max(worst, worst_ratio(np.maximum(better, 0), EVALUATION_ROUNDING * size + inside))
     moved = np.abs(run.x[first + 1 :] - x - h[:, None] * v)
-    place = EQUATION * h[:, None] * np.abs(v) + ROUNDING * (np.abs(x) + np.abs(run.x[first + 1 :]))
-    return {"equation": worst_of(moved, place), "minimum": worst}
+    place = EQUATION_TOLERANCE * h[:, None] * np.abs(v) + EVALUATION_ROUNDING * (np.abs(x) + np.abs(run.x[first + 1 :]))
+    return {"equation": worst_ratio(moved, place), "minimum": worst}
 
 
 def acting(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
     """|x+ - x| and h^2 (|grad g| + |f|)."""
     h, moved = run.step[1:, None], np.abs(run.x[1:] - run.x[:-1])
-    (force,) = evaluated([model.x], [ca.gradient(model.potential, model.x)], run.x[1:])
-    return moved + h**2 * (np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0) + np.abs(_force(model, run)))
+    (force,) = evaluate_at_rows([model.x], [ca.gradient(model.potential, model.x)], run.x[1:])
+    return moved + h**2 * (np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0) + np.abs(_end_force(model, run)))
 
 
-def _force(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
+def _end_force(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
     """The force at the end of each step (N, n)."""
-    t, _, u = ends(run)
-    return evaluated([model.t, model.u], [model.force], t, u)[0][:, :, 0]
+    t, _, u = step_ends(run)
+    return evaluate_at_rows([model.t, model.u], [model.force], t, u)[0][:, :, 0]

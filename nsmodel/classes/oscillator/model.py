@@ -9,11 +9,11 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.laws import Words
-from nsmodel.model.arguments import shown
+from nsmodel.laws import StateNames
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
-from nsmodel.model.convex import ConvexSplit, split
-from nsmodel.model.expressions import refuse_infinite
+from nsmodel.model.convex import ConvexSplit, split_convex
+from nsmodel.model.expressions import check_finite
 
 
 class Friction(NamedTuple):
@@ -63,7 +63,7 @@ class FrictionOscillator(Model):
     schemes: ClassVar[tuple[str, ...]] = ("inertial proximal",)
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
     second_order: ClassVar[bool] = True
-    words: ClassVar[Mapping[str, tuple[str, Words]]] = {
+    law_descriptions: ClassVar[Mapping[str, tuple[str, StateNames]]] = {
         "relay": ("friction", {-1: ("lower", "slip (y > 0)"), 0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (y < 0)")}),
         "ball": ("isotropic friction", {0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (l on the sphere)")}),
     }
@@ -73,37 +73,37 @@ class FrictionOscillator(Model):
     )
 
     def _declare(self) -> None:
-        c = self._settle("x", x=self.x, s=self.s)
+        c = self._declare_symbols("x", x=self.x, s=self.s)
         n = len(self.names)
         if self.v0 is not None and self.x1 is not None:
             raise ModelError("v0 and x1 are both given; keep v0 (a velocity) or x1 (the second position)")
-        potential = self._vector(c, self.potential, "potential", 1, [self.x])
+        potential = self._read_vector(c, self.potential, "potential", 1, [self.x])
         constraints, names = self._named_constraints(c, self.constraints, [self.x])
         damping = self.damping
         if damping is not None:
-            damping = self._matrix(c, damping, "damping", (n, n), f"as there are {n} states")
-        force = self._vector(c, 0 if self.force is None else self.force, "force", n, [self.t])
+            damping = self._read_matrix(c, damping, "damping", (n, n), f"as there are {n} states")
+        force = self._read_vector(c, 0 if self.force is None else self.force, "force", n, [self.t])
         if not force.is_zero() and not ca.depends_on(force, ca.vertcat(self.t, self.u)):
             potential, force = potential - ca.dot(force, self.x), ca.SX.zeros(n)
         self._set(
             potential=potential,
             force=force,
-            potential_split=split(potential, self.x, "potential"),
+            potential_split=split_convex(potential, self.x, "potential"),
             elements=tuple(self._elements(c, n)),
             damping=damping,
             constraints=constraints,
             constraint_names=tuple(names),
-            x0=self._numbers(c, self.x0, "x0", n),
-            v0=None if self.x1 is not None else self._numbers(c, 0 if self.v0 is None else self.v0, "v0", n),
-            x1=None if self.x1 is None else self._numbers(c, self.x1, "x1", n),
+            x0=self._read_start(c, self.x0, "x0", n),
+            v0=None if self.x1 is not None else self._read_start(c, 0 if self.v0 is None else self.v0, "v0", n),
+            x1=None if self.x1 is None else self._read_start(c, self.x1, "x1", n),
         )
 
     @property
     def is_forced(self) -> bool:
         """Whether a force or a friction that moves with time acts: the theorems are about oscillators left to themselves."""
-        return not self.force.is_zero() or any(self.rubs_anew(element) for element in self.elements)
+        return not self.force.is_zero() or any(self.is_friction_moving(element) for element in self.elements)
 
-    def rubs_anew(self, element: Friction) -> bool:
+    def is_friction_moving(self, element: Friction) -> bool:
         """Whether a friction element moves with time."""
         return ca.depends_on(element.theta, ca.vertcat(self.t, self.u))
 
@@ -132,14 +132,14 @@ class FrictionOscillator(Model):
         for name, item in given.items():
             label = f"friction '{name}'"
             if not isinstance(item, tuple | list) or len(item) != 2:
-                raise ModelError(f"{label}: expected a pair (H, theta), H with {n} columns, not {shown(item)}")
+                raise ModelError(f"{label}: expected a pair (H, theta), H with {n} columns, not {describe_argument(item)}")
             H = ca.densify(ca.SX(c.convert(item[0], f"{label} H")))
             H = H.T if H.shape[1] == 1 and n != 1 else H
             if H.shape[1] != n or H.shape[0] == 0:
                 raise ModelError(f"{label}: H has shape {H.shape}; expected (m, {n}), one column for each state")
-            self._only(H, f"{label} H", [])
-            refuse_infinite(H, f"{label} H")
-            theta = self._vector(c, item[1], f"{label} theta", 1, [self.s, self.t])
+            self._check_symbols(H, f"{label} H", [])
+            check_finite(H, f"{label} H")
+            theta = self._read_vector(c, item[1], f"{label} theta", 1, [self.s, self.t])
             if not ca.depends_on(theta, self.s):
                 raise ModelError(f"{label}: theta = {theta} does not depend on s = {self.s}; for Coulomb friction write mu*s")
             elements.append(Friction(str(name), H, theta))

@@ -7,56 +7,58 @@ import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.stress.measures import (
-    EQUATION,
-    LAW,
-    PROJECTION,
-    ROUNDING,
-    Misfits,
-    apply,
-    begins,
-    ends,
-    evaluated,
-    known_to,
+    EQUATION_TOLERANCE,
+    EVALUATION_ROUNDING,
+    LAW_TOLERANCE,
+    PROJECTION_TOLERANCE,
+    StepResiduals,
+    apply_matrices,
+    evaluate_at_rows,
     majorant,
-    worst_of,
+    rounding_allowance,
+    step_begins,
+    step_ends,
+    worst_ratio,
 )
 from nsmodel.trajectory import Trajectory
 
 
-def misfits(model: SweepingProcess, run: Trajectory) -> Misfits:
+def residuals(model: SweepingProcess, run: Trajectory) -> StepResiduals:
     """q+ = P_Qt(q + h f): q+ - q - h f = G'm with m >= 0, q+ in Qt; the distance to the projection is sqrt(<m, y>) at most."""
-    here, new, h, m = begins(run), run.x[1:], run.step[1:, None], run.multipliers[1:]
-    (t, q, _), (*_, u_end), symbols = here, ends(run), [model.t, model.q, model.u]
-    f = _mean(model, run) if model.mean_forcing else evaluated(symbols, [model.f], *here)[0][:, :, 0]
-    asked = [model.g, ca.jacobian(model.g, model.q), majorant(model.g)]
-    g, G, size_g = evaluated(symbols, asked, t + h[:, 0], q, u_end)
+    here, new, h, m = step_begins(run), run.x[1:], run.step[1:, None], run.multipliers[1:]
+    (t, q, _), (*_, u_end), symbols = here, step_ends(run), [model.t, model.q, model.u]
+    f = _mean_velocity_of_steps(model, run) if model.mean_forcing else evaluate_at_rows(symbols, [model.f], *here)[0][:, :, 0]
+    requested = [model.g, ca.jacobian(model.g, model.q), majorant(model.g)]
+    g, G, size_g = evaluate_at_rows(symbols, requested, t + h[:, 0], q, u_end)
     g, moved = g[:, :, 0], new - q
     push = np.einsum("kij,ki->kj", G, m)
     size = np.abs(moved) + h * np.abs(f) + np.einsum("kij,ki->kj", np.abs(G), np.abs(m))
-    place = ROUNDING * (np.abs(q) + np.abs(new)) + h * known_to(*evaluated(symbols, [majorant(model.f)], *here))
-    y = g + apply(G, moved)
-    unseen = known_to(size_g) + ROUNDING * apply(np.abs(G), np.abs(q) + np.abs(new) + size)
+    place = EVALUATION_ROUNDING * (np.abs(q) + np.abs(new)) + h * rounding_allowance(
+        *evaluate_at_rows(symbols, [majorant(model.f)], *here)
+    )
+    y = g + apply_matrices(G, moved)
+    unseen = rounding_allowance(size_g) + EVALUATION_ROUNDING * apply_matrices(np.abs(G), np.abs(q) + np.abs(new) + size)
     reach = np.linalg.norm(moved, axis=1) + h[:, 0] * np.linalg.norm(f, axis=1)
     gap = (np.maximum(m, 0) * np.maximum(y, 0)).sum(axis=1)
     return {
-        "equation": worst_of(np.abs(moved - h * f - push), EQUATION * size + place),
-        "no pull": worst_of(np.maximum(-m, 0), LAW * np.abs(m).max(axis=1, initial=0.0)[:, None]),
-        "no overlap": worst_of(np.maximum(-y, 0), LAW * apply(np.abs(G), size) + unseen),
-        "projection": worst_of(gap, (PROJECTION * reach) ** 2 + (np.abs(m) * unseen).sum(axis=1)),
+        "equation": worst_ratio(np.abs(moved - h * f - push), EQUATION_TOLERANCE * size + place),
+        "no pull": worst_ratio(np.maximum(-m, 0), LAW_TOLERANCE * np.abs(m).max(axis=1, initial=0.0)[:, None]),
+        "no overlap": worst_ratio(np.maximum(-y, 0), LAW_TOLERANCE * apply_matrices(np.abs(G), size) + unseen),
+        "projection": worst_ratio(gap, (PROJECTION_TOLERANCE * reach) ** 2 + (np.abs(m) * unseen).sum(axis=1)),
     }
 
 
 def acting(model: SweepingProcess, run: Trajectory) -> np.ndarray:
     """|q+ - q|, h |f| and |G'm|."""
     h, moved = run.step[1:, None], np.abs(run.x[1:] - run.x[:-1])
-    f, G = evaluated([model.t, model.q, model.u], [model.f, ca.jacobian(model.g, model.q)], *begins(run))
+    f, G = evaluate_at_rows([model.t, model.q, model.u], [model.f, ca.jacobian(model.g, model.q)], *step_begins(run))
     return moved + h * np.abs(f[:, :, 0]) + np.einsum("kij,ki->kj", np.abs(G), np.abs(run.multipliers[1:]))
 
 
-def _mean(model: SweepingProcess, run: Trajectory) -> np.ndarray:
+def _mean_velocity_of_steps(model: SweepingProcess, run: Trajectory) -> np.ndarray:
     """Of f over each step, its inputs on straight lines."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    (t, q, u), (*_, u_end), h = begins(run), ends(run), run.step[1:]
+    (t, q, u), (*_, u_end), h = step_begins(run), step_ends(run), run.step[1:]
     places = ((t + h * part, q, u + part * (u_end - u)) for part in (1 + nodes) / 2)
-    values = [evaluated([model.t, model.q, model.u], [model.f], *place)[0][:, :, 0] for place in places]
+    values = [evaluate_at_rows([model.t, model.q, model.u], [model.f], *place)[0][:, :, 0] for place in places]
     return np.einsum("i,ikj->kj", weights / 2, values)

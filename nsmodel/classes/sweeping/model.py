@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import shown
+from nsmodel.model.arguments import describe_argument
 from nsmodel.model.base import Model
 
 
@@ -45,17 +45,17 @@ class SweepingProcess(Model):
     gaps: ClassVar[bool] = True
 
     def _declare(self) -> None:
-        c = self._settle("q", q=self.q)
+        c = self._declare_symbols("q", q=self.q)
         n = len(self.names)
         if not isinstance(self.mean_forcing, bool):
             raise ModelError(f"mean_forcing = {self.mean_forcing!r}; expected True or False")
         constraints, names = self._named_constraints(c, self.constraints, [self.t, self.q])
         self._set(
-            f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t, self.q]),
+            f=self._read_vector(c, 0 if self.f is None else self.f, "f", n, [self.t, self.q]),
             constraints=constraints,
             multiplier_names=tuple(names),
-            q0=self._numbers(c, self.q0, "q0", n),
-            scene=None if self.scene is None else _scene(self.scene, n),
+            q0=self._read_start(c, self.q0, "q0", n),
+            scene=None if self.scene is None else _checked_scene(self.scene, n),
         )
 
     @property
@@ -69,9 +69,9 @@ class SweepingProcess(Model):
         return ca.vertcat(ca.SX(0, 1), *self.constraints.values())
 
 
-def _scene(scene: Any, n: int) -> dict[str, np.ndarray]:
+def _checked_scene(scene: Any, n: int) -> dict[str, np.ndarray]:
     if not isinstance(scene, Mapping) or not set(scene) <= {"radii", "walls"}:
-        raise ModelError(f"scene: {shown(scene)}; expected a dictionary {{'radii': [...], 'walls': [...]}}")
+        raise ModelError(f"scene: {describe_argument(scene)}; expected a dictionary {{'radii': [...], 'walls': [...]}}")
     try:
         radii = np.asarray(scene.get("radii", []), float).ravel()
         walls = np.asarray(scene.get("walls", np.zeros((0, 2, 2))), float)

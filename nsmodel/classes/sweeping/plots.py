@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel import dense
 from nsmodel.errors import PlotError
 from nsmodel.plot import plane, style
-from nsmodel.plot.scene import discs
+from nsmodel.plot.scene import draw_discs
 from nsmodel.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -36,14 +36,14 @@ def configuration(run: Trajectory, model: Any, row: int, ax: Axes | None) -> Axe
         raise PlotError("the forbidden set is drawn from the constraints: give the model as well")
     row %= rows
     if scene:
-        return discs(style.axes(ax, 7, 6.5), run, scene, row)
+        return draw_discs(style.get_axes(ax, 7, 6.5), run, scene, row)
     least, moving = gap(model, run)
     if n == 1:
-        return plane.half_plane(style.axes(ax, 8, 5), run, least, row)
-    return plane.whole_plane(style.axes(ax, 7, 6.5), run, least, row, moving=moving)
+        return plane.draw_time_plane(style.get_axes(ax, 8, 5), run, least, row)
+    return plane.draw_state_plane(style.get_axes(ax, 7, 6.5), run, least, row, moving=moving)
 
 
-def gap(model: Any, run: Trajectory) -> tuple[plane.Gap, bool]:
+def gap(model: Any, run: Trajectory) -> tuple[plane.GapFunction, bool]:
     """min_i g_i(t, q, u(t)) on many points at once, negative where q is forbidden; and whether it moves with t."""
     n, stack = run.x.shape[1], ca.vertcat(ca.SX.inf(1), *model.constraints.values())
     if model.q.numel() != n:

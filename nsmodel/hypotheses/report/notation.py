@@ -11,8 +11,10 @@ from math import inf, isfinite, isnan, pi, sqrt
 
 import casadi as ca
 
-DIGITS = 6  # Of longer decimals, with dots behind.
-RELATION, SUM, PRODUCT, POWER, ATOM = range(5)  # How tightly the outermost operation of a piece binds.
+DECIMAL_DIGITS = 6  # Of longer decimals, with dots behind.
+RELATION_LEVEL, SUM_LEVEL, PRODUCT_LEVEL, POWER_LEVEL, ATOM_LEVEL = range(
+    5
+)  # How tightly the outermost operation of a piece binds.
 _GREEK = set(
     "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi omega "
     "Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega".split()
@@ -38,12 +40,12 @@ class FormulaPart:
 
     def at(self, level: int) -> str:
         """The formula, in brackets unless it binds at least as tightly as ``level``."""
-        bare = self.level >= level and not (self.negative and level > SUM)
+        bare = self.level >= level and not (self.negative and level > SUM_LEVEL)
         return self.text if bare else bracketed(self.text)
 
     def factor(self) -> str:
         """The body as a factor of a product, where the sign is pulled out."""
-        return self.body if self.level >= PRODUCT else bracketed(self.body)
+        return self.body if self.level >= PRODUCT_LEVEL else bracketed(self.body)
 
 
 def bracketed(text: str) -> str:
@@ -51,7 +53,7 @@ def bracketed(text: str) -> str:
     return rf"\left({text}\right)"
 
 
-def listed(entries: Sequence[str]) -> str:
+def vector_latex(entries: Sequence[str]) -> str:
     """A vector: its one entry, or the entries in brackets; long ones abbreviated."""
     if len(entries) == 1:
         return entries[0]
@@ -67,49 +69,49 @@ def symbol_latex(name: str) -> str:
     stem, _, rest = name.partition("_")
     digits = re.fullmatch(r"([A-Za-z]+)(\d+)", stem)
     subscripts = ([digits[2]] if digits else []) + [part for part in rest.split("_") if part]
-    base = _word(digits[1] if digits else stem or name, italic=True)
-    return base + (f"_{{{','.join(_word(part, italic=False) for part in subscripts)}}}" if subscripts else "")
+    base = _word_latex(digits[1] if digits else stem or name, italic=True)
+    return base + (f"_{{{','.join(_word_latex(part, italic=False) for part in subscripts)}}}" if subscripts else "")
 
 
-def words(text: str) -> str:
+def text_latex(text: str) -> str:
     """Free text (the name of a constraint) inside a formula."""
     special = {"\\": r"\backslash ", "{": r"\{", "}": r"\}", "_": r"\_", "%": r"\%", "#": r"\#", "&": r"\&", "$": r"\$"}
     return rf"\text{{{''.join(special.get(letter, letter) for letter in text)}}}"
 
 
-def decimal(value: float) -> str:
+def number_latex(value: float) -> str:
     r"""A number as the user wrote it; long decimals end in dots, exact doubles of sqrt(2), pi, 1/3 ... are named.
 
-    >>> print(decimal(0.1), decimal(2.5e-7), decimal(2 / 3), decimal(0.12345678))
+    >>> print(number_latex(0.1), number_latex(2.5e-7), number_latex(2 / 3), number_latex(0.12345678))
     0.1 2.5\cdot 10^{-7} \frac{2}{3} 0.123456\ldots
     """
-    return number_piece(value).text
+    return number_formula(value).text
 
 
-def number_piece(value: float) -> FormulaPart:
-    """A constant as a piece of a formula; see :func:`decimal`."""
+def number_formula(value: float) -> FormulaPart:
+    """A constant as a piece of a formula; see :func:`number_latex`."""
     negative, size = value < 0, abs(float(value))
     if isfinite(size) and len(f"{float(f'{size:.13g}')!r}") <= 10:
         size = float(f"{size:.13g}")  # 3.9000000000000004 was meant to be 3.9.
     if isnan(value):
-        return FormulaPart(r"\mathrm{nan}", ATOM)
+        return FormulaPart(r"\mathrm{nan}", ATOM_LEVEL)
     if size == inf:
-        return FormulaPart(r"\infty", ATOM, negative)
+        return FormulaPart(r"\infty", ATOM_LEVEL, negative)
     known = named_constant(size)
     if known is not None:
         ratio, root = known
         head = "" if ratio.numerator == 1 and root else str(ratio.numerator)
         body = rf"{head}{root}" if ratio.denominator == 1 else rf"\frac{{{head}{root}}}{{{ratio.denominator}}}"
-        return FormulaPart(body, PRODUCT if head and root and ratio.denominator == 1 else ATOM, negative)
+        return FormulaPart(body, PRODUCT_LEVEL if head and root and ratio.denominator == 1 else ATOM_LEVEL, negative)
     if size == int(size) and size < 1e7 and size != 1e6:
-        return FormulaPart(str(int(size)), ATOM, negative)
+        return FormulaPart(str(int(size)), ATOM_LEVEL, negative)
     power = Decimal(repr(size)).adjusted()
     if -4 <= power < 6:
-        return FormulaPart(_shortened(repr(size)), ATOM, negative)
-    mantissa = _shortened(_mantissa(size))
+        return FormulaPart(_shorten_decimal(repr(size)), ATOM_LEVEL, negative)
+    mantissa = _shorten_decimal(_mantissa(size))
     if mantissa == "1":
-        return FormulaPart(f"10^{{{power}}}", POWER, negative)
-    return FormulaPart(rf"{mantissa}\cdot 10^{{{power}}}", PRODUCT, negative)
+        return FormulaPart(f"10^{{{power}}}", POWER_LEVEL, negative)
+    return FormulaPart(rf"{mantissa}\cdot 10^{{{power}}}", PRODUCT_LEVEL, negative)
 
 
 def named_constant(size: float) -> tuple[Fraction, str] | None:
@@ -124,14 +126,14 @@ def named_constant(size: float) -> tuple[Fraction, str] | None:
     return None
 
 
-def _word(word: str, italic: bool) -> str:
+def _word_latex(word: str, italic: bool) -> str:
     if word in _GREEK:
         return rf"\{word}"
     if re.fullmatch(r"[A-Za-z]|\d+", word):
         return word
     if re.fullmatch(r"[A-Za-z0-9]+", word):
         return rf"\mathit{{{word}}}" if italic else rf"\mathrm{{{word}}}"
-    return words(word)
+    return text_latex(word)
 
 
 def _mantissa(size: float) -> str:
@@ -140,11 +142,11 @@ def _mantissa(size: float) -> str:
     return f"{digits[0]}.{digits[1:] or '0'}"
 
 
-def _shortened(text: str) -> str:
+def _shorten_decimal(text: str) -> str:
     """A decimal cut after DIGITS significant digits, with dots where something was cut."""
     head, _, tail = text.partition(".")
     if tail in ("", "0"):
         return head
     leading = len(head.lstrip("0")) or -(len(tail) - len(tail.lstrip("0")))
-    keep = max(DIGITS - leading, 1)
+    keep = max(DECIMAL_DIGITS - leading, 1)
     return text if len(tail) <= keep else rf"{head}.{tail[:keep]}\ldots"

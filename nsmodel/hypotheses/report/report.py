@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nsmodel.brief import wrapped
-from nsmodel.hypotheses.findings import ALONG_A_RUN, Consequence, Finding
+from nsmodel.brief import wrap_lines
+from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, Consequence, Finding
 from nsmodel.hypotheses.report import table
-from nsmodel.notebook import shown_by
-from nsmodel.pickled import Pickled
+from nsmodel.notebook import html_repr
+from nsmodel.pickled import Picklable
 from nsmodel.proof.verdict import HOLDS, VERDICTS
-from nsmodel.words import one_line, shown
+from nsmodel.words import escape_invisible, one_line
 
 
 @dataclass(frozen=True, repr=False)
-class Report(Pickled):
+class Report(Picklable):
     """All findings about one model.
 
     Attributes:
@@ -44,25 +44,25 @@ class Report(Pickled):
     model: Any = field(repr=False, compare=False)
     inputs: tuple[str, ...] = ()
 
-    _repr_html_ = shown_by("report")
+    _repr_html_ = html_repr("report")
 
     def __repr__(self) -> str:
         """Return a few lines: title, class, verdicts."""
-        return "\n".join(wrapped(f"Report({one_line(self.title)!r}, {self.model_class}: {self.verdict})"))
+        return "\n".join(wrap_lines(f"Report({one_line(self.title)!r}, {self.model_class}: {self.verdict})"))
 
     def text(self) -> str:
         """The report as a table for a terminal, 100 columns wide."""
-        return shown(table.text(self))
+        return escape_invisible(table.report_text(self))
 
     def document(self) -> dict[str, Any]:
         """The report as a dictionary that JSON can hold."""
-        return table.document(self)
+        return table.report_data(self)
 
     def markdown(self) -> str:
         """The report as a Markdown page, with the model's equations in LaTeX."""
         from nsmodel.hypotheses.report.markdown import markdown
 
-        return shown(markdown(self, self.model))
+        return escape_invisible(markdown(self, self.model))
 
     def view(self, path: str | Path | None = None) -> Path:
         """Write the report as one HTML file, and return its path; without a path a temporary file, opened in the browser.
@@ -87,19 +87,22 @@ class Report(Pickled):
     @property
     def verdict(self) -> str:
         """One line: how many hypotheses are proved, the ids of the others, and how many inequalities the run met."""
-        hypotheses = [finding for finding in self.findings if not finding.id.startswith(ALONG_A_RUN)]
-        along = [finding for finding in self.findings if finding.id.startswith(ALONG_A_RUN)]
+        hypotheses = [finding for finding in self.findings if not finding.id.startswith(RUN_FINDING_PREFIX)]
+        along = [finding for finding in self.findings if finding.id.startswith(RUN_FINDING_PREFIX)]
         proved = [finding for finding in hypotheses if finding.verdict == HOLDS]
         local = sum(finding.scope is not None and bool(finding.scope.states) for finding in proved)
-        parts = [f"{len(proved)} proved" + (f" ({local} of them on a box of states)" if local else ""), *_others(hypotheses)]
+        parts = [
+            f"{len(proved)} proved" + (f" ({local} of them on a box of states)" if local else ""),
+            *_unproved_counts(hypotheses),
+        ]
         text = ", ".join(parts) + (" (quick: global searches skipped)" if self.quick else "")
         if along:
             met = sum(finding.verdict == HOLDS for finding in along)
-            text += f"; along the run: {', '.join([f'{met} of {len(along)} met', *_others(along)])}"
+            text += f"; along the run: {', '.join([f'{met} of {len(along)} met', *_unproved_counts(along)])}"
         return text
 
 
-def _others(findings: Sequence[Finding]) -> list[str]:
+def _unproved_counts(findings: Sequence[Finding]) -> list[str]:
     """How many findings are not "holds", and which."""
     ids = {verdict: [finding.id for finding in findings if finding.verdict == verdict] for verdict in VERDICTS[1:]}
     return [f"{len(own)} {verdict} ({', '.join(own)})" for verdict, own in ids.items() if own]

@@ -11,7 +11,7 @@ from nsmodel.errors import ModelError
 from nsmodel.hypotheses.report.notation import named_constant
 
 
-def number(value: float) -> Any:
+def sympy_number(value: float) -> Any:
     """The number that the user wrote: the shortest decimal of the double, or a simple multiple of pi, sqrt(2), sqrt(3)."""
     import sympy as sp
 
@@ -24,14 +24,14 @@ def number(value: float) -> Any:
     return (1 if value > 0 else -1) * sp.Rational(known[0].numerator, known[0].denominator) * root
 
 
-def counted(a: Any) -> Any:
+def condition_as_number(a: Any) -> Any:
     """A condition as a number: 1 where it holds."""
     import sympy as sp
 
     return a if isinstance(a, sp.Expr) else sp.Piecewise((1, a), (0, True))
 
 
-def operation() -> Any:
+def make_sympy_apply() -> Any:
     """apply(op, args) for :func:`.formula.written`; a condition used as a number counts 1 where it holds, a number != 0 holds."""
     import sympy as sp
 
@@ -62,9 +62,9 @@ def operation() -> Any:
         if op in conditions:
             return conditions[op](*map(holds, args))
         if op == ca.OP_IF_ELSE_ZERO:
-            return sp.Piecewise((counted(args[1]), holds(args[0])), (0, True))
+            return sp.Piecewise((condition_as_number(args[1]), holds(args[0])), (0, True))
         if op not in numbers:
             raise ModelError(f"operation {op} of CasADi has no counterpart in SymPy; write it with elementary operations")
-        return numbers[op](*map(counted, args))
+        return numbers[op](*map(condition_as_number, args))
 
     return apply

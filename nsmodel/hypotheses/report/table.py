@@ -7,30 +7,32 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding
-from nsmodel.hypotheses.scope import words
+from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding
+from nsmodel.hypotheses.scope import scope_text
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report
 
-LONGEST = 6  # Entries of a vector that are shown.
-ENTRIES = 12  # Entries of a witness that are shown.
-OF_THE_START = ("S-start", "5.x0", "O-steps")  # Said of one state, or of the steps: nowhere else.
-LABEL = 14  # A label longer than this stands on its own line.
+MAX_VECTOR_ENTRIES = 6  # Entries of a vector that are shown.
+MAX_WITNESS_ENTRIES = 12  # Entries of a witness that are shown.
+START_FINDING_IDS = ("S-start", "5.x0", "O-steps")  # Said of one state, or of the steps: nowhere else.
+MAX_LABEL_WIDTH = 14  # A label longer than this stands on its own line.
 
 
-def text(report: Report, width: int = 100) -> str:
+def report_text(report: Report, width: int = 100) -> str:
     """Return the report as lines of at most ``width`` (>= 60) characters: a block a finding, then what follows from them."""
     labels = [finding.id for finding in report.findings] + [consequence.name for consequence in report.consequences]
-    page = _Page(max([len(label) for label in labels if len(label) <= LABEL], default=4) + 2, width, _usual_source(report))
-    findings = [line for finding in report.findings for line in _finding(finding, page)]
-    follows = [line for consequence in report.consequences for line in _consequence(consequence, report, page)]
-    notes = [line for note in report.notes for line in _hanging("note  ", note, width)]
-    blocks = [_head(report, width), findings, ["What follows", "", *follows] if follows else [], notes]
+    page = _ReportPage(
+        max([len(label) for label in labels if len(label) <= MAX_LABEL_WIDTH], default=4) + 2, width, _usual_source(report)
+    )
+    findings = [line for finding in report.findings for line in _finding_lines(finding, page)]
+    follows = [line for consequence in report.consequences for line in _consequence_lines(consequence, report, page)]
+    notes = [line for note in report.notes for line in _wrap_hanging("note  ", note, width)]
+    blocks = [_head_lines(report, width), findings, ["What follows", "", *follows] if follows else [], notes]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
 
-def document(report: Report) -> dict[str, Any]:
+def report_data(report: Report) -> dict[str, Any]:
     """Return all of the report as text, numbers, lists and dictionaries, as :func:`nsmodel.storage.dumps` writes them."""
     return {
         "title": report.title,
@@ -73,58 +75,60 @@ def document(report: Report) -> dict[str, Any]:
     }
 
 
-def parameters(report: Report) -> list[str]:
+def parameter_texts(report: Report) -> list[str]:
     """The parameters with their values, or between which ends all values were meant."""
     found = []
     for name, value in report.parameters.items():
         if isinstance(value, tuple):
             found.append(f"{name} in [{value[0]:.5g}, {value[1]:.5g}]")
         else:
-            found.append(f"{name} = {'no value' if value is None else shown(value)}")
+            found.append(f"{name} = {'no value' if value is None else witness_value_text(value)}")
     return found
 
 
-def shown(item: Any) -> str:
+def witness_value_text(item: Any) -> str:
     """A number, text, or a list of them as a reader wants it: 5 digits, long lists abbreviated.
 
-    >>> shown([1, 0.123456, float("inf")])
+    >>> witness_value_text([1, 0.123456, float("inf")])
     '(1, 0.12346, inf)'
     """
     if isinstance(item, list | tuple):
-        entries = [shown(part) for part in item]
-        if len(entries) > LONGEST:
-            return f"({', '.join([*entries[: LONGEST - 2], '...', entries[-1]])}; {len(entries)} entries)"
+        entries = [witness_value_text(part) for part in item]
+        if len(entries) > MAX_VECTOR_ENTRIES:
+            return f"({', '.join([*entries[: MAX_VECTOR_ENTRIES - 2], '...', entries[-1]])}; {len(entries)} entries)"
         return f"({', '.join(entries)})"
     return f"{item:.5g}" if isinstance(item, float) else str(item)
 
 
-def pairs(numbers: Mapping[str, Any]) -> list[str]:
+def name_value_pairs(numbers: Mapping[str, Any]) -> list[str]:
     """Name = value for each entry."""
-    return [f"{name} = {shown(item)}" for name, item in numbers.items()]
+    return [f"{name} = {witness_value_text(item)}" for name, item in numbers.items()]
 
 
-def witness(finding: Finding) -> list[str]:
+def witness_texts(finding: Finding) -> list[str]:
     """The witness where a hypothesis fails or was only looked at, of a long one the first entries; of a proof the P it found."""
-    told = (
+    stated = (
         finding.witness
         if finding.verdict in (VIOLATED, SAMPLED)
         else {k: v for k, v in finding.witness.items() if k in ("P", "P_omega")}
     )
-    entries = pairs(told)
-    return entries if len(entries) <= ENTRIES else [*entries[: ENTRIES - 2], f"... ({len(entries)} entries)"]
+    entries = name_value_pairs(stated)
+    return (
+        entries if len(entries) <= MAX_WITNESS_ENTRIES else [*entries[: MAX_WITNESS_ENTRIES - 2], f"... ({len(entries)} entries)"]
+    )
 
 
-def _head(report: Report, width: int) -> list[str]:
-    given = parameters(report)
+def _head_lines(report: Report, width: int) -> list[str]:
+    given = parameter_texts(report)
     rows = {"model": f"{report.model_class}; {report.paper}", "region": report.region}
-    lines = [line for name, value in rows.items() for line in _hanging(f"  {name:<12}", value, width)]
-    lines += _packed("  parameters  ", given, width) if given else []
+    lines = [line for name, value in rows.items() for line in _wrap_hanging(f"  {name:<12}", value, width)]
+    lines += _wrap_items("  parameters  ", given, width) if given else []
     for k, line in enumerate(report.inputs):
-        lines += _hanging("  inputs      " if k == 0 else " " * 14, line, width)
-    return [*textwrap.wrap(report.title, width), *lines, *_hanging("  findings    ", report.verdict, width)]
+        lines += _wrap_hanging("  inputs      " if k == 0 else " " * 14, line, width)
+    return [*textwrap.wrap(report.title, width), *lines, *_wrap_hanging("  findings    ", report.verdict, width)]
 
 
-class _Page(NamedTuple):
+class _ReportPage(NamedTuple):
     """Where the second column begins, how wide the page is, and the source that need not be repeated."""
 
     column: int
@@ -135,16 +139,16 @@ class _Page(NamedTuple):
     def margin(self) -> str:
         return " " * self.column
 
-    def cited(self, source: str) -> str:
+    def source_text(self, source: str) -> str:
         own = source.removeprefix(self.source)
         return own if own.startswith("(") else f"[{own}]"
 
-    def labelled(self, label: str, verdict: str, statement: str) -> list[str]:
+    def label_lines(self, label: str, verdict: str, statement: str) -> list[str]:
         """The first lines of a block; a long label has a line of its own."""
-        own_line = len(label) > LABEL
+        own_line = len(label) > MAX_LABEL_WIDTH
         lines = textwrap.wrap(label, self.width) if own_line else []
         first = f"{'' if own_line else label:<{self.column}}{verdict:<10}"
-        return lines + _hanging(first, statement, self.width)
+        return lines + _wrap_hanging(first, statement, self.width)
 
 
 def _usual_source(report: Report) -> str:
@@ -154,29 +158,33 @@ def _usual_source(report: Report) -> str:
     return f"{paper}, " if paper and count > 1 else ""
 
 
-def _finding(finding: Finding, page: _Page) -> list[str]:
-    lines = page.labelled(finding.id, finding.verdict, finding.statement)
-    lines += _packed(page.margin, pairs(finding.value), page.width)
-    lines += _packed(f"{page.margin}{'with' if finding.verdict == HOLDS else 'at'} ", witness(finding), page.width)
+def _finding_lines(finding: Finding, page: _ReportPage) -> list[str]:
+    lines = page.label_lines(finding.id, finding.verdict, finding.statement)
+    lines += _wrap_items(page.margin, name_value_pairs(finding.value), page.width)
+    lines += _wrap_items(f"{page.margin}{'with' if finding.verdict == HOLDS else 'at'} ", witness_texts(finding), page.width)
     if finding.outside:
-        lines += _packed(f"{page.margin}outside it fails at ", pairs(finding.outside), page.width)
-    return lines + _hanging(page.margin, f"{told(finding)} {page.cited(finding.source)}", page.width)
+        lines += _wrap_items(f"{page.margin}outside it fails at ", name_value_pairs(finding.outside), page.width)
+    return lines + _wrap_hanging(page.margin, f"{decision_text(finding)} {page.source_text(finding.source)}", page.width)
 
 
-def told(finding: Finding) -> str:
+def decision_text(finding: Finding) -> str:
     """Where and how it was decided: a violation has its place in the witness."""
-    placed = finding.verdict in (HOLDS, SAMPLED) and not finding.id.startswith(ALONG_A_RUN) and finding.id not in OF_THE_START
-    return f"{words(finding.scope)}: {finding.how}" if placed else finding.how
+    placed = (
+        finding.verdict in (HOLDS, SAMPLED)
+        and not finding.id.startswith(RUN_FINDING_PREFIX)
+        and finding.id not in START_FINDING_IDS
+    )
+    return f"{scope_text(finding.scope)}: {finding.how}" if placed else finding.how
 
 
-def conditions(consequence: Consequence) -> str:
+def validity_text(consequence: Consequence) -> str:
     """Where a consequence holds, and for how long; "" where nothing follows."""
     if consequence.verdict not in (HOLDS, SAMPLED) or not consequence.rests_on:
         return ""
-    return "; ".join([words(consequence.scope), *([consequence.clause] if consequence.clause else [])])
+    return "; ".join([scope_text(consequence.scope), *([consequence.clause] if consequence.clause else [])])
 
 
-def rests(consequence: Consequence, report: Report) -> str:
+def premises_text(consequence: Consequence, report: Report) -> str:
     """The findings that a consequence needs; where nothing follows, first those that spoil it."""
     verdicts = {finding.id: finding.verdict for finding in report.findings}
     spoiled = [f"{id} ({verdicts[id]})" for id in consequence.rests_on if verdicts.get(id) in (VIOLATED, UNKNOWN)]
@@ -184,20 +192,20 @@ def rests(consequence: Consequence, report: Report) -> str:
     return f"does not follow without {', '.join(spoiled)}; {needs}" if spoiled else needs
 
 
-def _consequence(consequence: Consequence, report: Report, page: _Page) -> list[str]:
-    lines = page.labelled(consequence.name, consequence.verdict, consequence.statement)
-    lines += _packed(page.margin, pairs(consequence.value), page.width)
-    told = "; ".join(part for part in (conditions(consequence), rests(consequence, report)) if part)
-    return lines + _hanging(page.margin, f"{told} {page.cited(consequence.source)}".strip(), page.width)
+def _consequence_lines(consequence: Consequence, report: Report, page: _ReportPage) -> list[str]:
+    lines = page.label_lines(consequence.name, consequence.verdict, consequence.statement)
+    lines += _wrap_items(page.margin, name_value_pairs(consequence.value), page.width)
+    details = "; ".join(part for part in (validity_text(consequence), premises_text(consequence, report)) if part)
+    return lines + _wrap_hanging(page.margin, f"{details} {page.source_text(consequence.source)}".strip(), page.width)
 
 
-def _hanging(first: str, body: str, width: int) -> list[str]:
+def _wrap_hanging(first: str, body: str, width: int) -> list[str]:
     """``body`` wrapped behind ``first``, its further lines below its beginning."""
     wrapped = textwrap.wrap(body, width - len(first), break_on_hyphens=False) or [""]
     return [f"{head}{line}".rstrip() for head, line in zip([first] + [" " * len(first)] * len(wrapped), wrapped, strict=False)]
 
 
-def _packed(first: str, items: Iterable[str], width: int) -> list[str]:
+def _wrap_items(first: str, items: Iterable[str], width: int) -> list[str]:
     """The items with commas between them, as many a line as fit; one that is too long by itself is wrapped."""
     lines: list[str] = []
     for item in items:

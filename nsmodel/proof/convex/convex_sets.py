@@ -12,11 +12,11 @@ import numpy as np
 
 from nsmodel.proof import exact, extremum, feasibility, interval, polynomial
 from nsmodel.proof.convex import convexity
-from nsmodel.proof.quiet import quiet
-from nsmodel.proof.sure import sure
-from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Part
+from nsmodel.proof.quiet import suppress_output
+from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, HypothesisPart
 
-POINTS = 512
+PAIR_SAMPLES = 512
 
 
 class ConvexSet:
@@ -29,7 +29,7 @@ class ConvexSet:
     @cached_property
     def polynomials(self) -> list[polynomial.Polynomial | None]:
         """Each row as an exact polynomial where it is one."""
-        return polynomial.read(self.rows, self.x)
+        return polynomial.read_polynomials(self.rows, self.x)
 
     @cached_property
     def affine(self) -> list[int]:
@@ -39,7 +39,7 @@ class ConvexSet:
     @cached_property
     def half_spaces(self) -> tuple[np.ndarray, np.ndarray]:
         """N (k, n) and h (k, 1), rational: the affine rows are N x + h >= 0."""
-        parts = [polynomial.quadratic(self.polynomials[i], self.n) for i in self.affine]
+        parts = [polynomial.as_quadratic(self.polynomials[i], self.n) for i in self.affine]
         kept = [part for part in parts if part is not None]
         if not kept:
             return exact.zeros(0, self.n), exact.zeros(0, 1)
@@ -51,7 +51,7 @@ class ConvexSet:
         return len(self.affine) == self.rows.numel() and not self.equalities.numel()
 
     @cached_property
-    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
         """A box (lower, upper) that holds the set, with infinite ends where no row bounds a state by itself."""
         lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)
         N, h = self.half_spaces
@@ -60,18 +60,18 @@ class ConvexSet:
             if used.size == 1:
                 j, end = int(used[0]), -number / row[used[0]]
                 if row[j] > 0:
-                    lower[j] = max(lower[j], exact.down(end))
+                    lower[j] = max(lower[j], exact.round_down(end))
                 else:
-                    upper[j] = min(upper[j], exact.up(end))
+                    upper[j] = min(upper[j], exact.round_up(end))
         for p in self.polynomials:
-            _ellipsoid(p, self.n, lower, upper)
+            _narrow_by_ellipsoid(p, self.n, lower, upper)
         return lower, upper
 
     def part(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The part of the box that holds the set in another box; the whole side where these do not meet."""
-        low, high = np.maximum(self.hull[0], lower), np.minimum(self.hull[1], upper)
-        apart = low > high
-        return np.where(apart, self.hull[0], low), np.where(apart, self.hull[1], high)
+        low, high = np.maximum(self.bounding_box[0], lower), np.minimum(self.bounding_box[1], upper)
+        disjoint = low > high
+        return np.where(disjoint, self.bounding_box[0], low), np.where(disjoint, self.bounding_box[1], high)
 
     def outer(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """N, h, rational, of a polyhedron that holds the set: its affine rows and tangents of its concave polynomial rows.
@@ -82,14 +82,14 @@ class ConvexSet:
         left = [i for i, p in enumerate(self.polynomials) if p is not None and polynomial.degree(p) > 1]
         if not left:
             return N, h
-        proved = [i for i, s in zip(left, convexity.everywhere(self.rows[left], self.x), strict=True) if s.concave]
+        proved = [i for i, s in zip(left, convexity.global_curvatures(self.rows[left], self.x), strict=True) if s.concave]
         base = [Fraction(round(float(entry) * 2**20), 2**20) for entry in point]
         touched = [base, *([b + (sign if j == i else 0) for j, b in enumerate(base)] for i in range(self.n) for sign in (1, -1))]
-        for p in (sure(self.polynomials[i]) for i in proved):
+        for p in (not_none(self.polynomials[i]) for i in proved):
             for x in touched:
-                slope = [polynomial.value(polynomial.derivative(p, j), x) for j in range(self.n)]
+                slope = [polynomial.evaluate_polynomial(polynomial.partial_derivative(p, j), x) for j in range(self.n)]
                 N = np.vstack([N, exact.rational([slope])])
-                offset = polynomial.value(p, x) - sum((a * b for a, b in zip(slope, x, strict=True)), Fraction(0))
+                offset = polynomial.evaluate_polynomial(p, x) - sum((a * b for a, b in zip(slope, x, strict=True)), Fraction(0))
                 h = np.vstack([h, exact.rational([[offset]])])
         return N, h
 
@@ -99,9 +99,9 @@ class ConvexSet:
 
         By the largest value of a concave quadratic, bounds of a row on the box that holds the set, or linear programming.
         """
-        low, high = self.hull
+        low, high = self.bounding_box
         for name, p in zip(self.names, self.polynomials, strict=True):
-            top = largest(p, self.n)
+            top = quadratic_maximum(p, self.n)
             if top is not None and top < 0:
                 return (name,)
         if (low > high).any():
@@ -110,14 +110,14 @@ class ConvexSet:
             above = np.asarray(interval.enclose(self.rows, self.x, low, high)[1]).ravel()
             if (above < 0).any():
                 return (self.names[int(np.argmin(above))],)
-        if self.affine and self.n in feasibility.implied_zeros(_strict_system(self)):
+        if self.affine and self.n in feasibility.implied_zeros(_strict_feasibility_system(self)):
             return tuple(self.names[i] for i in self.affine)
         return ()
 
     @property
     def bounded(self) -> bool:
         """Whether the box that holds the set is bounded."""
-        return bool(np.isfinite(self.hull).all())
+        return bool(np.isfinite(self.bounding_box).all())
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """The rows (k, m) at points (k, n)."""
@@ -125,7 +125,7 @@ class ConvexSet:
             return np.zeros((len(points), 0))
         return np.array(ca.Function("rows", [self.x], [ca.densify(self.rows)])(points.T)).T
 
-    def surely_inside(self, point: np.ndarray) -> float | None:
+    def interior_margin(self, point: np.ndarray) -> float | None:
         """A lower bound > 0 of every row at the point, rounding included; None where there is none."""
         if self.equalities.numel():
             return None
@@ -136,120 +136,122 @@ class ConvexSet:
         return least if least > 0 else None
 
 
-def is_convex(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> Part:
+def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> HypothesisPart:
     """Whether every row is concave: by exact arithmetic or the rules of convex functions, else by its Hessian on the box."""
     if not C.rows.numel():
-        return Part(HOLDS, "no constraint", {}, {})
+        return HypothesisPart(HOLDS, "no constraint", {}, {})
     left = [i for i in range(C.rows.numel()) if i not in set(C.affine)]
     if left:
-        proved = convexity.everywhere(C.rows[left], C.x)
+        proved = convexity.global_curvatures(C.rows[left], C.x)
         left = [i for i, shape in zip(left, proved, strict=True) if not shape.concave]
     if not left:
-        return Part(HOLDS, "every constraint is concave (affine, or by the rules of convex functions)", {}, {})
-    branches = [i for i in left if _one_branch(C, i)]
+        return HypothesisPart(HOLDS, "every constraint is concave (affine, or by the rules of convex functions)", {}, {})
+    branches = [i for i in left if _is_hyperboloid_branch(C, i)]
     left = [i for i in left if i not in branches]
     if not left:
         how = "every constraint is concave, or keeps one branch of a hyperboloid that an affine one cuts off (exact)"
-        return Part(HOLDS, how, {}, {})
+        return HypothesisPart(HOLDS, how, {}, {})
     if C.empty:
-        return Part(HOLDS, "the set is empty", {}, {})
+        return HypothesisPart(HOLDS, "the set is empty", {}, {})
     low, high = C.part(lower, upper)
-    inside = bool((C.hull[0] >= lower).all() and (C.hull[1] <= upper).all())
+    inside = bool((C.bounding_box[0] >= lower).all() and (C.bounding_box[1] <= upper).all())
     for i in left:
         found = extremum.largest_eigenvalue(ca.hessian(C.rows[i], C.x)[0], C.x, low, high, bound_to=0.0, quick=quick)
         if not found.bound <= 0:
-            return _not_concave(C, i, low, high)
+            return _find_nonconvex_pair(C, i, low, high)
     where = " on the box that holds the set" if inside else ""
-    return Part(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
+    return HypothesisPart(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
 
 
-def largest(p: polynomial.Polynomial | None, n: int) -> Fraction | None:
+def quadratic_maximum(p: polynomial.Polynomial | None, n: int) -> Fraction | None:
     """The largest value of a polynomial of degree <= 2 on R^n, exactly; None where it has none, or is of higher degree."""
-    found = polynomial.quadratic(p, n)
-    if found is None or not exact.psd(-found.H).psd:
+    found = polynomial.as_quadratic(p, n)
+    if found is None or not exact.definiteness(-found.H).psd:
         return None
-    at = exact.solve(-found.H, found.q)
-    return None if at is None else found.c + exact.product(found.q.T, at)[0, 0] / 2
+    at = exact.solve_linear_system(-found.H, found.q)
+    return None if at is None else found.c + exact.matrix_product(found.q.T, at)[0, 0] / 2
 
 
-def has_interior(C: ConvexSet, start: np.ndarray) -> Part:
+def has_interior(C: ConvexSet, start: np.ndarray) -> HypothesisPart:
     """Whether there is a strictly feasible point: verified with interval arithmetic; its absence by exact multipliers."""
     if C.empty:
-        return Part(VIOLATED, "C is empty: no point satisfies these constraints", {"points": 0}, {"constraints": list(C.empty)})
+        return HypothesisPart(
+            VIOLATED, "C is empty: no point satisfies these constraints", {"points": 0}, {"constraints": list(C.empty)}
+        )
     if C.equalities.numel():
-        return Part(VIOLATED, "an equality leaves no interior", {}, {"equality": str(C.equalities[0])})
+        return HypothesisPart(VIOLATED, "an equality leaves no interior", {}, {"equality": str(C.equalities[0])})
     if not C.rows.numel():
-        return Part(HOLDS, "the whole space", {}, {})
+        return HypothesisPart(HOLDS, "the whole space", {}, {})
     best: tuple[float, np.ndarray] | None = None
-    for point in (_deepest(C, start), start):
-        margin = None if point is None else C.surely_inside(point)
+    for point in (_deepest_point(C, start), start):
+        margin = None if point is None else C.interior_margin(point)
         if point is not None and margin is not None and (best is None or margin > best[0]):
             best = margin, point
     if best is not None:
-        return Part(HOLDS, "a strictly feasible point", {"interior margin": best[0]}, {"interior point": best[1]})
-    opposed = _opposed(C) or (None if C.is_polyhedron else _never_positive(C, start))
+        return HypothesisPart(HOLDS, "a strictly feasible point", {"interior margin": best[0]}, {"interior point": best[1]})
+    opposed = _affine_infeasibility_weights(C) or (None if C.is_polyhedron else _infeasibility_weights(C, start))
     if opposed is not None:
         how = "no point satisfies these constraints strictly: their weighted sum is never > 0 (exact multipliers)"
-        return Part(VIOLATED, how, {"interior margin": 0.0}, opposed)
+        return HypothesisPart(VIOLATED, how, {"interior margin": 0.0}, opposed)
     if C.is_polyhedron:
-        point = _exact_interior(C)
+        point = _exact_interior_point(C)
         if point is not None:
             margin = max(float(C.values(point[None, :]).min()), np.finfo(float).tiny)
             how = "a strictly feasible point, in exact arithmetic; nearer to the boundary than rounding"
-            return Part(HOLDS, how, {"interior margin": margin}, {"interior point": point})
-    return Part(UNKNOWN, "no strictly feasible point was found, and no proof that there is none", {}, {})
+            return HypothesisPart(HOLDS, how, {"interior margin": margin}, {"interior point": point})
+    return HypothesisPart(UNKNOWN, "no strictly feasible point was found, and no proof that there is none", {}, {})
 
 
 # -- parts -------------------------------------------------------------------------------------------------------------
 
 
-def _ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndarray, upper: np.ndarray) -> None:
+def _narrow_by_ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndarray, upper: np.ndarray) -> None:
     """Narrow the box by a row c - x'Px/2 + q'x >= 0 with P definite on the variables that it holds."""
     if p is None or polynomial.degree(p) != 2:
         return
     used = polynomial.variables(p)
-    found = polynomial.quadratic(p, n)
+    found = polynomial.as_quadratic(p, n)
     if found is None or len(used) > 12:
         return
     P, q = -found.H[np.ix_(used, used)], found.q[used]
-    if not exact.psd(P).definite:
+    if not exact.definiteness(P).definite:
         return
-    inverse = exact.inverse(P)
+    inverse = exact.inverse_matrix(P)
     if inverse is None:
         return
     # max of x_i on {x : c + q'x - x'Px/2 >= 0} is m_i + sqrt(2 r (P^-1)_ii), m = P^-1 q, r = c + q'm/2.
-    centre = exact.product(inverse, q)
-    r = found.c + exact.product(q.T, centre)[0, 0] / 2
+    centre = exact.matrix_product(inverse, q)
+    r = found.c + exact.matrix_product(q.T, centre)[0, 0] / 2
     for k, i in enumerate(used):
-        reach = exact.up(Fraction(float(np.sqrt(max(exact.up(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
-        lower[i] = max(lower[i], exact.down(centre[k, 0] - Fraction(reach)))
-        upper[i] = min(upper[i], exact.up(centre[k, 0] + Fraction(reach)))
+        reach = exact.round_up(Fraction(float(np.sqrt(max(exact.round_up(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
+        lower[i] = max(lower[i], exact.round_down(centre[k, 0] - Fraction(reach)))
+        upper[i] = min(upper[i], exact.round_up(centre[k, 0] + Fraction(reach)))
 
 
-def _one_branch(C: ConvexSet, i: int) -> bool:
+def _is_hyperboloid_branch(C: ConvexSet, i: int) -> bool:
     """Whether row i and an affine row bound one branch of a hyperboloid: {y'Py/2 + c >= 0, n'y >= 0}, y = x - m, is convex.
 
     P has one positive eigenvalue, so that {y'Py >= 0} is a convex cone K and -K, and sqrt(y'Py) is concave on K. With P <= 0 on
     the plane n'y = 0 that plane does not meet the interior of K: n'y >= 0 keeps K and, of -K, points with y'Py = 0 alone, which
     c < 0 excludes.
     """
-    P = polynomial.quadratic(C.polynomials[i], C.n)
-    m = None if P is None else exact.solve(P.H, -P.q)
-    if P is None or m is None or P.c + exact.product(P.q.T, m)[0, 0] / 2 >= 0:
+    P = polynomial.as_quadratic(C.polynomials[i], C.n)
+    m = None if P is None else exact.solve_linear_system(P.H, -P.q)
+    if P is None or m is None or P.c + exact.matrix_product(P.q.T, m)[0, 0] / 2 >= 0:
         return False
     for n, (h,) in zip(*C.half_spaces, strict=True):
         plane = exact.nullspace(n[None, :])
-        above = exact.product(n[None, :], m)[0, 0] + h <= 0
-        if above and n.any() and (not plane.size or exact.psd(-exact.product(plane.T, P.H, plane)).psd):
+        above = exact.matrix_product(n[None, :], m)[0, 0] + h <= 0
+        if above and n.any() and (not plane.size or exact.definiteness(-exact.matrix_product(plane.T, P.H, plane)).psd):
             return True
     return False
 
 
-def _not_concave(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndarray) -> Part:
+def _find_nonconvex_pair(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndarray) -> HypothesisPart:
     """Row i is not proved concave: look for two points of the set whose middle lies outside."""
     pairs = 0
-    for box in ((lower, upper), C.hull):
-        points = extremum.samples(*box, POINTS)
+    for box in ((lower, upper), C.bounding_box):
+        points = extremum.samples(*box, PAIR_SAMPLES)
         values = C.values(points)
         inside = points[np.isfinite(values).all(axis=1) & (values >= 0).all(axis=1)]
         half = len(inside) // 2
@@ -263,12 +265,12 @@ def _not_concave(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndarray) -> 
         if scaled[k, row] < -1e-9:
             witness = {"constraint": C.names[row], "x": a[k], "y": b[k], "middle": (a[k] + b[k]) / 2}
             how = "two points of the set whose middle is not in it: the set is not convex"
-            return Part(VIOLATED, how, {"least value at the middle": float(middle[k, row])}, witness)
+            return HypothesisPart(VIOLATED, how, {"least value at the middle": float(middle[k, row])}, witness)
     how = f"constraint '{C.names[i]}' is not proved concave; {pairs} pairs of points in the set had their middle in it"
-    return Part(SAMPLED if pairs else UNKNOWN, how, {"pairs": pairs}, {})
+    return HypothesisPart(SAMPLED if pairs else UNKNOWN, how, {"pairs": pairs}, {})
 
 
-def _deepest(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
+def _deepest_point(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
     """A point of the largest margin (up to 1, rows scaled where they are affine), in doubles."""
     if C.is_polyhedron:
         from scipy.optimize import linprog
@@ -279,15 +281,15 @@ def _deepest(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
         A = np.column_stack([-N, size])
         found = linprog(cost, A_ub=A, b_ub=h.ravel(), bounds=[(None, None)] * C.n + [(None, 1.0)], method="highs")
         return found.x[: C.n] if found.status == 0 else None
-    return _deepest_with_weights(C, start)[0]
+    return _deepest_point_and_multipliers(C, start)[0]
 
 
-def _deepest_with_weights(C: ConvexSet, start: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _deepest_point_and_multipliers(C: ConvexSet, start: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
     """The point that maximises t subject to c_i(x) >= t and t <= 1, and the multipliers of the rows; None where not finite."""
     t = ca.SX.sym("t")
     problem = {"x": ca.vertcat(C.x, t), "f": -t, "g": C.rows - t}
     options = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "error_on_fail": False, "ipopt.max_iter": 200}
-    with quiet():
+    with suppress_output():
         solver = ca.nlpsol("interior", "ipopt", problem, options)
         least = C.values(start[None, :]).min()
         found = solver(x0=np.append(start, least if np.isfinite(least) else 0.0), lbg=0, ubx=[*[np.inf] * C.n, 1.0])
@@ -295,18 +297,18 @@ def _deepest_with_weights(C: ConvexSet, start: np.ndarray) -> tuple[np.ndarray |
     return (point if np.isfinite(point).all() else None), (weights if np.isfinite(weights).all() else None)
 
 
-def _strict_system(C: ConvexSet) -> feasibility.System:
+def _strict_feasibility_system(C: ConvexSet) -> feasibility.ConicSystem:
     """N x + h tau = s with tau > 0, s > 0: columns x, tau, s."""
     N, h = C.half_spaces
     A = np.hstack([N, h, -exact.eye(len(N))]) if len(N) else exact.zeros(0, C.n + 1)
-    return feasibility.System(A, tuple(range(C.n, A.shape[1])))
+    return feasibility.ConicSystem(A, tuple(range(C.n, A.shape[1])))
 
 
-def _opposed(C: ConvexSet) -> dict[str, Any] | None:
+def _affine_infeasibility_weights(C: ConvexSet) -> dict[str, Any] | None:
     """Weights >= 0 of affine rows whose sum is never > 0, exactly; None where they have a common interior point."""
     if not C.affine:
         return None
-    separator = feasibility.decide(_strict_system(C)).separator
+    separator = feasibility.decide_feasibility(_strict_feasibility_system(C)).separator
     if separator is None:
         return None
     weights = -separator.ravel()  # w'(N, h, -I) = (0, >= 0, >= 0), so that -w >= 0 weighs the rows.
@@ -314,18 +316,18 @@ def _opposed(C: ConvexSet) -> dict[str, Any] | None:
     return {"constraints": [C.names[C.affine[i]] for i in used], "weights": [float(weights[i]) for i in used]}
 
 
-def _never_positive(C: ConvexSet, start: np.ndarray) -> dict[str, Any] | None:
+def _infeasibility_weights(C: ConvexSet, start: np.ndarray) -> dict[str, Any] | None:
     """Weights w >= 0 of rows whose sum w'c is never > 0: of one row by its bounds, of quadratic ones by their largest value.
 
     The multipliers of max {t : c_i(x) >= t} are such weights where the maximum is not above 0; they are found in doubles, and
     tried as fractions.
     """
-    top = np.asarray(interval.enclose(C.rows, C.x, *C.hull)[1]).ravel()
+    top = np.asarray(interval.enclose(C.rows, C.x, *C.bounding_box)[1]).ravel()
     if (top <= 0).any():
         i = int(np.argmin(top))
         return {"constraints": [C.names[i]], "weights": [1.0]}
     own = [(i, p) for i, p in enumerate(C.polynomials) if p is not None and polynomial.degree(p) <= 2]
-    weights = _deepest_with_weights(C, start)[1]
+    weights = _deepest_point_and_multipliers(C, start)[1]
     if len(own) < 2 or weights is None:
         return None
     total = sum(weights[i] for i, _ in own)
@@ -333,14 +335,14 @@ def _never_positive(C: ConvexSet, start: np.ndarray) -> dict[str, Any] | None:
         tried = {i: Fraction(float(weights[i] / total)).limit_denominator(most) if total > 0 else Fraction(0) for i, _ in own}
         combined: polynomial.Polynomial = {}
         for i, p in own:
-            combined = polynomial.add(combined, p, max(tried[i], Fraction(0)))
-        sup = largest(combined, C.n)
+            combined = polynomial.add_multiple(combined, p, max(tried[i], Fraction(0)))
+        sup = quadratic_maximum(combined, C.n)
         if any(number > 0 for number in tried.values()) and sup is not None and sup <= 0:
             used = [i for i, number in tried.items() if number > 0]
             return {"constraints": [C.names[i] for i in used], "weights": [float(tried[i]) for i in used]}
     return None
 
 
-def _exact_interior(C: ConvexSet) -> np.ndarray | None:
-    point = feasibility.decide(_strict_system(C)).point
+def _exact_interior_point(C: ConvexSet) -> np.ndarray | None:
+    point = feasibility.decide_feasibility(_strict_feasibility_system(C)).point
     return None if point is None else np.array([float(entry / point[C.n]) for entry in point[: C.n]])

@@ -13,10 +13,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import exact, interval, polynomial
-from nsmodel.proof.convex.curvature import UNARY, Pieces, even, of_inverse, of_power
-from nsmodel.proof.graph import COMPARISONS, applied, column, fold, operations, replay
+from nsmodel.proof.convex.curvature import UNARY_CURVATURES, CurvatureRule, even_curvature, inverse_curvature, power_curvature
+from nsmodel.proof.graph import TRUTH_VALUED_OPERATIONS, apply_operation, fold_graph, operation_codes, rewrite_nodes, stack_column
 
-MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
+MAX_QUADRATIC_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
 
 
 @dataclass(frozen=True)
@@ -36,41 +36,41 @@ class Curvature:
 
 
 @dataclass(frozen=True)
-class _Node:
+class _ConvexityNode:
     op: int
     source: tuple[int, ...]
     expr: ca.SX
     constant: bool
 
 
-def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.SX | None = None) -> list[Curvature]:
+def curvatures(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.SX | None = None) -> list[Curvature]:
     """Return what the rules prove of each entry of ``expr`` on the box (ends may be infinite).
 
     With ``of``, as functions of these symbols among z alone, for all values of the others in their box.
 
     >>> x = ca.SX.sym("x")
-    >>> [s.convex for s in shapes(ca.vertcat(ca.exp(x) + ca.fabs(x - 1), x**3), x, np.full(1, -np.inf), np.full(1, np.inf))]
+    >>> [s.convex for s in curvatures(ca.vertcat(ca.exp(x) + ca.fabs(x - 1), x**3), x, np.full(1, -np.inf), np.full(1, np.inf))]
     [True, False]
     """
-    if ca.OP_CALL in operations(expr):  # nothing is known of what cannot be looked into
+    if ca.OP_CALL in operation_codes(expr):  # nothing is known of what cannot be looked into
         return [Curvature(False, False, -np.inf, np.inf)] * expr.numel()
-    nodes, outputs = _nodes(expr, z if of is None else of)
+    nodes, outputs = _convexity_nodes(expr, z if of is None else of)
     if not nodes:
         return []
-    numeric = [k for k, node in enumerate(nodes) if node.op not in COMPARISONS]
+    numeric = [k for k, node in enumerate(nodes) if node.op not in TRUTH_VALUED_OPERATIONS]
     low, high = np.full(len(nodes), -np.inf), np.full(len(nodes), np.inf)
-    bounds = interval.enclose(column(nodes[k].expr for k in numeric), z, lower, upper)
+    bounds = interval.enclose(stack_column(nodes[k].expr for k in numeric), z, lower, upper)
     low[numeric], high[numeric] = (np.asarray(end).ravel() for end in bounds)
-    walk = _Walk(nodes, low, high, z.numel())
-    return [walk.shape(k) for k in outputs]
+    analysis = _ConvexityAnalysis(nodes, low, high, z.numel())
+    return [analysis.shape(k) for k in outputs]
 
 
-def everywhere(expr: ca.SX, z: ca.SX) -> list[Curvature]:
+def global_curvatures(expr: ca.SX, z: ca.SX) -> list[Curvature]:
     """The same for all z."""
-    return shapes(expr, z, np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf))
+    return curvatures(expr, z, np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf))
 
 
-def simplified(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, label: str) -> ca.SX:
+def resolve_kinks(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, label: str) -> ca.SX:
     """``expr`` with each fabs, fmax, fmin and sign whose case is settled on the whole box replaced by that case."""
 
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
@@ -85,48 +85,50 @@ def simplified(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, labe
             return (u, -u)[case]
         return args[case] if op == ca.OP_FMAX else args[1 - case]
 
-    return replay(expr, rule, (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_SIGN), z, label)
+    return rewrite_nodes(expr, rule, (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_SIGN), z, label)
 
 
-def _nodes(expr: ca.SX, z: ca.SX) -> tuple[list[_Node], list[int]]:
+def _convexity_nodes(expr: ca.SX, z: ca.SX) -> tuple[list[_ConvexityNode], list[int]]:
     """The graph in single assignment form, each node with its expression, and the node of each entry."""
-    nodes: list[_Node] = []
+    nodes: list[_ConvexityNode] = []
 
-    def put(node: _Node) -> int:
+    def put(node: _ConvexityNode) -> int:
         nodes.append(node)
         return len(nodes) - 1
 
     def apply(op: int, where: list[int]) -> int:
         args = [nodes[j] for j in where]
-        return put(_Node(op, tuple(where), applied(op, [arg.expr for arg in args]), all(arg.constant for arg in args)))
+        return put(
+            _ConvexityNode(op, tuple(where), apply_operation(op, [arg.expr for arg in args]), all(arg.constant for arg in args))
+        )
 
-    outputs = fold(
+    outputs = fold_graph(
         expr,
-        lambda symbol: put(_Node(ca.OP_INPUT, (), symbol, not ca.depends_on(symbol, z))),
-        lambda number: put(_Node(ca.OP_CONST, (), ca.SX(number), True)),
+        lambda symbol: put(_ConvexityNode(ca.OP_INPUT, (), symbol, not ca.depends_on(symbol, z))),
+        lambda number: put(_ConvexityNode(ca.OP_CONST, (), ca.SX(number), True)),
         apply,
     )
     return nodes, outputs
 
 
-class _Walk:
+class _ConvexityAnalysis:
     """Shapes of the nodes of a graph, each found once."""
 
-    def __init__(self, nodes: list[_Node], low: np.ndarray, high: np.ndarray, n: int) -> None:
+    def __init__(self, nodes: list[_ConvexityNode], low: np.ndarray, high: np.ndarray, n: int) -> None:
         self.nodes, self.low, self.high, self.n = nodes, low, high, n
         self.known: list[Curvature] = []
         self.polynomials: list[polynomial.Polynomial | None] = []
         self.powers: list[tuple[int, bool, float]] = []  # (node u, whether |u|, p): the node is u^p or |u|^p
         for k in range(len(nodes)):
-            self._visit(k)
+            self._analyse_node(k)
 
     def shape(self, k: int) -> Curvature:
         """What is known of node k."""
         return self.known[k]
 
-    def _visit(self, k: int) -> None:
+    def _analyse_node(self, k: int) -> None:
         node = self.nodes[k]
-        self.polynomials.append(self._polynomial(node))
+        self.polynomials.append(self._node_polynomial(node))
         self.powers.append(self._as_power(k))
         if node.constant:
             self.known.append(Curvature(True, True, self.low[k], self.high[k], self.low[k] > 0))
@@ -134,21 +136,21 @@ class _Walk:
         if node.op == ca.OP_INPUT:
             self.known.append(Curvature(True, True, self.low[k], self.high[k]))
             return
-        up, down = self._rule(k, 1), self._rule(k, -1)
+        up, down = self._is_convex_by_rule(k, 1), self._is_convex_by_rule(k, -1)
         if not (up or down):
-            up, down = self._quadratic(k)
-        self.known.append(Curvature(up, down, self.low[k], self.high[k], self._log_convex(node)))
+            up, down = self._quadratic_curvature(k)
+        self.known.append(Curvature(up, down, self.low[k], self.high[k], self._is_log_convex(node)))
 
-    def _polynomial(self, node: _Node) -> polynomial.Polynomial | None:
+    def _node_polynomial(self, node: _ConvexityNode) -> polynomial.Polynomial | None:
         if node.op == ca.OP_INPUT:
             # The symbol itself is the variable's name: only sums and products of few are looked at.
-            return None if node.constant else {((_hash(node.expr), 1),): Fraction(1)}
+            return None if node.constant else {((_symbol_hash(node.expr), 1),): Fraction(1)}
         if node.op == ca.OP_CONST:
-            return polynomial.constant(float(node.expr))
+            return polynomial.constant_polynomial(float(node.expr))
         args = [self.polynomials[j] for j in node.source]
         if any(arg is None or polynomial.degree(arg) > 2 for arg in args):
             return None
-        return polynomial.apply(node.op, [arg for arg in args if arg is not None])
+        return polynomial.apply_to_polynomials(node.op, [arg for arg in args if arg is not None])
 
     def _as_power(self, k: int) -> tuple[int, bool, float]:
         """Node k as u^p or |u|^p."""
@@ -171,31 +173,33 @@ class _Walk:
 
     # -- rules ---------------------------------------------------------------------------------------------------------
 
-    def _rule(self, k: int, sign: int) -> bool:
+    def _is_convex_by_rule(self, k: int, sign: int) -> bool:
         """Whether sign times node k is proved convex."""
         node = self.nodes[k]
         if node.op == ca.OP_ASSIGN or node.op == ca.OP_TWICE:
-            return self._is(node.source[0], sign)
+            return self._has_curvature(node.source[0], sign)
         if node.op == ca.OP_NEG:
-            return self._is(node.source[0], -sign)
+            return self._has_curvature(node.source[0], -sign)
         if node.op in (ca.OP_ADD, ca.OP_SUB):
-            return self._is(node.source[0], sign) and self._is(node.source[1], sign if node.op == ca.OP_ADD else -sign)
+            return self._has_curvature(node.source[0], sign) and self._has_curvature(
+                node.source[1], sign if node.op == ca.OP_ADD else -sign
+            )
         if node.op in (ca.OP_FMAX, ca.OP_FMIN):
-            return (sign > 0) == (node.op == ca.OP_FMAX) and all(self._is(j, sign) for j in node.source)
+            return (sign > 0) == (node.op == ca.OP_FMAX) and all(self._has_curvature(j, sign) for j in node.source)
         if node.op in (ca.OP_MUL, ca.OP_DIV):
-            return self._product(k, sign)
+            return self._is_convex_product(k, sign)
         if node.op == ca.OP_SQRT and sign > 0 and self._is_norm(node.source[0]):
             return True
         if node.op == ca.OP_HYPOT:
-            return sign > 0 and all(self._norm_entry(j) for j in node.source)
+            return sign > 0 and all(self._has_convex_modulus(j) for j in node.source)
         if node.op in (ca.OP_LOG, ca.OP_LOG1P) and sign > 0 and self.known[node.source[0]].log_convex:
             return True
-        return self._composed(k, sign)
+        return self._is_convex_composition(k, sign)
 
-    def _is(self, k: int, sign: int) -> bool:
+    def _has_curvature(self, k: int, sign: int) -> bool:
         return self.known[k].convex if sign > 0 else self.known[k].concave
 
-    def _product(self, k: int, sign: int) -> bool:
+    def _is_convex_product(self, k: int, sign: int) -> bool:
         node = self.nodes[k]
         left, right = node.source
         if self.nodes[left].constant and node.op == ca.OP_MUL:
@@ -204,65 +208,65 @@ class _Walk:
             low, high = self.low[right], self.high[right]
             if self.known[left].affine and (node.op == ca.OP_MUL or low > 0 or high < 0):
                 return True
-            return (low >= 0 and self._is(left, sign)) or (high <= 0 and self._is(left, -sign))
+            return (low >= 0 and self._has_curvature(left, sign)) or (high <= 0 and self._has_curvature(left, -sign))
         if self.nodes[left].constant:  # c / u
             low, high = self.low[left], self.high[left]
             factor = 1 if low >= 0 else -1 if high <= 0 else 0
-            return bool(factor) and self._compose(of_inverse, right, sign * factor)
+            return bool(factor) and self._satisfies_composition_rule(inverse_curvature, right, sign * factor)
         u, absolute, p = self.powers[k]
         if u == k:
             return False
-        return self._compose_power(u, absolute, p, sign)
+        return self._is_convex_power(u, absolute, p, sign)
 
-    def _composed(self, k: int, sign: int) -> bool:
+    def _is_convex_composition(self, k: int, sign: int) -> bool:
         node = self.nodes[k]
         u, absolute, p = self.powers[k]
-        if u != k and p != 1 and self._compose_power(u, absolute, p, sign):
+        if u != k and p != 1 and self._is_convex_power(u, absolute, p, sign):
             return True
         if node.op in (ca.OP_POW, ca.OP_CONSTPOW):
             base, exponent = node.source
             if not self.nodes[exponent].constant or self.low[exponent] != self.high[exponent]:
                 return False
-            return self._compose(of_power(float(self.low[exponent])), base, sign)
+            return self._satisfies_composition_rule(power_curvature(float(self.low[exponent])), base, sign)
         if node.op == ca.OP_INV:
-            return self._compose(of_inverse, node.source[0], sign)
-        return node.op in UNARY and self._compose(UNARY[node.op], node.source[0], sign)
+            return self._satisfies_composition_rule(inverse_curvature, node.source[0], sign)
+        return node.op in UNARY_CURVATURES and self._satisfies_composition_rule(UNARY_CURVATURES[node.op], node.source[0], sign)
 
-    def _compose_power(self, u: int, absolute: bool, p: float, sign: int) -> bool:
-        return self._compose(even if absolute and p >= 1 else of_power(p), u, sign)
+    def _is_convex_power(self, u: int, absolute: bool, p: float, sign: int) -> bool:
+        return self._satisfies_composition_rule(even_curvature if absolute and p >= 1 else power_curvature(p), u, sign)
 
-    def _compose(self, pieces: Pieces, u: int, sign: int) -> bool:
+    def _satisfies_composition_rule(self, rule: CurvatureRule, u: int, sign: int) -> bool:
         """Whether sign f(u) is convex: f of that curvature, and u affine or curved the way that f's slope asks for."""
-        found = pieces(self.low[u], self.high[u])
+        found = rule(self.low[u], self.high[u])
         if found is None or found[0] != sign:
             return False
         inner = self.known[u]
-        return inner.affine or (found[1] != 0 and self._is(u, sign * found[1]))
+        return inner.affine or (found[1] != 0 and self._has_curvature(u, sign * found[1]))
 
     def _is_norm(self, q: int) -> bool:
         """Whether sqrt(q) is a norm: q a sum of squares, or a quadratic that is one by exact arithmetic."""
-        return self._squares(q) or self._nonnegative_quadratic(q)
+        return self._is_sum_of_squares(q) or self._is_nonnegative_quadratic(q)
 
-    def _squares(self, q: int) -> bool:
+    def _is_sum_of_squares(self, q: int) -> bool:
         node = self.nodes[q]
         if node.constant:
             return bool(self.low[q] >= 0)
         if node.op == ca.OP_SQ:
-            return self._norm_entry(node.source[0])
+            return self._has_convex_modulus(node.source[0])
         if node.op in (ca.OP_ADD, ca.OP_TWICE):
-            return all(self._squares(j) for j in node.source)
+            return all(self._is_sum_of_squares(j) for j in node.source)
         if node.op in (ca.OP_MUL, ca.OP_DIV):
             left, right = node.source
             left, right = (right, left) if self.nodes[left].constant and node.op == ca.OP_MUL else (left, right)
-            return self.nodes[right].constant and bool(self.low[right] >= 0) and self._squares(left)
+            return self.nodes[right].constant and bool(self.low[right] >= 0) and self._is_sum_of_squares(left)
         return False
 
-    def _norm_entry(self, u: int) -> bool:
+    def _has_convex_modulus(self, u: int) -> bool:
         """Whether |u| is convex, and so a norm of several such is."""
         inner = self.known[u]
         return inner.affine or (inner.convex and inner.low >= 0) or (inner.concave and inner.high <= 0)
 
-    def _log_convex(self, node: _Node) -> bool:
+    def _is_log_convex(self, node: _ConvexityNode) -> bool:
         args = [self.known[j] for j in node.source]
         if node.op == ca.OP_EXP:
             return args[0].convex
@@ -276,33 +280,33 @@ class _Walk:
 
     # -- quadratic nodes -----------------------------------------------------------------------------------------------
 
-    def _quadratic(self, k: int) -> tuple[bool, bool]:
-        found = self._matrices(k)
+    def _quadratic_curvature(self, k: int) -> tuple[bool, bool]:
+        found = self._as_quadratic(k)
         if found is None:
             return False, False
-        return exact.psd(found.H).psd, exact.psd(-found.H).psd
+        return exact.definiteness(found.H).psd, exact.definiteness(-found.H).psd
 
-    def _nonnegative_quadratic(self, q: int) -> bool:
+    def _is_nonnegative_quadratic(self, q: int) -> bool:
         """Whether x'Hx/2 + q'x + c is a sum of squares of affine functions: [[H, q], [q', 2c]] psd."""
-        found = self._matrices(q)
+        found = self._as_quadratic(q)
         if found is None:
             return False
         n = len(found.H)
         whole = exact.zeros(n + 1, n + 1)
         whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n, n] = found.H, found.q, found.q.T, 2 * found.c
-        return exact.psd(whole).psd
+        return exact.definiteness(whole).psd
 
-    def _matrices(self, k: int) -> polynomial.Quadratic | None:
+    def _as_quadratic(self, k: int) -> polynomial.Quadratic | None:
         p = self.polynomials[k]
         if p is None or polynomial.degree(p) > 2:
             return None
         used = polynomial.variables(p)
-        if len(used) > MOST_VARIABLES:
+        if len(used) > MAX_QUADRATIC_VARIABLES:
             return None
         place = {variable: i for i, variable in enumerate(used)}
         short = {tuple(sorted((place[v], power) for v, power in monomial)): number for monomial, number in p.items()}
-        return polynomial.quadratic(short, len(used))
+        return polynomial.as_quadratic(short, len(used))
 
 
-def _hash(symbol: ca.SX) -> int:
+def _symbol_hash(symbol: ca.SX) -> int:
     return symbol.element_hash()

@@ -10,18 +10,18 @@ import numpy as np
 
 from nsmodel.proof import exact, feasibility, interval, polynomial
 from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.piecewise import pieces
-from nsmodel.proof.convex.ridges import ridges
+from nsmodel.proof.convex.piecewise import polynomial_pieces
+from nsmodel.proof.convex.ridges import find_ridges
 
 
-class Largest(NamedTuple):
+class LogSumExpTerm(NamedTuple):
     """A term that stays above sum l_i a_i'x + a number for all l >= 0 with sum l_i = ``weight``; the a_i (n, 1) are rational."""
 
     a: list[np.ndarray]
     weight: Fraction
 
 
-class Kink(NamedTuple):
+class KinkTerm(NamedTuple):
     """A term f(a'x) that stays above l a'x + a number for each l of [low, high] (None: infinite)."""
 
     a: np.ndarray
@@ -49,33 +49,35 @@ def additive_terms(expr: ca.SX) -> list[tuple[Fraction, ca.SX]]:
     return out
 
 
-def parts_of(g: ca.SX, C: ConvexSet) -> tuple[polynomial.Quadratic, list[Kink], list[Largest], list[ca.SX]] | None:
+def decompose_potential(
+    g: ca.SX, C: ConvexSet
+) -> tuple[polynomial.Quadratic, list[KinkTerm], list[LogSumExpTerm], list[ca.SX]] | None:
     """g as a convex quadratic, kinks, logarithms of sums, and terms with a bound of their own; None where that does not work."""
     total: polynomial.Polynomial | None = {}
     kinks, largest, rest = [], [], []
     for factor, term in additive_terms(g):
-        (p,) = polynomial.read(term, C.x)
+        (p,) = polynomial.read_polynomials(term, C.x)
         if p is not None and polynomial.degree(p) <= 2:
-            total = polynomial.add(total, p, factor)
+            total = polynomial.add_multiple(total, p, factor)
             continue
-        kink, tilt = _kink(factor, term, C)
+        kink, tilt = _as_kink(factor, term, C)
         if kink is not None:
             kinks.append(kink)
-            total = polynomial.add(total, tilt, factor)
+            total = polynomial.add_multiple(total, tilt, factor)
             continue
-        exponents = _log_sum(term, C) if factor > 0 else None
+        exponents = _log_sum_exp_slopes(term, C) if factor > 0 else None
         if exponents is not None:
-            largest.append(Largest(exponents, factor))
+            largest.append(LogSumExpTerm(exponents, factor))
             continue
-        low, _ = interval.enclose(float(factor) * term, C.x, *C.hull)
+        low, _ = interval.enclose(float(factor) * term, C.x, *C.bounding_box)
         if not np.isfinite(low).all():
             return None
         rest.append(term)
-    P = polynomial.quadratic(total, C.n)
-    return None if P is None or not exact.psd(P.H).psd else (P, kinks, largest, rest)
+    P = polynomial.as_quadratic(total, C.n)
+    return None if P is None or not exact.definiteness(P.H).psd else (P, kinks, largest, rest)
 
 
-def _log_sum(term: ca.SX, C: ConvexSet) -> list[np.ndarray] | None:
+def _log_sum_exp_slopes(term: ca.SX, C: ConvexSet) -> list[np.ndarray] | None:
     """The slopes a_i (n, 1) of log(sum c_i exp(a_i'x + b_i)), c_i > 0: it is at least each a_i'x + b_i + log c_i."""
     if term.is_constant() or term.is_symbolic() or term.op() not in (ca.OP_LOG, ca.OP_LOG1P):
         return None
@@ -84,15 +86,15 @@ def _log_sum(term: ca.SX, C: ConvexSet) -> list[np.ndarray] | None:
         number = factor * Fraction(float(part)) if part.is_constant() else factor
         if number <= 0 or not (part.is_constant() or (not part.is_symbolic() and part.op() == ca.OP_EXP)):
             return None
-        (p,) = polynomial.read(ca.SX(0) if part.is_constant() else part.dep(0), C.x)
-        P = polynomial.quadratic(p, C.n) if p is not None and polynomial.degree(p) <= 1 else None
+        (p,) = polynomial.read_polynomials(ca.SX(0) if part.is_constant() else part.dep(0), C.x)
+        P = polynomial.as_quadratic(p, C.n) if p is not None and polynomial.degree(p) <= 1 else None
         if P is None:
             return None
         slopes.append(P.q)
     return slopes
 
 
-def _kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[Kink | None, polynomial.Polynomial]:
+def _as_kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[KinkTerm | None, polynomial.Polynomial]:
     """factor times a term as a kink, plus factor times a polynomial.
 
     max(u, v) = max(u - v, 0) + v with affine u and v; and a function of one direction that is a polynomial on pieces: its
@@ -101,17 +103,17 @@ def _kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[Kink | None, pol
     if term.is_constant() or term.is_symbolic():
         return None, {}
     if term.op() in (ca.OP_FMAX, ca.OP_FMIN) and (factor > 0) == (term.op() == ca.OP_FMAX):
-        u, v = polynomial.read(ca.vertcat(term.dep(0), term.dep(1)), C.x)
+        u, v = polynomial.read_polynomials(ca.vertcat(term.dep(0), term.dep(1)), C.x)
         if u is not None and v is not None and max(polynomial.degree(u), polynomial.degree(v)) <= 1:
             sign = 1 if term.op() == ca.OP_FMAX else -1
-            found = polynomial.quadratic(polynomial.add(u, v, Fraction(-1)), C.n)
-            return (None, {}) if found is None else (Kink(sign * found.q, Fraction(0), abs(factor)), v)
-    split = ridges(term, C.x)
+            found = polynomial.as_quadratic(polynomial.add_multiple(u, v, Fraction(-1)), C.n)
+            return (None, {}) if found is None else (KinkTerm(sign * found.q, Fraction(0), abs(factor)), v)
+    split = find_ridges(term, C.x)
     if split is None or split.s.numel() != 1:
         return None, {}
     ends = []
     for sign in (-1, 1):
-        found = pieces(ca.substitute(split.h, split.s, sign * split.s), split.s)
+        found = polynomial_pieces(ca.substitute(split.h, split.s, sign * split.s), split.s)
         if found is None:
             return None, {}
         c = [factor * number for number in found[-1].c]
@@ -121,10 +123,10 @@ def _kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[Kink | None, pol
         ends.append(None if power > 1 else sign * (c[1] if len(c) > 1 else Fraction(0)))
     if None not in ends and ends[0] > ends[1]:
         return None, {}
-    return Kink(split.a.T, ends[0], ends[1]), {}
+    return KinkTerm(split.a.T, ends[0], ends[1]), {}
 
 
-def solves_dual(P: polynomial.Quadratic, kinks: list[Kink], largest: list[Largest], N: np.ndarray) -> bool | None:
+def is_dual_feasible(P: polynomial.Quadratic, kinks: list[KinkTerm], largest: list[LogSumExpTerm], N: np.ndarray) -> bool | None:
     """Whether H y + q + sum l_j a_j - N'n = 0 can be solved with multipliers in their bounds, exactly; None: undecided."""
     n, m, k = len(P.H), len(kinks), len(N)
     # Columns: y, l (free), tau, n, slacks of the upper and lower bounds of l, shares (all >= 0, tau > 0 wanted).
@@ -145,10 +147,10 @@ def solves_dual(P: polynomial.Quadratic, kinks: list[Kink], largest: list[Larges
             if end is not None:  # end tau - l = s, or l - end tau = s
                 A[row, n + j], A[row, n + m] = sign, -sign * end
                 A[row, n + m + 1 + k + row - n] = Fraction(-1)
-    return _solvable(A, list(range(n + m, A.shape[1])), n + m)
+    return _is_system_solvable(A, list(range(n + m, A.shape[1])), n + m)
 
 
-def _solvable(A: np.ndarray, signed: list[int], column: int) -> bool | None:
+def _is_system_solvable(A: np.ndarray, signed: list[int], column: int) -> bool | None:
     """Whether A u = 0 has a solution with u >= 0 on the ``signed`` columns and u > 0 on one of them; None: undecided.
 
     Columns that a separator shows to be 0 at every solution are left out, until the rest is solved strictly.
@@ -156,18 +158,20 @@ def _solvable(A: np.ndarray, signed: list[int], column: int) -> bool | None:
     left = list(range(A.shape[1]))
     while column in left:
         own = {j: i for i, j in enumerate(left)}
-        part = feasibility.System(A[:, left], tuple(own[j] for j in signed if j in own))
-        answer = feasibility.decide(part)
+        part = feasibility.ConicSystem(A[:, left], tuple(own[j] for j in signed if j in own))
+        answer = feasibility.decide_feasibility(part)
         if answer.point is not None:
             return True
         if answer.separator is None:
             return None
-        z = exact.product(answer.separator[None, :], part.A).ravel()
+        z = exact.matrix_product(answer.separator[None, :], part.A).ravel()
         left = [j for j in left if j not in signed or not z[own[j]]]
     return False
 
 
-def descent(P: polynomial.Quadratic, kinks: list[Kink], largest: list[Largest], C: ConvexSet) -> np.ndarray | None:
+def descent_direction(
+    P: polynomial.Quadratic, kinks: list[KinkTerm], largest: list[LogSumExpTerm], C: ConvexSet
+) -> np.ndarray | None:
     """A direction d of C with H d = 0 along which g falls at a rate clear of rounding, by linear programming."""
     from scipy.optimize import linprog
 

@@ -16,85 +16,92 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval, polynomial
-from nsmodel.proof.convex.pieces import COMPARED, KINKS, LOGIC, Stretch, Terms
-from nsmodel.proof.exact import down, up
-from nsmodel.proof.exponential_sums import Place
-from nsmodel.proof.graph import applied, column, fold, operations, same
+from nsmodel.proof.convex.pieces import COMPARISON_OPERATIONS, KINK_OPERATIONS, LOGICAL_OPERATIONS, CaseInterval, WeightedTerms
+from nsmodel.proof.exact import round_down, round_up
+from nsmodel.proof.exponential_sums import Enclosure
+from nsmodel.proof.graph import apply_operation, fold_graph, is_same_expression, operation_codes, stack_column
 from nsmodel.proof.one_variable import Cases
 
-Ends = tuple[float, float]
+JumpBounds = tuple[float, float]
 
 
 class JointJump(NamedTuple):
     """Bounds of the jumps of a function and of its slope at a joint, and of the slope before it."""
 
-    value: Ends
-    slope: Ends
-    before: Ends
+    value: JumpBounds
+    slope: JumpBounds
+    before: JumpBounds
 
 
-class _Sides(NamedTuple):
+class _OneSidedExpressions(NamedTuple):
     left: ca.SX
     right: ca.SX
 
 
-def jump(terms: Terms, s: ca.SX, left: Stretch, right: Stretch) -> JointJump | None:
+def joint_jump(terms: WeightedTerms, s: ca.SX, left: CaseInterval, right: CaseInterval) -> JointJump | None:
     """Bounds of the jumps at the joint of two pieces; None where there are none, or where there is an isolated value there."""
     place = right.low
-    total = [_ZERO, _ZERO, _ZERO]
+    total = [_ZERO_BOUNDS, _ZERO_BOUNDS, _ZERO_BOUNDS]
     for (factor, term), before, after in zip(terms, left.cases, right.cases, strict=True):
-        found = _jump(term, s, place, before, after)
+        found = _term_jump(term, s, place, before, after)
         if found is None:
             return None
-        total = [_plus(own, _scaled(part, factor)) for own, part in zip(total, found, strict=True)]
-    return JointJump(*((down(part[0]), up(part[1])) for part in total))
+        total = [_add_bounds(own, _scale_bounds(part, factor)) for own, part in zip(total, found, strict=True)]
+    return JointJump(*((round_down(part[0]), round_up(part[1])) for part in total))
 
 
-_Exact = tuple[Fraction, Fraction]
-_ZERO: _Exact = (Fraction(0), Fraction(0))
+_RationalInterval = tuple[Fraction, Fraction]
+_ZERO_BOUNDS: _RationalInterval = (Fraction(0), Fraction(0))
 
 
-def _plus(a: _Exact, b: _Exact) -> _Exact:
+def _add_bounds(a: _RationalInterval, b: _RationalInterval) -> _RationalInterval:
     return a[0] + b[0], a[1] + b[1]
 
 
-def _scaled(a: _Exact, factor: Fraction) -> _Exact:
+def _scale_bounds(a: _RationalInterval, factor: Fraction) -> _RationalInterval:
     return (a[0] * factor, a[1] * factor) if factor >= 0 else (a[1] * factor, a[0] * factor)
 
 
-def _jump(term: ca.SX, s: ca.SX, place: Place, before: Cases, after: Cases) -> tuple[_Exact, _Exact, _Exact] | None:
-    around = np.array([down(place[0])]), np.array([up(place[1])])
+def _term_jump(
+    term: ca.SX, s: ca.SX, place: Enclosure, before: Cases, after: Cases
+) -> tuple[_RationalInterval, _RationalInterval, _RationalInterval] | None:
+    around = np.array([round_down(place[0])]), np.array([round_up(place[1])])
     if before == after:
         slope = ca.gradient(term, s)
         if not interval.is_continuous(
             ca.vertcat(term, slope), s, np.nextafter(around[0], -np.inf), np.nextafter(around[1], np.inf)
         ):
             return None
-        bounds = _bounds(slope, s, place)
-        return None if bounds is None else (_ZERO, _ZERO, bounds)
-    walk = _Kinks(s, before, after)
-    (sides,) = fold(term, lambda item: _Sides(item, item), lambda value: _Sides(ca.SX(value), ca.SX(value)), walk.apply)
-    k = column(walk.symbols)
-    own = [ca.vertcat(side, ca.gradient(side, s), *(ca.gradient(side, symbol) for symbol in walk.symbols)) for side in sides]
+        bounds = _joint_bounds(slope, s, place)
+        return None if bounds is None else (_ZERO_BOUNDS, _ZERO_BOUNDS, bounds)
+    kinks = _JointKinks(s, before, after)
+    (sides,) = fold_graph(
+        term,
+        lambda item: _OneSidedExpressions(item, item),
+        lambda value: _OneSidedExpressions(ca.SX(value), ca.SX(value)),
+        kinks.apply,
+    )
+    k = stack_column(kinks.symbols)
+    own = [ca.vertcat(side, ca.gradient(side, s), *(ca.gradient(side, symbol) for symbol in kinks.symbols)) for side in sides]
     values = [ca.substitute(part, k, ca.DM.zeros(k.numel())) for part in own]
-    slopes = [ca.substitute(walk.slope(side, i), k, ca.DM.zeros(k.numel())) for i, side in enumerate(sides)]
+    slopes = [ca.substitute(kinks.slope(side, i), k, ca.DM.zeros(k.numel())) for i, side in enumerate(sides)]
     if not all(interval.is_continuous(ca.vertcat(value, slope), s, *around) for value, slope in zip(values, slopes, strict=True)):
         return None
-    if any(op in (ca.OP_EQ, ca.OP_NE, ca.OP_SIGN) for op in operations(term)):
+    if any(op in (ca.OP_EQ, ca.OP_NE, ca.OP_SIGN) for op in operation_codes(term)):
         return None
-    by_value = _difference(values[0][0], values[1][0], s, place)
-    by_slope = _difference(slopes[0], slopes[1], s, place)
-    first = _bounds(slopes[0], s, place)
+    by_value = _side_difference(values[0][0], values[1][0], s, place)
+    by_slope = _side_difference(slopes[0], slopes[1], s, place)
+    first = _joint_bounds(slopes[0], s, place)
     return None if by_value is None or by_slope is None or first is None else (by_value, by_slope, first)
 
 
-class _Kinks:
+class _JointKinks:
     """A term on both sides of a joint, its kinks written with new symbols, and the slopes of these on each side."""
 
     def __init__(self, s: ca.SX, before: Cases, after: Cases) -> None:
         self.s, self.before, self.after = s, before, after
         self.symbols: list[ca.SX] = []
-        self._rates: list[_Sides] = []
+        self._rates: list[_OneSidedExpressions] = []
         self._calls = count()
 
     def slope(self, node: ca.SX, side: int) -> ca.SX:
@@ -103,16 +110,20 @@ class _Kinks:
             total += ca.gradient(node, k) * rate[side]
         return total
 
-    def apply(self, op: int, args: list[_Sides]) -> _Sides:
+    def apply(self, op: int, args: list[_OneSidedExpressions]) -> _OneSidedExpressions:
         call = next(self._calls)
         if call not in self.before or call not in self.after:
-            return _Sides(applied(op, [arg.left for arg in args]), applied(op, [arg.right for arg in args]))
+            return _OneSidedExpressions(
+                apply_operation(op, [arg.left for arg in args]), apply_operation(op, [arg.right for arg in args])
+            )
         one, other = self.before[call], self.after[call]
-        if op in KINKS and one != other:
-            return self._kink(one[0], other[0], args)
-        return _Sides(*(_chosen(case, [arg[side] for arg in args]) for side, case in enumerate((one, other))))
+        if op in KINK_OPERATIONS and one != other:
+            return self._replace_kink(one[0], other[0], args)
+        return _OneSidedExpressions(*(_case_value(case, [arg[side] for arg in args]) for side, case in enumerate((one, other))))
 
-    def _kink(self, one: tuple[int, ...], other: tuple[int, ...], args: list[_Sides]) -> _Sides:
+    def _replace_kink(
+        self, one: tuple[int, ...], other: tuple[int, ...], args: list[_OneSidedExpressions]
+    ) -> _OneSidedExpressions:
         base = None if len(args) == 1 else 0 if args[0].left.is_constant() else 1
         k = ca.SX.sym("k")
         parts = []
@@ -122,11 +133,11 @@ class _Kinks:
                 difference += (factor - (j == base)) * args[j][side]
             parts.append(self.slope(difference, side))
         self.symbols.append(k)
-        self._rates.append(_Sides(*parts))
-        return _Sides(k, k) if base is None else _Sides(args[base].left + k, args[base].right + k)
+        self._rates.append(_OneSidedExpressions(*parts))
+        return _OneSidedExpressions(k, k) if base is None else _OneSidedExpressions(args[base].left + k, args[base].right + k)
 
 
-def _chosen(case: tuple[tuple[int, ...], Fraction], args: list[ca.SX]) -> ca.SX:
+def _case_value(case: tuple[tuple[int, ...], Fraction], args: list[ca.SX]) -> ca.SX:
     total = ca.SX(float(case[1]))
     for factor, arg in zip(case[0], args, strict=True):
         if factor:
@@ -134,22 +145,23 @@ def _chosen(case: tuple[tuple[int, ...], Fraction], args: list[ca.SX]) -> ca.SX:
     return total
 
 
-def _difference(left: ca.SX, right: ca.SX, s: ca.SX, place: Place) -> _Exact | None:
-    if same(left, right):
-        return _ZERO
+def _side_difference(left: ca.SX, right: ca.SX, s: ca.SX, place: Enclosure) -> _RationalInterval | None:
+    if is_same_expression(left, right):
+        return _ZERO_BOUNDS
     a, b = (exact_value(side, s, place[0]) if place[0] == place[1] else None for side in (left, right))
     if a is not None and b is not None:
         return b - a, b - a
-    return _bounds(right - left, s, place)
+    return _joint_bounds(right - left, s, place)
 
 
-def _bounds(expr: ca.SX, s: ca.SX, place: Place) -> _Exact | None:
+def _joint_bounds(expr: ca.SX, s: ca.SX, place: Enclosure) -> _RationalInterval | None:
     if place[0] == place[1]:
         exact = exact_value(expr, s, place[0])
         if exact is not None:
             return exact, exact
     low, high = (
-        float(np.ravel(end)[0]) for end in interval.enclose(expr, s, np.array([down(place[0])]), np.array([up(place[1])]))
+        float(np.ravel(end)[0])
+        for end in interval.enclose(expr, s, np.array([round_down(place[0])]), np.array([round_up(place[1])]))
     )
     return (Fraction(low), Fraction(high)) if np.isfinite([low, high]).all() else None
 
@@ -167,15 +179,15 @@ def exact_value(expr: ca.SX, s: ca.SX, at: Fraction) -> Fraction | None:
 
     def apply(op: int, args: list[Fraction | None]) -> Fraction | None:
         known = [arg for arg in args if arg is not None]
-        return _applied(op, known) if len(known) == len(args) and known else None
+        return _exact_operation(op, known) if len(known) == len(args) and known else None
 
     own = s.element_hash()
-    return fold(expr, lambda item: at if item.element_hash() == own else None, number, apply)[0]
+    return fold_graph(expr, lambda item: at if item.element_hash() == own else None, number, apply)[0]
 
 
-def _applied(op: int, args: list[Fraction]) -> Fraction | None:
+def _exact_operation(op: int, args: list[Fraction]) -> Fraction | None:
     a, b = args[0], args[-1]
-    p = polynomial.apply(op, [{(): arg} if arg else {} for arg in args])
+    p = polynomial.apply_to_polynomials(op, [{(): arg} if arg else {} for arg in args])
     if p is not None:
         return p.get((), Fraction(0))
     if op == ca.OP_SQRT and a >= 0:
@@ -185,7 +197,7 @@ def _applied(op: int, args: list[Fraction]) -> Fraction | None:
         if a == 1 or (a == 0 and b > 0):
             return a
         return a ** int(b) if b.denominator == 1 and a and abs(b) < 64 else None
-    if op in (*COMPARED, *LOGIC, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO):
+    if op in (*COMPARISON_OPERATIONS, *LOGICAL_OPERATIONS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO):
         value = {
             ca.OP_LE: a <= b, ca.OP_LT: a < b, ca.OP_EQ: a == b, ca.OP_NE: a != b, ca.OP_AND: bool(a and b),
             ca.OP_OR: bool(a or b),

@@ -13,18 +13,18 @@ from nsmodel.proof.convex import convexity
 from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.convex.joints import exact_value
-from nsmodel.proof.convex.ridges import Ridges, ridges
-from nsmodel.proof.exact import EPS
-from nsmodel.proof.graph import replay, same
-from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, Part
+from nsmodel.proof.convex.ridges import Ridges, find_ridges
+from nsmodel.proof.exact import MACHINE_EPSILON
+from nsmodel.proof.graph import is_same_expression, rewrite_nodes
+from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, HypothesisPart
 
-ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
-MOST_DIRECTIONS = 12
-NEAR = 1e-2, 1e-4, 1e-6  # How far from a kink a witness is taken, beside its place.
-LEAST, BOUND = "least eigenvalue of D2 g", "eigenvalues of D2 g are at least"
+EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
+MAX_DIRECTIONS = 12
+WITNESS_DISTANCES = 1e-2, 1e-4, 1e-6  # How far from a kink a witness is taken, beside its place.
+MIN_EIGENVALUE_KEY, EIGENVALUE_BOUND_KEY = "least eigenvalue of D2 g", "eigenvalues of D2 g are at least"
 
 
-class Smooth(NamedTuple):
+class SmoothSplit(NamedTuple):
     """A potential as ``smooth`` plus terms each proved convex for all x."""
 
     smooth: ca.SX
@@ -32,76 +32,85 @@ class Smooth(NamedTuple):
     whole: bool  # Whether it is all of the potential.
 
 
-def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> Part:
+def is_convex_potential(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> HypothesisPart:
     """Decide whether g, finite on C, is convex there; the value holds the least eigenvalue of the Hessian of its smooth part."""
-    P = polynomial.quadratic(polynomial.read(g, C.x)[0], C.n)
+    P = polynomial.as_quadratic(polynomial.read_polynomials(g, C.x)[0], C.n)
     if P is not None:
-        return _quadratic(P, C)
-    parts = _split(g, C.x)
-    P = polynomial.quadratic(polynomial.read(parts.smooth, C.x)[0], C.n)
+        return _check_quadratic(P, C)
+    parts = _split_smooth_part(g, C.x)
+    P = polynomial.as_quadratic(polynomial.read_polynomials(parts.smooth, C.x)[0], C.n)
     if P is not None:
-        found = _quadratic(P, C)
+        found = _check_quadratic(P, C)
         if found.verdict != HOLDS and not parts.whole:
-            return _altogether(g, C, (np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)))
+            return _check_whole_potential(g, C, (np.maximum(C.bounding_box[0], lower), np.minimum(C.bounding_box[1], upper)))
         if found.verdict != HOLDS or P.H.any():
             return found._replace(how=f"terms convex by the rules of convex functions, and a quadratic: {found.how}")
         return found._replace(how="by the rules of convex functions")
     H = ca.densify(ca.hessian(parts.smooth, C.x)[0])
-    low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
-    if parts.convex or convexity.everywhere(g, C.x)[0].convex:
-        return Part(HOLDS, "by the rules of convex functions", {BOUND: 0.0}, {})
-    if _univariate(parts.smooth, C):
-        return Part(HOLDS, "a sum of polynomials in one state each, their signs decided exactly", {BOUND: 0.0}, {})
-    if _is_sos_convex(parts.smooth, C):
-        return Part(HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {BOUND: 0.0}, {})
-    if _convex_of_one(g, C):
-        return Part(
-            HOLDS, "a convex nondecreasing function of a convex one, by the sign of its second derivative", {BOUND: 0.0}, {}
+    low, high = np.maximum(C.bounding_box[0], lower), np.minimum(C.bounding_box[1], upper)
+    if parts.convex or convexity.global_curvatures(g, C.x)[0].convex:
+        return HypothesisPart(HOLDS, "by the rules of convex functions", {EIGENVALUE_BOUND_KEY: 0.0}, {})
+    if _is_separable_convex(parts.smooth, C):
+        return HypothesisPart(
+            HOLDS, "a sum of polynomials in one state each, their signs decided exactly", {EIGENVALUE_BOUND_KEY: 0.0}, {}
         )
-    found = _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
-    return found if found.verdict == HOLDS or parts.whole else _altogether(g, C, (low, high))
+    if _is_sos_convex_part(parts.smooth, C):
+        return HypothesisPart(
+            HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {EIGENVALUE_BOUND_KEY: 0.0}, {}
+        )
+    if _is_composed_convex(g, C):
+        return HypothesisPart(
+            HOLDS,
+            "a convex nondecreasing function of a convex one, by the sign of its second derivative",
+            {EIGENVALUE_BOUND_KEY: 0.0},
+            {},
+        )
+    found = _check_hessian(parts.smooth, H, C, (low, high), quick=quick)
+    return found if found.verdict == HOLDS or parts.whole else _check_whole_potential(g, C, (low, high))
 
 
-def _quadratic(P: polynomial.Quadratic, C: ConvexSet) -> Part:
-    decided, H = exact.psd(P.H), exact.doubles(P.H)
+def _check_quadratic(P: polynomial.Quadratic, C: ConvexSet) -> HypothesisPart:
+    decided, H = exact.definiteness(P.H), exact.doubles(P.H)
     values, vectors = np.linalg.eigh(H) if C.n else (np.zeros(0), np.zeros((0, 0)))
     least, size = float(values.min(initial=np.inf)), float(np.abs(values).max(initial=0.0))
     if decided.psd:
         # Its exact sign is known: a double below 0 is rounding.
-        return Part(HOLDS, "the constant Hessian is psd in exact arithmetic", {LEAST: _from_below(H, least)}, {})
+        return HypothesisPart(
+            HOLDS, "the constant Hessian is psd in exact arithmetic", {MIN_EIGENVALUE_KEY: _round_down_eigenvalue(H, least)}, {}
+        )
     witness = {"vector": vectors[:, 0], "x": "any"}
-    if least >= -ROUNDING * size:
+    if least >= -EIGENVALUE_ROUNDING * size:
         how = "the constant Hessian is psd up to rounding only"
-        return Part(SAMPLED, how, {LEAST: least, "rounding bound": ROUNDING * size}, witness)
-    return Part(VIOLATED, "the constant Hessian has a negative eigenvalue", {LEAST: least}, witness)
+        return HypothesisPart(SAMPLED, how, {MIN_EIGENVALUE_KEY: least, "rounding bound": EIGENVALUE_ROUNDING * size}, witness)
+    return HypothesisPart(VIOLATED, "the constant Hessian has a negative eigenvalue", {MIN_EIGENVALUE_KEY: least}, witness)
 
 
-def _from_below(H: np.ndarray, least: float) -> float:
+def _round_down_eigenvalue(H: np.ndarray, least: float) -> float:
     """The least eigenvalue of a psd matrix, rounded down where it is not read off the diagonal."""
     if not np.any(H - np.diag(np.diag(H))):
         return float(np.diag(H).min(initial=np.inf))
-    return max(least - 16 * len(H) * EPS * float(np.abs(np.linalg.eigvalsh(H)).max()), 0.0)
+    return max(least - 16 * len(H) * MACHINE_EPSILON * float(np.abs(np.linalg.eigvalsh(H)).max()), 0.0)
 
 
-def _split(g: ca.SX, x: ca.SX) -> Smooth:
+def _split_smooth_part(g: ca.SX, x: ca.SX) -> SmoothSplit:
     """Set aside the convex terms with kinks; what is left is to be smooth, quadratic terms included."""
     kept, proved, whole = ca.SX(0), True, True
     terms = additive_terms(g)
-    scaled = [product for product in (_times(factor, term) for factor, term in terms) if product is not None]
+    scaled = [product for product in (_scale_exactly(factor, term) for factor, term in terms) if product is not None]
     if len(scaled) < len(terms):
-        return Smooth(g, False, True)
-    shapes = convexity.everywhere(ca.vertcat(*scaled), x)
-    polynomials = polynomial.read(ca.vertcat(*scaled), x)
+        return SmoothSplit(g, False, True)
+    shapes = convexity.global_curvatures(ca.vertcat(*scaled), x)
+    polynomials = polynomial.read_polynomials(ca.vertcat(*scaled), x)
     for term, shape, p in zip(scaled, shapes, polynomials, strict=True):
-        if shape.convex and p is None and not _smooth_everywhere(term, x):
+        if shape.convex and p is None and not _is_smooth_everywhere(term, x):
             whole = False
             continue
         kept += term
         proved = proved and shape.convex
-    return Smooth(kept, proved, whole)
+    return SmoothSplit(kept, proved, whole)
 
 
-def _times(factor: Fraction, term: ca.SX) -> ca.SX | None:
+def _scale_exactly(factor: Fraction, term: ca.SX) -> ca.SX | None:
     """The same number as a real one, without rounding; None where doubles do not hold it."""
     top, bottom = float(factor.numerator), float(factor.denominator)
     if Fraction(float(factor)) == factor:
@@ -109,56 +118,60 @@ def _times(factor: Fraction, term: ca.SX) -> ca.SX | None:
     return top * term / bottom if (Fraction(top), Fraction(bottom)) == (factor.numerator, factor.denominator) else None
 
 
-def _smooth_everywhere(term: ca.SX, x: ca.SX) -> bool:
+def _is_smooth_everywhere(term: ca.SX, x: ca.SX) -> bool:
     unbounded = np.full(x.numel(), np.inf)
     return interval.is_continuous(ca.vertcat(term, ca.gradient(term, x)), x, -unbounded, unbounded)
 
 
-def _univariate(smooth: ca.SX, C: ConvexSet) -> bool:
+def _is_separable_convex(smooth: ca.SX, C: ConvexSet) -> bool:
     """Whether the smooth part is a sum of convex polynomials in one state each, for all x."""
-    (p,) = polynomial.read(smooth, C.x)
+    (p,) = polynomial.read_polynomials(smooth, C.x)
     if p is None or any(len(monomial) > 1 for monomial in p):
         return False
     for variable in polynomial.variables(p):
         own = {monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == variable}
-        second = polynomial_signs.derivative(polynomial_signs.derivative(polynomial.coefficients(own)))
+        second = polynomial_signs.derivative_coefficients(
+            polynomial_signs.derivative_coefficients(polynomial.univariate_coefficients(own))
+        )
         if polynomial_signs.negative_point(second, None, None) is not None:
             return False
     return True
 
 
-def _is_sos_convex(smooth: ca.SX, C: ConvexSet) -> bool:
+def _is_sos_convex_part(smooth: ca.SX, C: ConvexSet) -> bool:
     """Whether the smooth part is a polynomial proved convex for all x by sums of squares."""
-    (p,) = polynomial.read(smooth, C.x)
+    (p,) = polynomial.read_polynomials(smooth, C.x)
     return p is not None and polynomial.degree(p) > 2 and sum_of_squares.is_sos_convex(p, C.n)
 
 
-def _convex_of_one(g: ca.SX, C: ConvexSet) -> bool:
+def _is_composed_convex(g: ca.SX, C: ConvexSet) -> bool:
     """Whether g = h(q) with a convex quadratic q >= 0 and an h that is convex and nondecreasing on [0, inf)."""
     squares: list[ca.SX] = []
 
-    def note(op: int, args: list[ca.SX], old: ca.SX) -> None:
-        if not any(same(old, other) for other in squares):
+    def collect(op: int, args: list[ca.SX], old: ca.SX) -> None:
+        if not any(is_same_expression(old, other) for other in squares):
             squares.append(old)
 
-    replay(g, note, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
+    rewrite_nodes(g, collect, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
     for q in squares:
-        (p,) = polynomial.read(q, C.x)
-        P = polynomial.quadratic(p, C.n)
+        (p,) = polynomial.read_polynomials(q, C.x)
+        P = polynomial.as_quadratic(p, C.n)
         if (
             P is None
             or not polynomial.degree(p or {}) == 2
-            or not exact.psd(P.H).psd
-            or float(np.min(interval.enclose(q, C.x, *_all(C))[0])) < 0
+            or not exact.definiteness(P.H).psd
+            or float(np.min(interval.enclose(q, C.x, *_unbounded_box(C))[0])) < 0
         ):
             continue
         r = ca.SX.sym("r")
-        h = replay(g, lambda op, args, old, q=q, r=r: r if same(old, q) else None, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
+        h = rewrite_nodes(
+            g, lambda op, args, old, q=q, r=r: r if is_same_expression(old, q) else None, (ca.OP_SQ, ca.OP_ADD), C.x, "potential"
+        )
         if ca.depends_on(h, C.x):
             continue
         terms = additive_terms(h)
         zero, cases = Fraction(0), [{} for _ in terms]
-        found = one_variable.second_signs(terms, r, zero, None, cases, zero)
+        found = one_variable.second_derivative_signs(terms, r, zero, None, cases, zero)
         if found is None or min(found.signs) < 0:
             continue
         slope = ca.gradient(h, r)
@@ -169,40 +182,46 @@ def _convex_of_one(g: ca.SX, C: ConvexSet) -> bool:
     return False
 
 
-def _all(C: ConvexSet) -> tuple[np.ndarray, np.ndarray]:
+def _unbounded_box(C: ConvexSet) -> tuple[np.ndarray, np.ndarray]:
     return np.full(C.n, -np.inf), np.full(C.n, np.inf)
 
 
-def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> Part:
+def _check_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> HypothesisPart:
     """Bounds of the eigenvalues of -D2 g: on the box that holds C, then on the box looked at."""
     gradient = ca.vertcat(smooth, ca.gradient(smooth, C.x))
     where = C.rows if C.rows.numel() else None
-    if interval.is_continuous(gradient, C.x, *C.hull):
-        found = extremum.largest_eigenvalue(-H, C.x, *C.hull, where=where, bound_to=0.0, quick=True)
+    if interval.is_continuous(gradient, C.x, *C.bounding_box):
+        found = extremum.largest_eigenvalue(-H, C.x, *C.bounding_box, where=where, bound_to=0.0, quick=True)
         if found.bound <= 0:
-            return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {BOUND: abs(found.bound)}, {})
-    split = ridges(smooth, C.x)
-    if split is not None and _convex_in_directions(split, C.x, C.hull, quick=True):
+            return HypothesisPart(HOLDS, "bounds of the eigenvalues of the Hessian", {EIGENVALUE_BOUND_KEY: abs(found.bound)}, {})
+    split = find_ridges(smooth, C.x)
+    if split is not None and _is_convex_in_directions(split, C.x, C.bounding_box, quick=True):
         how = "bounds of the Hessian in the directions that the operations act on"
-        return Part(HOLDS, how, {BOUND: 0.0}, {})
+        return HypothesisPart(HOLDS, how, {EIGENVALUE_BOUND_KEY: 0.0}, {})
     found = extremum.largest_eigenvalue(-H, C.x, *box, where=where, bound_to=0.0, quick=quick)
-    value = {} if found.at is None else {LEAST: -found.value}
-    down = downwards(gradient, H, C, found.at)
+    value = {} if found.at is None else {MIN_EIGENVALUE_KEY: -found.value}
+    down = find_negative_curvature(gradient, H, C, found.at)
     if down:
-        return Part(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
+        return HypothesisPart(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
     proved = found.bound <= 0 and interval.is_continuous(gradient, C.x, *box)
-    if proved or (split is not None and _convex_in_directions(split, C.x, box, quick=quick)):
-        return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {BOUND: abs(found.bound) if proved else 0.0}, {}, True)
-    broken = _broken(smooth, C, box)
+    if proved or (split is not None and _is_convex_in_directions(split, C.x, box, quick=quick)):
+        return HypothesisPart(
+            HOLDS,
+            "bounds of the eigenvalues of the Hessian",
+            {EIGENVALUE_BOUND_KEY: abs(found.bound) if proved else 0.0},
+            {},
+            True,
+        )
+    broken = _find_convexity_violation(smooth, C, box)
     if broken is not None:
         return broken
     how = f"no negative eigenvalue of the Hessian at {found.count} points of the box"
-    return Part(SAMPLED, how, value or {LEAST: np.nan}, {} if found.at is None else {"x": found.at})
+    return HypothesisPart(SAMPLED, how, value or {MIN_EIGENVALUE_KEY: np.nan}, {} if found.at is None else {"x": found.at})
 
 
-def _convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> bool:
+def _is_convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> bool:
     """Whether the function of the directions is convex on the box that they range over."""
-    if not split.s.numel() or split.s.numel() > MOST_DIRECTIONS:
+    if not split.s.numel() or split.s.numel() > MAX_DIRECTIONS:
         return not split.s.numel()
     ends = split.box(x, *box)
     if not interval.is_continuous(ca.vertcat(split.h, ca.gradient(split.h, split.s)), split.s, *ends):
@@ -211,7 +230,7 @@ def _convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.nda
     return bool(extremum.largest_eigenvalue(-H, split.s, *ends, bound_to=0.0, quick=quick).bound <= 0)
 
 
-def downwards(gradient: ca.SX, H: ca.SX, C: ConvexSet, at: np.ndarray | None) -> dict[str, np.ndarray]:
+def find_negative_curvature(gradient: ca.SX, H: ca.SX, C: ConvexSet, at: np.ndarray | None) -> dict[str, np.ndarray]:
     """A point and a vector v with v'Hv < 0 there, rounding included; empty where there is none.
 
     H is the Jacobian of ``gradient``, or its symmetric part. Where the gradient jumps, at a kink, a point beside it is taken, if
@@ -220,16 +239,19 @@ def downwards(gradient: ca.SX, H: ca.SX, C: ConvexSet, at: np.ndarray | None) ->
     if at is None:
         return {}
     unit = (1 + np.abs(at)) * np.cos(1 + np.arange(len(at)))  # a direction along no axis
-    for place, near in [(at, NEAR[-1]), *((at + sign * near * unit, near) for near in NEAR for sign in (1, -1))]:
+    for place, near in [
+        (at, WITNESS_DISTANCES[-1]),
+        *((at + sign * near * unit, near) for near in WITNESS_DISTANCES for sign in (1, -1)),
+    ]:
         room = near / 8 * (1 + np.abs(place))
         if (C.values(place[None]) >= 0).all() and interval.is_continuous(gradient, C.x, place - room, place + room):
-            found = _downwards(H, C.x, place)
+            found = _negative_curvature_at_point(H, C.x, place)
             if found:
                 return found
-    return _downwards(H, C.x, at)
+    return _negative_curvature_at_point(H, C.x, at)
 
 
-def _downwards(H: ca.SX, x: ca.SX, at: np.ndarray) -> dict[str, np.ndarray]:
+def _negative_curvature_at_point(H: ca.SX, x: ca.SX, at: np.ndarray) -> dict[str, np.ndarray]:
     values = np.array(ca.Function("H", [x], [H])(at))
     if not np.isfinite(values).all():
         return {}
@@ -238,7 +260,7 @@ def _downwards(H: ca.SX, x: ca.SX, at: np.ndarray) -> dict[str, np.ndarray]:
     return {"x": np.asarray(at), "vector": v} if float(np.max(high)) < 0 else {}
 
 
-def _altogether(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part:
+def _check_whole_potential(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> HypothesisPart:
     """A potential whose smooth part is not convex by itself: terms with kinks may make up for that, so all of it is looked at."""
     points = extremum.samples(*box, 512)
     points = points[(C.values(points) >= 0).all(axis=1)]
@@ -249,17 +271,17 @@ def _altogether(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> P
         kept = np.isfinite(values).all(axis=(1, 2))
         points, least = points[kept], np.linalg.eigvalsh(values[kept])[:, 0]
         seen = float(least.min(initial=np.inf))
-        down = downwards(ca.gradient(g, C.x), H, C, points[int(np.argmin(least))]) if len(points) else {}
+        down = find_negative_curvature(ca.gradient(g, C.x), H, C, points[int(np.argmin(least))]) if len(points) else {}
         if down:
-            return Part(VIOLATED, "the Hessian has a negative eigenvalue", {LEAST: seen}, down)
-    broken = _broken(g, C, box)
+            return HypothesisPart(VIOLATED, "the Hessian has a negative eigenvalue", {MIN_EIGENVALUE_KEY: seen}, down)
+    broken = _find_convexity_violation(g, C, box)
     if broken is not None:
         return broken
     how = f"its terms with kinks are convex, the rest is not; together no violation was seen at {len(points)} points of the box"
-    return Part(SAMPLED, how, {LEAST: seen if np.isfinite(seen) else np.nan}, {})
+    return HypothesisPart(SAMPLED, how, {MIN_EIGENVALUE_KEY: seen if np.isfinite(seen) else np.nan}, {})
 
 
-def _broken(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part | None:
+def _find_convexity_violation(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> HypothesisPart | None:
     """Two points of C where g in the middle is larger than the mean, beyond rounding: kinks that bend downwards."""
     points = extremum.samples(*box, 1024)
     points = points[(C.values(points) >= 0).all(axis=1)]
@@ -273,4 +295,4 @@ def _broken(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part 
         return None
     k = int(np.argmax(excess))
     how = "two points in whose middle the potential is larger than the mean of both"
-    return Part(VIOLATED, how, {"excess at the middle": float(excess[k])}, {"x": a[k], "y": b[k]})
+    return HypothesisPart(VIOLATED, how, {"excess at the middle": float(excess[k])}, {"x": a[k], "y": b[k]})

@@ -13,12 +13,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval, polynomial
-from nsmodel.proof.graph import applied, column, fold
+from nsmodel.proof.graph import apply_operation, fold_graph, stack_column
 from nsmodel.proof.straight_line import is_double
 
-ROUNDED = 1e-12  # Part of the terms of a'x by which its bounds are widened, for coefficients rounded to doubles.
+COEFFICIENT_ROUNDING = 1e-12  # Part of the terms of a'x by which its bounds are widened, for coefficients rounded to doubles.
 Direction = tuple[tuple[int, Fraction], ...]  # (variable, coefficient), the first coefficient 1
-_Rewritten = tuple[ca.SX, polynomial.Polynomial | None]  # a node, and its polynomial where it is affine
+_RidgeNode = tuple[ca.SX, polynomial.Polynomial | None]  # a node, and its polynomial where it is affine
 
 
 class Ridges(NamedTuple):
@@ -36,39 +36,43 @@ class Ridges(NamedTuple):
         low, high = (np.asarray(end).ravel() for end in interval.enclose(ca.DM(a) @ x, x, lower, upper))
         far = np.maximum(np.abs(lower), np.abs(upper))
         reach = np.where(np.isfinite(far), np.abs(a) * np.where(np.isfinite(far), far, 0.0), 0.0).sum(axis=1)
-        return low - ROUNDED * reach, high + ROUNDED * reach
+        return low - COEFFICIENT_ROUNDING * reach, high + COEFFICIENT_ROUNDING * reach
 
 
-def ridges(expr: ca.SX, x: ca.SX) -> Ridges | None:
+def find_ridges(expr: ca.SX, x: ca.SX) -> Ridges | None:
     """Return a scalar as a function of as few directions as its graph shows; None where that takes rounding."""
     try:
-        return _read(expr, x)
+        return _build_ridges(expr, x)
     except ValueError:
         return None
 
 
-def _read(expr: ca.SX, x: ca.SX) -> Ridges:
+def _build_ridges(expr: ca.SX, x: ca.SX) -> Ridges:
     place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(x))}
     known: dict[Direction, ca.SX] = {}
 
-    def variable(symbol: ca.SX) -> _Rewritten:
+    def variable(symbol: ca.SX) -> _RidgeNode:
         if symbol.element_hash() not in place:
             raise ValueError("another symbol than x")
         return symbol, {((place[symbol.element_hash()], 1),): Fraction(1)}
 
-    def apply(op: int, args: list[_Rewritten]) -> _Rewritten:
-        p = polynomial.apply(op, [q for _, q in args if q is not None]) if all(q is not None for _, q in args) else None
+    def apply(op: int, args: list[_RidgeNode]) -> _RidgeNode:
+        p = (
+            polynomial.apply_to_polynomials(op, [q for _, q in args if q is not None])
+            if all(q is not None for _, q in args)
+            else None
+        )
         if p is not None and polynomial.degree(p) <= 1:
-            return applied(op, [node for node, _ in args]), p
-        return applied(op, [_shown(node, q, known) for node, q in args]), None
+            return apply_operation(op, [node for node, _ in args]), p
+        return apply_operation(op, [_direction_expression(node, q, known) for node, q in args]), None
 
-    (last,) = fold(expr, variable, lambda number: (ca.SX(number), polynomial.constant(number)), apply)
-    result = _shown(*last, known)
+    (last,) = fold_graph(expr, variable, lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply)
+    result = _direction_expression(*last, known)
     a = [[dict(direction).get(j, Fraction(0)) for j in range(x.numel())] for direction in known]
-    return Ridges(result, column(known.values()), np.array(a, dtype=object).reshape(len(known), x.numel()))
+    return Ridges(result, stack_column(known.values()), np.array(a, dtype=object).reshape(len(known), x.numel()))
 
 
-def _shown(node: ca.SX, p: polynomial.Polynomial | None, known: dict[Direction, ca.SX]) -> ca.SX:
+def _direction_expression(node: ca.SX, p: polynomial.Polynomial | None, known: dict[Direction, ca.SX]) -> ca.SX:
     """An affine node written with the symbol of its direction; ValueError where doubles do not hold its coefficients."""
     if p is None or polynomial.is_constant(p):
         return node

@@ -11,7 +11,7 @@ from events import by_hand
 from events.programs import Programs, compiler, with_cvode
 from events.scenes import Scene, scenes
 
-from nsmodel.run.event_driven import problem_of
+from nsmodel.run.event_driven import event_driven_problem
 from peers.in_scipy import measure
 from peers.programs import Run
 
@@ -23,7 +23,7 @@ def runs(name: str) -> Iterator[Run]:
     scene = next((scene for scene in scenes() if scene.name == name), None)
     if scene is None or scene.hand is None:
         return
-    problem, t_end = problem_of(scene.model), float(scene.model.t_end)
+    problem, t_end = event_driven_problem(scene.model), float(scene.model.t_end)
     x0, columns = np.array([float(v) for v in problem.x0.elements()]), slice(problem.states)
     t = np.linspace(0, t_end, by_hand.ROWS)
     if compiler() is not None and with_cvode():

@@ -8,31 +8,31 @@ from dataclasses import replace
 from nsmodel.classes.bodies.hypotheses import for_all
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.sweeping.hypotheses.check import S_F
-from nsmodel.classes.sweeping.hypotheses.driven import for_each_signal
+from nsmodel.classes.sweeping.hypotheses.driven import state_for_each_signal
 from nsmodel.hypotheses.findings import Consequence, Finding
-from nsmodel.hypotheses.inputs import Motion
+from nsmodel.hypotheses.inputs import InputBounds
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Scope, meet
+from nsmodel.hypotheses.scope import Scope, intersect_scopes
 from nsmodel.trajectory import Trajectory
 
 PARTS = {"f": ("f",)}
 
 
 def findings(
-    model: ManyBodies, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+    model: ManyBodies, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each value of the inputs, and S-f with the L_t of their rates; see the inclusions' module of this name."""
     del runs, quick
-    made = for_all.of_velocity(model, region, motion)
+    made = for_all.velocity_finding(model, region, motion)
     if made is None:
         return list(own)
-    made = replace(made, scope=meet(made.scope, Scope(parameters=region.parameters)))
+    made = replace(made, scope=intersect_scopes(made.scope, Scope(parameters=region.parameters)))
     return [made if finding.id == S_F.id else finding for finding in own]
 
 
 def consequences(
-    model: ManyBodies, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
+    model: ManyBodies, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal."""
     del motion, runs
-    return for_each_signal(for_all.consequences(model, region, own))
+    return state_for_each_signal(for_all.consequences(model, region, own))

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.trajectory import Trajectory
 
-BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
+MAX_BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
 
 
 def most_steps(model: ManyBodies) -> int:
     """Steps of a run that is made."""
-    return max(BODY_STEPS[0] // model.bodies.count, 1)
+    return max(MAX_BODY_STEPS[0] // model.bodies.count, 1)
 
 
 def is_refined(model: ManyBodies, steps: int) -> bool:
     """Whether a run of so many steps is made with the steps 2h and 4h too."""
-    return model.bodies.count * steps <= BODY_STEPS[1]
+    return model.bodies.count * steps <= MAX_BODY_STEPS[1]
 
 
 def notes(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:

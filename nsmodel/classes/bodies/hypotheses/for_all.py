@@ -7,37 +7,37 @@ from collections.abc import Sequence
 import casadi as ca
 
 from nsmodel.classes.bodies.hypotheses.check import check
-from nsmodel.classes.bodies.hypotheses.velocity import velocity_of
+from nsmodel.classes.bodies.hypotheses.velocity import uniform_velocity_answer
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.sweeping.hypotheses.check import A5, A5_ACTIVE, HYPOTHESES, S_F
-from nsmodel.classes.sweeping.hypotheses.consequences import consequences_of
+from nsmodel.classes.sweeping.hypotheses.consequences import sweeping_consequences
 from nsmodel.classes.sweeping.hypotheses.constraint import ON_THE_BOX
-from nsmodel.hypotheses.findings import Consequence, Finding, found
-from nsmodel.hypotheses.inputs import STILL, Motion
+from nsmodel.hypotheses.findings import Consequence, Finding, make_finding
+from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Box
-from nsmodel.hypotheses.uniform import Values, for_the_box, untouched
+from nsmodel.hypotheses.scope import IntervalBox
+from nsmodel.hypotheses.uniform import ParameterValues, findings_for_box, unaffected_findings
 
 READS = {hypothesis.id: ("constraints",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "constraints")}
 
 
-def values(model: ManyBodies, box: Box) -> list[Values]:
+def values(model: ManyBodies, box: IntervalBox) -> list[ParameterValues]:
     """No values are special."""
     return []
 
 
 def findings(model: ManyBodies, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
-    return for_the_box([of_velocity(model, region)], untouched(check, model, region, quick, READS), region)
+    return findings_for_box([velocity_finding(model, region)], unaffected_findings(check, model, region, quick, READS), region)
 
 
-def of_velocity(model: ManyBodies, region: Region, motion: Motion = STILL) -> Finding | None:
+def velocity_finding(model: ManyBodies, region: Region, motion: InputBounds = NO_INPUT_BOUNDS) -> Finding | None:
     """S-f for all values; None where it is not proved."""
-    answer = velocity_of(model, region, motion)
+    answer = uniform_velocity_answer(model, region, motion)
     if answer is None:
         return None
     scope = region.scope(answer.where == ON_THE_BOX, bool(ca.depends_on(model.f, model.t)))
-    return found(S_F, answer.verdict, answer.how, answer.value, scope=scope)
+    return make_finding(S_F, answer.verdict, answer.how, answer.value, scope=scope)
 
 
 def consequences(model: ManyBodies, region: Region, own: Sequence[Finding]) -> list[Consequence]:
@@ -45,4 +45,4 @@ def consequences(model: ManyBodies, region: Region, own: Sequence[Finding]) -> l
     known = {finding.id: finding.value for finding in own}
     if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):
         return []
-    return consequences_of(model, own, (), sum(family.count for family in model.constraints.values()))
+    return sweeping_consequences(model, own, (), sum(family.count for family in model.constraints.values()))

@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 from nsmodel.classes.bodies.schemes.prediction_correction import ContactRows
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
-from nsmodel.proof.sure import sure
+from nsmodel.proof.sure import not_none
 
-SMALL = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
-ITERATIONS = 60
-GAP = 1e-7
-LARGE = 20_000, 2_000  # Constraints of a group beyond which its gamma takes too long (quick: the second).
-LOST = 1e7  # A lower bound above this ends the iteration: whether normals oppose each other is then seen on
-CORE = 200  # so many constraints, those with the largest weights.
+MAX_WOLFE_GROUP = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
+INTERIOR_ITERATIONS = 60
+DUALITY_GAP = 1e-7
+MAX_GROUP_SIZE = 20_000, 2_000  # Constraints of a group beyond which its gamma takes too long (quick: the second).
+OPPOSING_BOUND = 1e7  # A lower bound above this ends the iteration: whether normals oppose each other is then seen on
+CORE_SIZE = 200  # so many constraints, those with the largest weights.
 
 
-class Network(NamedTuple):
+class NetworkGamma(NamedTuple):
     """gamma <= ``gamma``; some weights attain ``attained``: inf where normals oppose each other.
 
     The group with the largest part: its rows and their weights.
@@ -38,15 +38,15 @@ class Network(NamedTuple):
     weights: np.ndarray
 
 
-def network_of(rows: ContactRows, quick: bool = False) -> Network | None:
+def network_gamma(rows: ContactRows, quick: bool = False) -> NetworkGamma | None:
     """Return gamma over some constraints where the bodies are; None where one of their groups is too large."""
     second = np.where(rows.pair, rows.second, -1)
-    if len(rows.g) and np.bincount(groups(rows.first, second)).max() > LARGE[quick]:
+    if len(rows.g) and np.bincount(connected_groups(rows.first, second)).max() > MAX_GROUP_SIZE[quick]:
         return None
     return network_constant((rows.G, rows.H), rows.first, second)
 
 
-def network_constant(slopes: tuple[np.ndarray, np.ndarray], first: np.ndarray, second: np.ndarray) -> Network:
+def network_constant(slopes: tuple[np.ndarray, np.ndarray], first: np.ndarray, second: np.ndarray) -> NetworkGamma:
     """Return gamma of constraints on bodies.
 
     Args:
@@ -55,12 +55,12 @@ def network_constant(slopes: tuple[np.ndarray, np.ndarray], first: np.ndarray, s
     """
     size = np.sqrt((slopes[0] ** 2).sum(axis=1) + (slopes[1] ** 2).sum(axis=1))
     if not len(size):
-        return Network(1.0, 1.0, np.zeros(0, int), np.zeros(0))
+        return NetworkGamma(1.0, 1.0, np.zeros(0, int), np.zeros(0))
     if not (size > 0).all():
         flat = np.flatnonzero(~(size > 0))
-        return Network(np.inf, np.inf, flat, np.full(flat.size, 1 / flat.size))
+        return NetworkGamma(np.inf, np.inf, flat, np.full(flat.size, 1 / flat.size))
     normals = np.hstack(slopes) / size[:, None]
-    group = groups(first, second)
+    group = connected_groups(first, second)
     order = np.argsort(group, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
     low = high = float(sum(len(rows) == 1 for rows in parts))
@@ -68,21 +68,21 @@ def network_constant(slopes: tuple[np.ndarray, np.ndarray], first: np.ndarray, s
     for part in parts:
         if len(part) == 1:
             continue
-        N = _matrix(normals[part], first[part], second[part])
-        if len(part) <= SMALL:
+        N = _normals_matrix(normals[part], first[part], second[part])
+        if len(part) <= MAX_WOLFE_GROUP:
             gamma, own = mfcq_constant(N.toarray())
             least = gamma
         else:
-            least, gamma, own = escape(N)
-            if least > LOST:
-                least, gamma, own = _opposing(N, least, own)
+            least, gamma, own = interior_gamma_bounds(N)
+            if least > OPPOSING_BOUND:
+                least, gamma, own = _opposing_bounds(N, least, own)
         if least > worst:
             worst, rows, weights = least, part, own
         low, high = low + least**2, high + gamma**2
-    return Network(float(np.sqrt(high)), float(np.sqrt(low)), rows, weights)
+    return NetworkGamma(float(np.sqrt(high)), float(np.sqrt(low)), rows, weights)
 
 
-def groups(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def connected_groups(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return a number (K,) for each constraint, the same for those that share bodies, directly or through others."""
     count = int(max(first.max(initial=-1), second.max(initial=-1))) + 1
     pairs = second >= 0
@@ -93,7 +93,7 @@ def groups(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return connected_components(graph, directed=False)[1][first]
 
 
-def _matrix(normals: np.ndarray, first: np.ndarray, second: np.ndarray) -> csr_matrix:
+def _normals_matrix(normals: np.ndarray, first: np.ndarray, second: np.ndarray) -> csr_matrix:
     """The unit normals as rows over the states of the bodies in this group."""
     d, pair = normals.shape[1] // 2, second >= 0
     bodies, place = np.unique(np.concatenate([first, second[pair]]), return_inverse=True)
@@ -105,7 +105,7 @@ def _matrix(normals: np.ndarray, first: np.ndarray, second: np.ndarray) -> csr_m
     return csr_matrix((values.ravel(), (np.repeat(rows, d), columns.ravel())), (len(first), len(bodies) * d))
 
 
-def escape(N: csr_matrix) -> tuple[float, float, np.ndarray]:
+def interior_gamma_bounds(N: csr_matrix) -> tuple[float, float, np.ndarray]:
     """Return a lower and an upper bound of gamma and the weights (sum 1) of the lower one, by a primal-dual interior method.
 
     min |v|^2/2 over N v - s = 1, s >= 0: v = N'l, l >= 0, l s = 0; each step solves (I + N' (l/s) N) dv = r, sparse.
@@ -113,10 +113,10 @@ def escape(N: csr_matrix) -> tuple[float, float, np.ndarray]:
     from scipy.sparse import diags, identity
     from scipy.sparse.linalg import splu
 
-    k, n = map(int, sure(N.shape))
+    k, n = map(int, not_none(N.shape))
     v, s, l = np.zeros(n), np.ones(k), np.ones(k)
     low, high, best = 0.0, np.inf, np.full(k, 1 / k)
-    for _ in range(ITERATIONS):
+    for _ in range(INTERIOR_ITERATIONS):
         W = l / s
         try:
             matrix = (identity(n) + N.T @ diags(W) @ N).tocsc()
@@ -129,13 +129,13 @@ def escape(N: csr_matrix) -> tuple[float, float, np.ndarray]:
         dv = solve(rest)
         ds = N @ dv + r_p
         dl = -l - W * ds
-        step = min(_longest(s, ds), _longest(l, dl))
+        step = min(_max_positive_step(s, ds), _max_positive_step(l, dl))
         centring = (float((s + step * ds) @ (l + step * dl)) / k / mu) ** 3
         target = (centring * mu - ds * dl) / s
         dv = solve(rest + N.T @ target)
         ds = N @ dv + r_p
         dl = target - l - W * ds
-        step = 0.995 * min(_longest(s, ds), _longest(l, dl))
+        step = 0.995 * min(_max_positive_step(s, ds), _max_positive_step(l, dl))
         v, s, l = v + step * dv, s + step * ds, l + step * dl
         if not (np.isfinite(l).all() and np.isfinite(v).all()):
             break
@@ -144,14 +144,14 @@ def escape(N: csr_matrix) -> tuple[float, float, np.ndarray]:
             low, best = attained, l / l.sum()
         least = float((N @ v).min())
         high = min(high, float(np.linalg.norm(v)) / least) if least > 0 else high
-        if high <= low * (1 + GAP) or low > LOST:
+        if high <= low * (1 + DUALITY_GAP) or low > OPPOSING_BOUND:
             break
     return low, max(high, low), best
 
 
-def _opposing(N: csr_matrix, least: float, weights: np.ndarray) -> tuple[float, float, np.ndarray]:
+def _opposing_bounds(N: csr_matrix, least: float, weights: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Bounds of gamma and weights where the iteration ended above ``LOST``: is 0 in the hull of the normals that weigh most."""
-    core = np.argsort(-weights, kind="stable")[:CORE]
+    core = np.argsort(-weights, kind="stable")[:CORE_SIZE]
     gamma, own = mfcq_constant(N[core].toarray())
     if not np.isinf(gamma):
         return least, np.inf, weights
@@ -160,7 +160,7 @@ def _opposing(N: csr_matrix, least: float, weights: np.ndarray) -> tuple[float, 
     return np.inf, np.inf, found
 
 
-def _longest(x: np.ndarray, dx: np.ndarray) -> float:
+def _max_positive_step(x: np.ndarray, dx: np.ndarray) -> float:
     """The largest step in [0, 1] that keeps x >= 0."""
     falls = dx < 0
     return min(1.0, float(np.min(-x[falls] / dx[falls]))) if falls.any() else 1.0

@@ -8,20 +8,20 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.sweeping.hypotheses.pace import fastest, swept
+from nsmodel.classes.sweeping.hypotheses.pace import sweeping_speed_bound, velocity_norm_bound
 from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.stay import Pace
+from nsmodel.hypotheses.stay import SpeedBound
 
 
-def pace(
+def speed_bound(
     model: ManyBodies, region: Region, findings: Sequence[Finding], known: Mapping[str, Consequence], h: float
-) -> Pace | None:  # fmt: skip
+) -> SpeedBound | None:  # fmt: skip
     """The pace on the box; None where it has no bound, as of a function of numbers."""
     if not isinstance(model.f, ca.SX):
         return None
     numbers, table = model.me.symbols[model.bodies.d :], model.bodies.table[:, model.bodies.d :]
     z = ca.vertcat(model.t, model.me.q, numbers)
-    start, end = region.with_time()
+    start, end = region.bounds_with_time()
     low, high = np.append(start, table.min(axis=0)), np.append(end, table.max(axis=0))
-    return swept(fastest(model.f, z, low, high, model.bodies.count), findings, known["K_L"], h)
+    return sweeping_speed_bound(velocity_norm_bound(model.f, z, low, high, model.bodies.count), findings, known["K_L"], h)

@@ -11,33 +11,35 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.hypotheses.near import admits, all_admitted
+from nsmodel.classes.bodies.hypotheses.near import all_admissible, is_body_admissible
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
-from nsmodel.classes.sweeping.hypotheses.admissible import part_without_constraints
-from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
-from nsmodel.classes.sweeping.hypotheses.velocity import closed, lipschitz
+from nsmodel.classes.sweeping.hypotheses.admissible import unconstrained_process
+from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, HypothesisAnswer
+from nsmodel.classes.sweeping.hypotheses.velocity import lipschitz_bound, lipschitz_proved_answer
 from nsmodel.classes.sweeping.hypotheses.velocity_blocks import FieldBlock
-from nsmodel.classes.sweeping.hypotheses.velocity_jumps import differ, jumps, steep
+from nsmodel.classes.sweeping.hypotheses.velocity_jumps import jump_sizes, steep_point, switch_jumps
 from nsmodel.errors import StepError
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.inputs import STILL, Motion, unbounded
+from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, missing_rate_reason
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import extremum, interval
-from nsmodel.proof.defined import in_time
-from nsmodel.proof.discontinuity import jump_between
-from nsmodel.proof.graph import column, replay
-from nsmodel.proof.jumps import SWITCHES, jumps_in
+from nsmodel.proof.defined import check_defined_in_time
+from nsmodel.proof.discontinuity import jump_lower_bound
+from nsmodel.proof.graph import rewrite_nodes, stack_column
+from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_nodes
 
-PROVED = 64  # Jumps that are to be proved, the nearest first.
-TRIED = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
-LOOKED = 64  # Times, or bodies taken away, for which all others are looked at.
-SHIFTS = 1e-1, 1e-4, 1e-7  # Parts of the box by which a body is moved for a difference quotient.
-Point = tuple[float, np.ndarray]
-_Jump = tuple[float, dict[str, Any]]
+MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first.
+MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
+MAX_REST_CHECKS = 64  # Times, or bodies taken away, for which all others are looked at.
+QUOTIENT_SHIFTS = 1e-1, 1e-4, 1e-7  # Parts of the box by which a body is moved for a difference quotient.
+TimedPositions = tuple[float, np.ndarray]
+_BodyJump = tuple[float, dict[str, Any]]
 
 
-def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], quick: bool) -> Answer:
+def decide_bodies_velocity(
+    problem: BodiesProblem, region: Region, points: Sequence[TimedPositions], quick: bool
+) -> HypothesisAnswer:
     """Return K_f, L_f and L_t with the verdict on K_f and L_f.
 
     Args:
@@ -48,75 +50,75 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
     """
     model = problem.model
     if not isinstance(model.f, ca.SX):
-        return _called(problem, region, points)
+        return _sampled_function_answer(problem, region, points)
     z = model.me.symbols
-    defined = in_time(model.f, model.t, region.t0, region.t1, z, model.bodies.table[0])
+    defined = check_defined_in_time(model.f, model.t, region.t0, region.t1, z, model.bodies.table[0])
     if defined.verdict == VIOLATED:
-        return Answer(
+        return HypothesisAnswer(
             VIOLATED, {"L_f": np.inf}, EVERYWHERE, f"f has no finite value for all times: {defined.how}", {"t": defined.at}
         )
-    block = _block(model, region, problem.numbers)
-    verdict, K, where, count = lipschitz(block, quick)
-    rate, remark = _in_time(model, block, quick)
+    block = _body_field_block(model, region, problem.numbers)
+    verdict, K, where, count = lipschitz_bound(block, quick)
+    rate, remark = _bodies_time_rate_bound(model, block, quick)
     if verdict == HOLDS:
         how = "f is continuous in q and |f_q| is bounded" if K else "f does not depend on the state"
-        L_f = _growth(model, block, K, where)
-        return closed(defined, {"K_f": K, "L_f": L_f} | rate, where, f"{how}, for one body and for all{remark}")
-    L_f = _growth(model, block, np.inf, ON_THE_BOX)
+        L_f = _bodies_growth_bound(model, block, K, where)
+        return lipschitz_proved_answer(defined, {"K_f": K, "L_f": L_f} | rate, where, f"{how}, for one body and for all{remark}")
+    L_f = _bodies_growth_bound(model, block, np.inf, ON_THE_BOX)
     if quick:
-        able = jumps_in(block.f, block.q)
+        able = jump_nodes(block.f, block.q)
         how = f"{count} points; neither jumps of f nor steep places were looked for (quick)"
         how = "f has operations that jump; " + how if able else how
-        return Answer(UNKNOWN if able else SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
-    jump = _jump(problem, points, region)
+        return HypothesisAnswer(UNKNOWN if able else SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
+    jump = _nearest_body_jump(problem, points, region)
     if jump is not None:
         size, witness = jump
         how = (
             "f jumps, by intervals on both sides, where a body can be, so it is not Lipschitz; the place nearest to one is shown"
         )
-        return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + remark, witness)
-    point = _steep(problem, region, points)
+        return HypothesisAnswer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + remark, witness)
+    point = _steep_body_point(problem, region, points)
     if point is not None:
         how = "an entry of f_q grows without bound towards this point, along a ray"
-        return Answer(VIOLATED, {"K_f": np.inf, "L_f": L_f} | rate, ON_THE_BOX, how + remark, point)
+        return HypothesisAnswer(VIOLATED, {"K_f": np.inf, "L_f": L_f} | rate, ON_THE_BOX, how + remark, point)
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
-    return Answer(SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
+    return HypothesisAnswer(SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
 
 
-def velocity_of(model: ManyBodies, region: Region, motion: Motion) -> Answer | None:
+def uniform_velocity_answer(model: ManyBodies, region: Region, motion: InputBounds) -> HypothesisAnswer | None:
     """K_f, L_f and, where it is bounded, L_t for all values of the parameters in the box of ``region``, inputs among them.
 
     None where they are not proved.
     """
     if not isinstance(model.f, ca.SX):
         return None
-    block = _block(model, region, model.bodies.table[:, model.bodies.d :])
-    verdict, K, where, _ = lipschitz(block, False)
+    block = _body_field_block(model, region, model.bodies.table[:, model.bodies.d :])
+    verdict, K, where, _ = lipschitz_bound(block, False)
     if verdict != HOLDS:
         return None
-    L_f = _growth(model, block, K, where)
+    L_f = _bodies_growth_bound(model, block, K, where)
     if not np.isfinite(L_f):
         return None
-    rate, remark = _in_time(model, block, True, motion)
+    rate, remark = _bodies_time_rate_bound(model, block, True, motion)
     value = {"K_f": K, "L_f": L_f} | {name: number for name, number in rate.items() if np.isfinite(number)}
-    return Answer(HOLDS, value, where, f"bounds of f and of its derivative, for one body and for all{remark}")
+    return HypothesisAnswer(HOLDS, value, where, f"bounds of f and of its derivative, for one body and for all{remark}")
 
 
-def _used(model: ManyBodies) -> list[int]:
+def _used_numbers(model: ManyBodies) -> list[int]:
     """Which of the numbers of a body its velocity depends on."""
     d, symbols = model.bodies.d, model.me.symbols
     return [k for k in range(symbols.numel() - d) if ca.depends_on(model.f, symbols[d + k])]
 
 
-def _block(model: ManyBodies, region: Region, table: np.ndarray) -> FieldBlock:
+def _body_field_block(model: ManyBodies, region: Region, table: np.ndarray) -> FieldBlock:
     """The velocity of one of the bodies with the numbers ``table`` (k, K).
 
     The numbers, parameters without value, and switches that depend on these and on time alone are symbols within bounds.
     """
     d, nodes = model.bodies.d, []
-    used, numbers = _used(model), model.me.symbols[d:]
+    used, numbers = _used_numbers(model), model.me.symbols[d:]
     plain = ca.SX.sym("q", d)
-    chosen = ca.vertcat(column(numbers[k] for k in used), model.p)
+    chosen = ca.vertcat(stack_column(numbers[k] for k in used), model.p)
     z = ca.vertcat(model.t, chosen)
 
     def switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
@@ -125,19 +127,19 @@ def _block(model: ManyBodies, region: Region, table: np.ndarray) -> FieldBlock:
         nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
         return nodes[-1][0]
 
-    f = replay(ca.substitute(model.f, model.me.q, plain), switch, SWITCHES, z, "f")
+    f = rewrite_nodes(ca.substitute(model.f, model.me.q, plain), switch, SWITCH_OPERATIONS, z, "f")
     lower, upper = (
         np.concatenate([[time], end(table[:, used], axis=0), p])
-        for time, end, p in zip((region.t0, region.t1), (np.min, np.max), region.of_parameters(), strict=True)
+        for time, end, p in zip((region.t0, region.t1), (np.min, np.max), region.parameter_bounds(), strict=True)
     )
-    bounds = interval.enclose(column(old for _, old in nodes), z, lower, upper) if nodes else (np.zeros(0),) * 2
-    s = ca.vertcat(chosen, column(symbol for symbol, _ in nodes))
+    bounds = interval.enclose(stack_column(old for _, old in nodes), z, lower, upper) if nodes else (np.zeros(0),) * 2
+    s = ca.vertcat(chosen, stack_column(symbol for symbol, _ in nodes))
     s_lower, s_upper = (np.concatenate([end[1:], np.ravel(more)]) for end, more in zip((lower, upper), bounds, strict=True))
     box = (np.concatenate([[time], end]) for time, end in zip((region.t0, region.t1), (region.lower, region.upper), strict=True))
     return FieldBlock(f, plain, model.t, s, s_lower, s_upper, [(list(range(d)), list(range(d)))], *box)
 
 
-def _growth(model: ManyBodies, block: FieldBlock, K: float, where: str) -> float:
+def _bodies_growth_bound(model: ManyBodies, block: FieldBlock, K: float, where: str) -> float:
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere, else sup |f| / (1 + |q|) on the box."""
     n = model.bodies.count
     lower, upper = block.box(False)
@@ -150,15 +152,17 @@ def _growth(model: ManyBodies, block: FieldBlock, K: float, where: str) -> float
     return float(np.sqrt(total) / (1 + np.sqrt(n) * np.linalg.norm(nearest)))
 
 
-def _in_time(model: ManyBodies, block: FieldBlock, quick: bool, motion: Motion = STILL) -> tuple[dict[str, float], str]:
+def _bodies_time_rate_bound(
+    model: ManyBodies, block: FieldBlock, quick: bool, motion: InputBounds = NO_INPUT_BOUNDS
+) -> tuple[dict[str, float], str]:
     """L_t where it is bounded, and a remark where it is not."""
     change = motion.velocity(model.f, model.t)
     if not ca.depends_on(model.f, ca.vertcat(model.t, motion.u)):
         return {"L_t": 0.0}, ""
-    if loose := motion.may_jump(model.f):
-        return {"L_t": np.inf}, f"; {unbounded(motion, loose)}: no L_t, and no order is proved"
+    if loose := motion.jumping_indices(model.f):
+        return {"L_t": np.inf}, f"; {missing_rate_reason(motion, loose)}: no L_t, and no order is proved"
     one = block.box(False)
-    z = ca.vertcat(model.t, model.me.q, *(model.me.symbols[model.bodies.d + k] for k in _used(model)), model.p)
+    z = ca.vertcat(model.t, model.me.q, *(model.me.symbols[model.bodies.d + k] for k in _used_numbers(model)), model.p)
     lower, upper = (end[: z.numel()] for end in one)
     if not interval.is_continuous(model.f, z, lower, upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
@@ -169,42 +173,44 @@ def _in_time(model: ManyBodies, block: FieldBlock, quick: bool, motion: Motion =
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"
 
 
-def _some(model: ManyBodies, table: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+def _distinct_bodies(model: ManyBodies, table: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
     """Some bodies whose velocities differ by their numbers, and all bodies like each of them."""
-    own = table[:, _used(model)]
+    own = table[:, _used_numbers(model)]
     first, which = np.unique(own, axis=0, return_index=True, return_inverse=True)[1:] if own.size else (np.zeros(1, int), 0)
-    some = np.unique(np.linspace(0, len(first) - 1, min(len(first), TRIED), dtype=int))
+    some = np.unique(np.linspace(0, len(first) - 1, min(len(first), MAX_TRIED_BODIES), dtype=int))
     which = np.broadcast_to(np.ravel(which), len(table))
     return first[some], [np.flatnonzero(which == kind) for kind in some]
 
 
-def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _Jump | None:
+def _nearest_body_jump(problem: BodiesProblem, points: Sequence[TimedPositions], region: Region) -> _BodyJump | None:
     """(a lower bound of its size, the jump nearest to a body), one body moved to where its own velocity switches."""
     from scipy.spatial import KDTree
 
     model, d, table = problem.model, problem.d, problem.numbers
     f = ca.Function("f", [model.t, model.me.symbols], [ca.densify(model.f)])
     moves = ca.depends_on(model.f, model.t)
-    rest = [_Rest(problem, q) for _, q in points[:2]]
+    rest = [_MovedBodyTest(problem, q) for _, q in points[:2]]
     found: list[tuple[float, float, dict[str, Any]]] = []
-    for kind, alike in zip(*_some(model, table), strict=True):
-        x, y, least = jumps(_block(model, region, table[kind : kind + 1]))
+    for kind, alike in zip(*_distinct_bodies(model, table), strict=True):
+        x, y, least = switch_jumps(_body_field_block(model, region, table[kind : kind + 1]))
         for (t, q), others in zip(points[:2], rest, strict=True):
-            there = alike[np.isfinite(q[alike]).all(axis=1)]
-            if not there.size or not len(x):
+            present = alike[np.isfinite(q[alike]).all(axis=1)]
+            if not present.size or not len(x):
                 continue
-            far, nearest = map(np.asarray, KDTree(q[there], 16).query(x[:, 1 : 1 + d]))
+            far, nearest = map(np.asarray, KDTree(q[present], 16).query(x[:, 1 : 1 + d]))
             tried = 0
             for k in np.argsort(far, kind="stable"):
-                if (found and far[k] >= min(item[0] for item in found)) or tried == PROVED:
+                if (found and far[k] >= min(item[0] for item in found)) or tried == MAX_BODY_JUMP_PROOFS:
                     break
-                time, body = float(x[k, 0]) if moves else t, int(there[nearest[k]])
+                time, body = float(x[k, 0]) if moves else t, int(present[nearest[k]])
                 ends = x[k, 1 : 1 + d], y[k, 1 : 1 + d]
                 one, other = (np.array(f(time, np.concatenate([end, table[kind]]))).T for end in ends)
-                if not differ(one, other, least[k : k + 1])[0] or not all(others.admit(time, body, end) for end in ends):
+                if not jump_sizes(one, other, least[k : k + 1])[0] or not all(
+                    others.admits_move(time, body, end) for end in ends
+                ):
                     continue
                 tried += 1
-                size = _proved(model, table[kind], time, *ends)
+                size = _proved_jump_size(model, table[kind], time, *ends)
                 if size > 0:
                     found.append((float(far[k]), size, {"t": time, "size": size, "moved": f"body {body}", "to": ends[0]}))
     if not found:
@@ -213,85 +219,85 @@ def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _J
     return size, witness
 
 
-def _proved(model: ManyBodies, numbers: np.ndarray, time: float, x: np.ndarray, y: np.ndarray) -> float:
+def _proved_jump_size(model: ManyBodies, numbers: np.ndarray, time: float, x: np.ndarray, y: np.ndarray) -> float:
     """A lower bound of the jump of a body's velocity between two places; 0 where none is proved."""
     q = ca.SX.sym("q", model.bodies.d)
     f = ca.substitute(ca.SX(model.f), model.me.symbols, ca.vertcat(q, ca.SX(ca.DM(numbers))))
     f = ca.substitute(f, model.t, time)
-    return jump_between(ca.densify(f), q, x, y)
+    return jump_lower_bound(ca.densify(f), q, x, y)
 
 
-def _steep(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> dict[str, Any] | None:
+def _steep_body_point(problem: BodiesProblem, region: Region, points: Sequence[TimedPositions]) -> dict[str, Any] | None:
     """A place where difference quotients of a body's velocity keep growing, if the body nearest to it can be there."""
     model, table = problem.model, problem.numbers
     occupied = [(t, q) for t, q in points if np.all(np.isfinite(q), axis=1).any()]
     if not occupied:
         return None
     t, q = occupied[0]
-    others = _Rest(problem, q)
-    for kind, alike in zip(*_some(model, table), strict=True):
-        there = alike[np.isfinite(q[alike]).all(axis=1)]
-        if not there.size:
+    others = _MovedBodyTest(problem, q)
+    for kind, alike in zip(*_distinct_bodies(model, table), strict=True):
+        present = alike[np.isfinite(q[alike]).all(axis=1)]
+        if not present.size:
             continue
-        own = _block(model, region, table[kind : kind + 1])
+        own = _body_field_block(model, region, table[kind : kind + 1])
         f = ca.substitute(model.f, model.me.symbols, ca.vertcat(own.q, ca.SX(ca.DM(table[kind]))))
-        process = part_without_constraints(own.q, own.t, own.lower, own.upper)
-        found = steep(f, [own], [(SAMPLED, 0.0, ON_THE_BOX, 0)], process, [(t, q[there[0]])], region.names)
+        process = unconstrained_process(own.q, own.t, own.lower, own.upper)
+        found = steep_point(f, [own], [(SAMPLED, 0.0, ON_THE_BOX, 0)], process, [(t, q[present[0]])], region.names)
         if found is None:
             continue
         at = np.array([found[name] for name in region.names])
-        body = int(there[np.argmin(np.linalg.norm(q[there] - at, axis=1))])
-        if others.admit(found["t"], body, at):
+        body = int(present[np.argmin(np.linalg.norm(q[present] - at, axis=1))])
+        if others.admits_move(found["t"], body, at):
             return found | {"moved": f"body {body}"}
     return None
 
 
-class _Rest:
+class _MovedBodyTest:
     """Bodies at ``q`` (N, d), one of which is moved, at any time."""
 
     def __init__(self, problem: BodiesProblem, q: np.ndarray) -> None:
         self.problem, self.q, self.known = problem, q, {}
         self.moves = any(ca.depends_on(ca.SX(family.g), problem.model.t) for family in problem.families)
-        self.still = not self.moves and all_admitted(problem, 0.0, q)
+        self.still = not self.moves and all_admissible(problem, 0.0, q)
 
-    def admit(self, time: float, body: int, to: np.ndarray) -> bool:
+    def admits_move(self, time: float, body: int, to: np.ndarray) -> bool:
         """Whether all constraints of all bodies are met, to rounding for those who stay."""
         moved = self.q.copy()
         moved[body] = to
-        return admits(self.problem, time, moved, body) and self._stay(time, body)
+        return is_body_admissible(self.problem, time, moved, body) and self._others_admissible(time, body)
 
-    def _stay(self, time: float, body: int) -> bool:
+    def _others_admissible(self, time: float, body: int) -> bool:
         key = time if self.moves else 0.0, body
-        if self.still or (key not in self.known and len(self.known) >= LOOKED):
+        if self.still or (key not in self.known and len(self.known) >= MAX_REST_CHECKS):
             return self.still
         if key not in self.known:
             gone = self.q.copy()
             gone[body] = np.nan
-            self.known[key] = all_admitted(self.problem, time, gone)
+            self.known[key] = all_admissible(self.problem, time, gone)
         return self.known[key]
 
 
-def _called(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> Answer:
+def _sampled_function_answer(problem: BodiesProblem, region: Region, points: Sequence[TimedPositions]) -> HypothesisAnswer:
     """A function of numbers: difference quotients, which prove nothing."""
     K, L, looked = 0.0, 0.0, 0
     rng = np.random.default_rng(0)
     size = float(np.max(region.upper - region.lower))
     how = "f is a function of arrays: nothing is proved"
     for t, q in points[:4]:
-        there = np.all(np.isfinite(q), axis=1)
-        if not there.any():
+        present = np.all(np.isfinite(q), axis=1)
+        if not present.any():
             continue
         looked += 1
         try:
-            value = problem.f(t, q, there)[there]
-            L = max(L, float(np.linalg.norm(value) / (1 + np.linalg.norm(q[there]))))
-            for shift in SHIFTS:
+            value = problem.f(t, q, present)[present]
+            L = max(L, float(np.linalg.norm(value) / (1 + np.linalg.norm(q[present]))))
+            for shift in QUOTIENT_SHIFTS:
                 other = q + shift * size * rng.standard_normal(q.shape) / np.sqrt(q.size)
-                change = problem.f(t, other, there)[there] - value
-                K = max(K, float(np.linalg.norm(change) / np.linalg.norm((other - q)[there])))
+                change = problem.f(t, other, present)[present] - value
+                K = max(K, float(np.linalg.norm(change) / np.linalg.norm((other - q)[present])))
         except StepError as error:
-            return Answer(UNKNOWN, {"K_f": np.inf, "L_f": np.inf, "L_t": np.inf}, ON_THE_BOX, f"{how}; {error}")
+            return HypothesisAnswer(UNKNOWN, {"K_f": np.inf, "L_f": np.inf, "L_t": np.inf}, ON_THE_BOX, f"{how}; {error}")
     if not looked:
-        return Answer(UNKNOWN, {"K_f": np.inf, "L_f": np.inf, "L_t": np.inf}, ON_THE_BOX, f"{how}; nobody is there")
-    how += f"; {len(SHIFTS)} difference quotients at {looked} row{'s' * (looked != 1)}"
-    return Answer(SAMPLED, {"K_f": K, "L_f": L, "L_t": np.inf}, ON_THE_BOX, how)
+        return HypothesisAnswer(UNKNOWN, {"K_f": np.inf, "L_f": np.inf, "L_t": np.inf}, ON_THE_BOX, f"{how}; nobody is there")
+    how += f"; {len(QUOTIENT_SHIFTS)} difference quotients at {looked} row{'s' * (looked != 1)}"
+    return HypothesisAnswer(SAMPLED, {"K_f": K, "L_f": L, "L_t": np.inf}, ON_THE_BOX, how)

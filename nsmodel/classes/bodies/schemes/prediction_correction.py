@@ -16,19 +16,19 @@ import numpy as np
 from nsmodel.classes.bodies.groups import Family
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import StepError, UsageError
-from nsmodel.proof.buffered import attached
-from nsmodel.proof.sure import sure
+from nsmodel.proof.buffered import attach_buffers
+from nsmodel.proof.sure import not_none
 
-BLOCK = 4096  # Members evaluated in one call.
+BATCH_SIZE = 4096  # Members evaluated in one call.
 LARGEST_TABLE = 20_000_000  # Rows that a step evaluates at most.
-SCHEME = "prediction-correction of many bodies (10)"
-STEPS = frozenset({  # Operations with derivative 0 somewhere though their value changes there.
+BODIES_SCHEME = "prediction-correction of many bodies (10)"
+STEP_OPERATIONS = frozenset({  # Operations with derivative 0 somewhere though their value changes there.
     ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
     ca.OP_IF_ELSE_ZERO, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX,
 })  # fmt: skip
 
 
-class Batch:
+class BatchEvaluator:
     """An expression of t and of some columns, for many columns at once: (t, (M, k), ...) -> (M, width)."""
 
     def __init__(self, name: str, t: ca.SX, columns: list[ca.SX], expression: ca.SX) -> None:
@@ -41,7 +41,7 @@ class Batch:
         count, out = len(tables[0]), np.empty((len(tables[0]), self._width))
         start = 0
         while start < count:
-            size = min(BLOCK, 1 << max(5, (count - start - 1).bit_length()))
+            size = min(BATCH_SIZE, 1 << max(5, (count - start - 1).bit_length()))
             stop = min(start + size, count)
             run, _, time, inputs, output = self._calls.get(size) or self._prepare(size)
             time[0] = t
@@ -57,7 +57,7 @@ class Batch:
         time, output = np.zeros(1), np.zeros((size, self._width))
         inputs = [np.zeros((size, k)) for k in self._sizes]
         many = self._function.map(f"{self._function.name()}_{size}", "serial", size, [0], [])
-        buffer, run = attached(many, [array.reshape(-1) for array in (time, *inputs)], [output.reshape(-1)])
+        buffer, run = attach_buffers(many, [array.reshape(-1) for array in (time, *inputs)], [output.reshape(-1)])
         self._calls[size] = run, buffer, time, inputs, output
         return self._calls[size]
 
@@ -110,28 +110,28 @@ def one_step_problem(model: ManyBodies) -> NoReturn:
 class BodiesProblem:
     """The expressions of a bound model as functions of many members at once; ``curved``: whose gradients depend on positions."""
 
-    scheme = SCHEME
+    scheme = BODIES_SCHEME
 
     def __init__(self, model: ManyBodies) -> None:
         self.model, (self.count, self.d) = model, model.bodies.q0.shape
         d, t = self.d, model.t
         self.numbers = model.bodies.table[:, d:]
         self.names, self.families = tuple(model.constraints), tuple(model.constraints.values())
-        self._f = Batch("f", t, [ca.vertcat(model.me.symbols, model.u)], model.f) if isinstance(model.f, ca.SX) else None
+        self._f = BatchEvaluator("f", t, [ca.vertcat(model.me.symbols, model.u)], model.f) if isinstance(model.f, ca.SX) else None
         self._signals = tuple(model.inputs.values())
-        self._leave = None if model.leave is None else Batch("leave", t, [model.me.symbols], model.leave)
+        self._leave = None if model.leave is None else BatchEvaluator("leave", t, [model.me.symbols], model.leave)
         self._gap, self._row, self.curved = [], [], []
         for family in self.families:
             members = [member.symbols for member in family.members]
             g, states = ca.SX(family.g), [member.q for member in family.moving]
             slopes = [ca.gradient(g, q) for q in states]
-            self._gap.append(Batch("gap", t, members, g))
-            self._row.append(Batch("row", t, members, ca.vertcat(g, *slopes)))
+            self._gap.append(BatchEvaluator("gap", t, members, g))
+            self._row.append(BatchEvaluator("row", t, members, ca.vertcat(g, *slopes)))
             self.curved.append(bool(ca.depends_on(ca.vertcat(*slopes), ca.vertcat(*states))))
-        self._reach = [_Reach(family, t, self.numbers, name) if searched(family) else None
+        self._reach = [_PairReach(family, t, self.numbers, name) if uses_neighbour_search(family) else None
                        for name, family in zip(self.names, self.families, strict=True)]  # fmt: skip
         for name, family in zip(self.names, self.families, strict=True):
-            if not searched(family) and family.count > LARGEST_TABLE:
+            if not uses_neighbour_search(family) and family.count > LARGEST_TABLE:
                 raise UsageError(
                     f"constraint '{name}' runs over {family.count:,} members, and all are evaluated in each step; at most "
                     f"{LARGEST_TABLE:,}. Give over=, the members that can meet, or write a pair as |q_i - q_j| - c"
@@ -190,11 +190,11 @@ class BodiesProblem:
 
     def reach(self, family: int, t: float) -> float:
         """The largest c of g = |q_i - q_j| - c."""
-        return sure(self._reach[family]).largest(t)
+        return not_none(self._reach[family]).largest(t)
 
     def halves(self, family: int, t: float) -> np.ndarray:
         """Numbers (N,) with c_ij <= half_i + half_j for each pair."""
-        return sure(self._reach[family]).halves(t)
+        return not_none(self._reach[family]).halves(t)
 
     def name(self, family: int, first: int, second: int) -> str:
         """What the user calls a constraint: "pair 3-7", "wall 12-0"; as in ``ManyBodies.written_out``."""
@@ -202,27 +202,29 @@ class BodiesProblem:
         return f"{name} {first}" if second < 0 else f"{name} {first}-{second}"
 
 
-def searched(family: Family) -> bool:
+def uses_neighbour_search(family: Family) -> bool:
     """Whether only near pairs of a family are looked at; of other families all members are."""
     return family.over is None and family.reach is not None
 
 
-def _switches(expr: ca.SX, symbols: list[ca.SX]) -> bool:
+def _has_step_operations(expr: ca.SX, symbols: list[ca.SX]) -> bool:
     """Whether an expression has steps, whose derivatives do not show what they depend on."""
     whole = ca.Function("f", symbols, [expr])
-    return any(whole.instruction_id(k) in STEPS for k in range(whole.n_instructions()))
+    return any(whole.instruction_id(k) in STEP_OPERATIONS for k in range(whole.n_instructions()))
 
 
-class _Reach:
+class _PairReach:
     """How far the pairs of a family reach: the largest c, and a share of it for each body."""
 
     def __init__(self, family: Family, t: ca.SX, numbers: np.ndarray, name: str) -> None:
         n, m = (member.symbols[member.q.numel() :] for member in family.moving)
-        reach = sure(family.reach)
-        self._c = Batch("reach", t, [n, m], reach)
+        reach = not_none(family.reach)
+        self._c = BatchEvaluator("reach", t, [n, m], reach)
         self._fixed = not ca.depends_on(reach, t)
         self._numbers, self._kind = np.unique(numbers, axis=0, return_inverse=True)
-        self._additive = not n.numel() or (ca.jacobian(ca.gradient(reach, n), m).nnz() == 0 and not _switches(reach, [t, n, m]))
+        self._additive = not n.numel() or (
+            ca.jacobian(ca.gradient(reach, n), m).nnz() == 0 and not _has_step_operations(reach, [t, n, m])
+        )
         if not self._additive and len(self._numbers) ** 2 > LARGEST_TABLE:
             raise UsageError(
                 f"constraint '{name}': the reach {family.reach} is not a sum of a number of either body, and the numbers of "

@@ -8,50 +8,50 @@ from itertools import product
 
 import numpy as np
 
-from nsmodel.classes.first_order.hypotheses.affine_step import CLEAR, AffineStep, on_set
+from nsmodel.classes.first_order.hypotheses.affine_step import SIGN_MARGIN, AffineStep, solve_affine_index_set
 from nsmodel.proof import exact, feasibility
 
-MOST_PAIRS = 800  # Pairs of index sets, times states, that are all decided.
+MAX_SET_PAIRS = 800  # Pairs of index sets, times states, that are all decided.
 
 
 @dataclass(frozen=True)
-class Infeasible:
+class InfeasibleState:
     """From the state x (n, 1) no step exists: v'y < 0 for all l in K, while a solution has v'y >= 0."""
 
     x: np.ndarray
     v: np.ndarray
 
 
-def solvable(step: AffineStep) -> Infeasible | bool | None:
+def decide_solvability(step: AffineStep) -> InfeasibleState | bool | None:
     """Whether every state has some l in K with y in (K_inf)*; for a psd W that is a solution, as K is a polyhedron.
 
     If not, some v in K_inf with W'v in -(K_inf)* has v'y <= sup_K v'W l + v'b_0 + v'N x < 0, while v'y >= 0 is asked for. Where
     N'v = 0 for all such v, all states have one or none has. None: undecided.
     """
     m = len(step.W)
-    conditions = _recession(step)
+    conditions = _recession_rows(step)
     positive = [k for k, (_, strict) in enumerate(conditions) if strict]
     A = np.hstack([np.array([row for row, _ in conditions], dtype=object), exact.zeros(len(conditions), len(positive))])
     for place, k in enumerate(positive):
         A[k, m + place] = Fraction(-1)
-    zero = feasibility.implied_zeros(feasibility.System(A, tuple(range(m, A.shape[1]))))
+    zero = feasibility.implied_zeros(feasibility.ConicSystem(A, tuple(range(m, A.shape[1]))))
     left = [j for j in range(A.shape[1]) if j not in zero]
-    inner = feasibility.decide(feasibility.System(A[:, left], tuple(range(m, len(left))))).point
+    inner = feasibility.decide_feasibility(feasibility.ConicSystem(A[:, left], tuple(range(m, len(left))))).point
     if inner is None:
         return None
     span = exact.nullspace(A[:, left])
-    slopes = exact.product(step.N.T, span[:m])
+    slopes = exact.matrix_product(step.N.T, span[:m])
     if not slopes.any():
         b = step.b(exact.zeros(step.N.shape[1], 1))
-        return True if any(on_set(step, b, index).sign > 0 for index in step.sets) else None
-    if not exact.product(step.N.T, inner[:m, None]).any():
+        return True if any(solve_affine_index_set(step, b, index).sign > 0 for index in step.sets) else None
+    if not exact.matrix_product(step.N.T, inner[:m, None]).any():
         away = span[:, np.flatnonzero(slopes.any(axis=0))[0]]
         small = min((abs(inner[j] / away[j]) for j in range(m, len(left)) if away[j]), default=Fraction(1)) / 2
         inner = inner + small * away
-    return _downhill(step, inner[:m, None])
+    return _infeasible_state(step, inner[:m, None])
 
 
-def _recession(step: AffineStep) -> list[tuple[np.ndarray, bool]]:
+def _recession_rows(step: AffineStep) -> list[tuple[np.ndarray, bool]]:
     """Rows a with a v >= 0 (True) or a v = 0 for v in K_inf with W'v in -(K_inf)*."""
     rows, units = [], exact.eye(len(step.W))
     for unit, column, low, up in zip(units, step.W.T, np.isfinite(step.lower), np.isfinite(step.upper), strict=True):
@@ -64,28 +64,28 @@ def _recession(step: AffineStep) -> list[tuple[np.ndarray, bool]]:
     return rows
 
 
-def _downhill(step: AffineStep, v: np.ndarray) -> Infeasible | None:
+def _infeasible_state(step: AffineStep, v: np.ndarray) -> InfeasibleState | None:
     """A state from which v'y < 0 for all l in K, beyond rounding of W."""
-    felt, size = exact.product(step.W.T, v), step.size.T @ np.abs(exact.doubles(v))
-    if any(entry and abs(float(entry)) <= CLEAR * terms for entry, terms in zip(felt.ravel(), size.ravel(), strict=True)):
+    image, size = exact.matrix_product(step.W.T, v), step.size.T @ np.abs(exact.doubles(v))
+    if any(entry and abs(float(entry)) <= SIGN_MARGIN * terms for entry, terms in zip(image.ravel(), size.ravel(), strict=True)):
         return None
-    top = exact.product(v.T, step.b_0)[0, 0]
-    for entry, low, up in zip(felt.ravel(), step.lower, step.upper, strict=True):
+    top = exact.matrix_product(v.T, step.b_0)[0, 0]
+    for entry, low, up in zip(image.ravel(), step.lower, step.upper, strict=True):
         top += entry * Fraction(float(up if entry > 0 else low)) if entry else 0
-    slope = exact.product(step.N.T, v)
-    reach = 2 * (abs(top) + sum(abs(entry) for entry in slope.ravel())) / exact.product(slope.T, slope)[0, 0]
+    slope = exact.matrix_product(step.N.T, v)
+    reach = 2 * (abs(top) + sum(abs(entry) for entry in slope.ravel())) / exact.matrix_product(slope.T, slope)[0, 0]
     x = exact.rational(exact.doubles(-reach * slope))
-    return Infeasible(x, v) if top + exact.product(slope.T, x)[0, 0] < 0 else None
+    return InfeasibleState(x, v) if top + exact.matrix_product(slope.T, x)[0, 0] < 0 else None
 
 
-def never_two(step: AffineStep) -> bool:
+def is_solution_unique(step: AffineStep) -> bool:
     """Whether no state has two solutions with different x, by exact linear programs on all pairs of index sets."""
-    if not step.sharp or len(step.sets) ** 2 * len(step.X_l) > MOST_PAIRS:
+    if not step.is_exact or len(step.sets) ** 2 * len(step.X_l) > MAX_SET_PAIRS:
         return False
-    return all(_same_x(step, pair, row) for pair in product(step.sets, repeat=2) for row in step.X_l if row.any())
+    return all(_gives_same_state(step, pair, row) for pair in product(step.sets, repeat=2) for row in step.X_l if row.any())
 
 
-def _same_x(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.ndarray) -> bool:
+def _gives_same_state(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.ndarray) -> bool:
     """Whether row (l - l') > 0 for no l, l' of these index sets and one x_k; homogeneous in (tau, x_k, l, l')."""
     m, n = step.N.shape
     places = [range(1 + n, 1 + n + m), range(1 + n + m, 1 + n + 2 * m)]
@@ -107,8 +107,10 @@ def _same_x(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.ndarray) -> 
                 equation({l[i]: Fraction(1), 0: -ends[-int(code)]}, 0)
                 if step.lower[i] < step.upper[i]:
                     equation({place: -int(code) * entry for place, entry in y.items()}, 1)
-    apart = {place: sign * entry for l, sign in zip(places, (1, -1), strict=True) for place, entry in zip(l, row, strict=True)}
-    equation(apart, 1)
+    difference = {
+        place: sign * entry for l, sign in zip(places, (1, -1), strict=True) for place, entry in zip(l, row, strict=True)
+    }
+    equation(difference, 1)
     A = exact.zeros(len(rows), total + sum(slack for _, slack in rows))
     for k, (entries, slack) in enumerate(rows):
         for place, entry in entries.items():
@@ -117,4 +119,4 @@ def _same_x(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.ndarray) -> 
             A[k, total] = Fraction(-1)
             columns.append(total)
             total += 1
-    return columns[-1] in feasibility.implied_zeros(feasibility.System(A, tuple(columns)))
+    return columns[-1] in feasibility.implied_zeros(feasibility.ConicSystem(A, tuple(columns)))

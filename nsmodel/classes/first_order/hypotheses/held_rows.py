@@ -7,27 +7,27 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.hypotheses.linearised import Linearised, jacobians
+from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation, system_jacobians
 from nsmodel.laws import Law, box, product
 from nsmodel.laws.block import Intervals, SecondOrder
 from nsmodel.proof import exact, interval
 
-ROUNDS = 3  # With fewer multipliers more signs show.
+HELD_ROUNDS = 3  # With fewer multipliers more signs show.
 
 
-def without_held(at: Linearised) -> Linearised:
+def substitute_held_rows(at: SystemLinearisation) -> SystemLinearisation:
     """The system with the held multipliers put in; all of them held: x' = theta f + gamma g with theta = 1."""
-    for _ in range(ROUNDS):
-        held = _held(at)
+    for _ in range(HELD_ROUNDS):
+        held = _held_values(at)
         if np.isnan(held).all():
             break
-        at = _put_in(at, held)
+        at = _substitute_held(at, held)
     return at
 
 
-def _held(at: Linearised) -> np.ndarray:
+def _held_values(at: SystemLinearisation) -> np.ndarray:
     """The values (m,) of the held multipliers, NaN of the others."""
-    out, place, around = np.full(at.model.law.size, np.nan), 0, _around(at)
+    out, place, around = np.full(at.model.law.size, np.nan), 0, _reachable_box(at)
     if around is None:
         return out
     low, high = (end.ravel() for end in interval.enclose(at.model.h, at.z, *around))
@@ -46,9 +46,9 @@ def _held(at: Linearised) -> np.ndarray:
     return out
 
 
-def _around(at: Linearised) -> tuple[np.ndarray, np.ndarray] | None:
+def _reachable_box(at: SystemLinearisation) -> tuple[np.ndarray, np.ndarray] | None:
     """A box of (t, x, l) into which each step from a state of the region leads, f and g being continued beyond it."""
-    n, h, inverse = len(at.model.names), float(at.steps.max()), exact.inverse(at.M)
+    n, h, inverse = len(at.model.names), float(at.steps.max()), exact.inverse_matrix(at.M)
     if inverse is None:
         return None
     lower, upper = at.lower.copy(), at.upper.copy()
@@ -66,7 +66,7 @@ def _around(at: Linearised) -> tuple[np.ndarray, np.ndarray] | None:
     return lower, upper
 
 
-def _put_in(at: Linearised, held: np.ndarray) -> Linearised:
+def _substitute_held(at: SystemLinearisation, held: np.ndarray) -> SystemLinearisation:
     model, n, left = at.model, len(at.model.names), np.isnan(held)
     lam = ca.vertsplit(model.lam)
     known = [lam[i] for i in np.flatnonzero(~left)], [ca.SX(float(held[i])) for i in np.flatnonzero(~left)]
@@ -89,7 +89,7 @@ def _put_in(at: Linearised, held: np.ndarray) -> Linearised:
     columns = [*range(1 + n), *(1 + n + i for i in rows)]
     names = tuple(at.names[i] for i in columns)
     return replace(
-        at, model=model, jacobians=jacobians(model), z=ca.vertcat(model.t, model.x, model.lam), names=names,
+        at, model=model, jacobians=system_jacobians(model), z=ca.vertcat(model.t, model.x, model.lam), names=names,
         lower=at.lower[columns], upper=at.upper[columns], points=at.points[:, columns],
         boxed=tuple(name for name in at.boxed if name in names),
     )  # fmt: skip

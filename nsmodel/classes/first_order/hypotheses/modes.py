@@ -10,27 +10,27 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.hypotheses.linearised import Linearised
-from nsmodel.laws import Curved, Law
-from nsmodel.scheme.problem import basic_law
+from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
+from nsmodel.laws import CurvedSet, Law
+from nsmodel.scheme.problem import rewrite_as_basic_law
 from nsmodel.solve.certificate import numeric_law
 
-Block = tuple[Curved | None, tuple[int, ...]]  # the set, None for a row of a box, and its rows of l
-Mode = tuple[str, ...]  # of each block: "free", "lower", "upper"; "inside", "touched"; "vertex"
+ModeBlock = tuple[CurvedSet | None, tuple[int, ...]]  # the set, None for a row of a box, and its rows of l
+StepMode = tuple[str, ...]  # of each block: "free", "lower", "upper"; "inside", "touched"; "vertex"
 
 
-class Modes:
+class StepModes:
     """The step as functions of u = (x, l, s), the time and the state."""
 
-    def __init__(self, at: Linearised, h: float) -> None:
+    def __init__(self, at: SystemLinearisation, h: float) -> None:
         model = at.model
         self.at, self.h, self.n = at, h, len(at.model.names)
         y_user = ca.SX.sym("y", model.law.size)
-        basic = basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u))
+        basic = rewrite_as_basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u))
         law = numeric_law(basic.law)
         self.law, self.m, self.lower, self.upper = law, law.size, law.lower, law.upper
-        self.blocks = list(_blocks(basic.law))
-        self.modes = [_modes(block, law.lower, law.upper) for block in self.blocks]
+        self.blocks = list(_mode_blocks(basic.law))
+        self.modes = [_block_modes(block, law.lower, law.upper) for block in self.blocks]
         self.count = int(np.prod([float(len(modes)) for modes in self.modes]))
         self.radius = np.ones(self.m)
         for rows, K in law.curved:
@@ -53,14 +53,16 @@ class Modes:
         self.user = ca.Function("user", [self.l], [ca.densify(basic.multipliers)])
         self.r_k = ca.Function("r_k", [self.t, self.x_k], [ca.densify(r_k)]) if gamma < 1 else None
         self.everywhere = at.constant and at.affine
-        self._scales()
+        self._set_scales()
 
-    def _scales(self) -> None:
+    def _set_scales(self) -> None:
         """How far x and l may go, for samples."""
         at, n = self.at, self.n
         low, up = at.lower[1 : n + 1], at.upper[1 : n + 1]
         self.low, self.up, self.span = low, up, np.where(up > low, up - low, 1.0)
-        value, J = self.at_point((low + up) / 2, np.clip(np.zeros(self.m), self.lower, self.upper), at.lower[0], (low + up) / 2)
+        value, J = self.residual_and_jacobian(
+            (low + up) / 2, np.clip(np.zeros(self.m), self.lower, self.upper), at.lower[0], (low + up) / 2
+        )
         with np.errstate(all="ignore"):
             rows = np.abs(value[n:]) + np.abs(J[n:, :n]) @ self.span
             moved = np.abs(J[:, n:]).T @ (1 / np.concatenate([np.abs(J[:n, :n]) @ self.span, np.where(rows > 0, rows, np.inf)]))
@@ -74,12 +76,14 @@ class Modes:
         size = np.array([np.abs(W[np.ix_(rows, rows)]).max() for _, rows in self.blocks])
         self.size_s = np.where(np.isfinite(size) & (size > 0), size, 1.0)
 
-    def at_point(self, x: np.ndarray, l: np.ndarray, t: float, x_k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def residual_and_jacobian(self, x: np.ndarray, l: np.ndarray, t: float, x_k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(E, y), and its Jacobian in (x, l)."""
         both = self.values(x, l, t, x_k, self.h).full()
         return both[:, 0], both[:, 1:]
 
-    def system(self, mode: Mode, u: np.ndarray, value: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def system(
+        self, mode: StepMode, u: np.ndarray, value: np.ndarray, J: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Its residual and Jacobian (as long as u, E first), and what has to be > 0, divided by its size."""
         n, m = self.n, self.m
         l, s, y = u[n : n + m], u[n + m :], value[n:]
@@ -118,7 +122,7 @@ class Modes:
                     slack.append(s[k] / self.size_s[k])
         return F, D, np.array(slack)
 
-    def expressions(self, mode: Mode) -> tuple[ca.SX, ca.SX]:
+    def expressions(self, mode: StepMode) -> tuple[ca.SX, ca.SX]:
         """The system and the inequalities > 0 as expressions of x, l, s, t, x_k and h."""
         F, conditions = [self.E], []
         for k, ((K, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
@@ -144,7 +148,7 @@ class Modes:
                     conditions += [square, *above]
         return ca.vertcat(*F), ca.vertcat(ca.SX(0, 1), *conditions)
 
-    def start(self, mode: Mode, rng: np.random.Generator) -> np.ndarray:
+    def start(self, mode: StepMode, rng: np.random.Generator) -> np.ndarray:
         """L and s as the mode has them."""
         l, s = np.zeros(self.m), np.zeros(len(self.blocks))
         spread = 10.0 ** (rng.uniform(-2, 2) if self.everywhere else rng.uniform(-3, 1))
@@ -172,7 +176,7 @@ class Modes:
         return np.concatenate([l, s])
 
 
-def _blocks(law: Law) -> Iterator[Block]:
+def _mode_blocks(law: Law) -> Iterator[ModeBlock]:
     """Each row of a box, each curved set."""
     for rows, block in law.parts():
         own = tuple(range(rows.start, rows.stop))
@@ -180,7 +184,7 @@ def _blocks(law: Law) -> Iterator[Block]:
         yield from ((None, (i,)) for i in own) if K is None else [(K, own)]
 
 
-def _modes(block: Block, lower: np.ndarray, upper: np.ndarray) -> list[str]:
+def _block_modes(block: ModeBlock, lower: np.ndarray, upper: np.ndarray) -> list[str]:
     K, (i, *_) = block
     if K is not None:
         return ["vertex", "inside", "touched"] if K.is_cone else ["inside", "touched"]

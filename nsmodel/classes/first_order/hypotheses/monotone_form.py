@@ -7,15 +7,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.hypotheses.linearised import Linearised
-from nsmodel.classes.lure.hypotheses.jacobian_hull import tidy
+from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
+from nsmodel.classes.lure.hypotheses.jacobian_hull import simplify_factors
 from nsmodel.proof import interval
 
-BOXES, FEWER = 2000, 300  # in which the form is bounded, on the whole box and on a part of it
-ROOM = 1e-9  # of the form's size, that its least eigenvalue is above 0 by: far more than constants in it are rounded by
+MAX_FORM_BOXES, MAX_PART_BOXES = 2000, 300  # in which the form is bounded, on the whole box and on a part of it
+FORM_ROOM = 1e-9  # of the form's size, that its least eigenvalue is above 0 by: far more than constants in it are rounded by
 
 
-class Form(NamedTuple):
+class MonotoneForm(NamedTuple):
     """The Jacobians as expressions of z and of the factors s (their varying columns times s_j), and the box of both."""
 
     W: ca.SX
@@ -30,19 +30,19 @@ class Form(NamedTuple):
     local: bool
 
 
-def is_bounded(at: Linearised) -> bool:
+def is_law_bounded(at: SystemLinearisation) -> bool:
     """Whether K is seen to be bounded."""
     n = len(at.model.names)
     return not at.boxed and bool(np.isfinite([at.lower[1 + n :], at.upper[1 + n :]]).all())
 
 
-def form_on(at: Linearised, h: float, *, extended: bool) -> Form | None:
+def monotone_form_on_box(at: SystemLinearisation, h: float, *, extended: bool) -> MonotoneForm | None:
     """The Jacobians, ``extended`` beyond the box where they vary; None where they are not bounded.
 
     An entry D_kk of a box whose values are not bounded above is replaced by its infimum, which makes the form smaller.
     """
     n, m = len(at.model.names), at.model.law.size
-    J = {name: tidied(getattr(at.jacobians, name), at.z) for name in "ACDKB"}
+    J = {name: tidy_matrix(getattr(at.jacobians, name), at.z) for name in "ACDKB"}
     for rows in rows_of_blocks(at):
         for k in rows if len(rows) == 1 else ():
             low, high = (float(end.item()) for end in interval.enclose(J["D"][k, k], at.z, at.lower, at.upper))
@@ -67,21 +67,30 @@ def form_on(at: Linearised, h: float, *, extended: bool) -> Form | None:
     G = at.model.theta * J["A"] + at.model.gamma * J["K"]
     extra = factors.numel()
     span = (at.upper - at.lower)[1:] / 2
-    return Form(
+    return MonotoneForm(
         at.model.M - h * G, h * at.model.gamma * J["B"], J["C"], J["D"], ca.vertcat(at.z, factors),
         np.concatenate([lower, np.zeros(extra)]), np.concatenate([upper, np.ones(extra)]),
         np.where(np.isfinite(span) & (span > 0), span, 1.0), extended, local,
     )  # fmt: skip
 
 
-def tidied(matrix: ca.SX, z: ca.SX) -> ca.SX:
+def tidy_matrix(matrix: ca.SX, z: ca.SX) -> ca.SX:
     """Dense, its entries with fewer repeated factors."""
     dense = ca.densify(ca.SX(matrix))
-    return ca.reshape(ca.vertcat(ca.SX(0, 1), *(tidy(entry, z) for entry in ca.vertsplit(ca.vec(dense)))), *dense.shape)
+    return ca.reshape(
+        ca.vertcat(ca.SX(0, 1), *(simplify_factors(entry, z) for entry in ca.vertsplit(ca.vec(dense)))), *dense.shape
+    )
 
 
-def is_definite(
-    form: Form, L: np.ndarray, N: np.ndarray, theta: np.ndarray, *, of_x: bool = False, rounding: float = 0.0, most: int = BOXES
+def is_form_definite(
+    form: MonotoneForm,
+    L: np.ndarray,
+    N: np.ndarray,
+    theta: np.ndarray,
+    *,
+    of_x: bool = False,
+    rounding: float = 0.0,
+    most: int = MAX_FORM_BOXES,
 ) -> bool:
     """Whether the form (of_x: its part dx'L'W dx) is definite on the box, beyond rounding; in units of the box.
 
@@ -97,19 +106,19 @@ def is_definite(
         low, high = (end.reshape(len(boxes[0]), -1) for end in interval.enclose(stacked, form.z, *boxes))
         if not np.isfinite([low, high]).all():
             return False
-        size = _quadratic(form, np.maximum(abs(low), abs(high)), abs(L), abs(N), abs(theta), 1.0, of_x)
-        radius = _quadratic(form, (high - low) / 2, abs(L), abs(N), abs(theta), 1.0, of_x)
-        room = (ROOM + rounding) * np.linalg.norm(size, axis=(1, 2))
-        least = np.linalg.eigvalsh(_quadratic(form, (low + high) / 2, L, N, theta, -1.0, of_x))[:, 0] - room
+        size = _form_matrices(form, np.maximum(abs(low), abs(high)), abs(L), abs(N), abs(theta), 1.0, of_x)
+        radius = _form_matrices(form, (high - low) / 2, abs(L), abs(N), abs(theta), 1.0, of_x)
+        room = (FORM_ROOM + rounding) * np.linalg.norm(size, axis=(1, 2))
+        least = np.linalg.eigvalsh(_form_matrices(form, (low + high) / 2, L, N, theta, -1.0, of_x))[:, 0] - room
         bad = least <= np.minimum(np.linalg.norm(radius, axis=(1, 2)), radius.sum(axis=2).max(axis=1))
         if (bad & (least < 0) & (len(boxes[0]) > 64)).any() or (bad.any() and not whole.any()):
             return False
-        boxes = _halves(boxes[0][bad], boxes[1][bad], whole)
+        boxes = _bisect_boxes(boxes[0][bad], boxes[1][bad], whole)
     return True
 
 
-def _quadratic(
-    form: Form, entries: np.ndarray, L: np.ndarray, N: np.ndarray, theta: np.ndarray, minus: float, of_x: bool
+def _form_matrices(
+    form: MonotoneForm, entries: np.ndarray, L: np.ndarray, N: np.ndarray, theta: np.ndarray, minus: float, of_x: bool
 ) -> np.ndarray:
     """The symmetric matrices of the form where its Jacobians have these entries, one row a box; ``minus`` stands for -1."""
     pieces = form[:4]
@@ -126,7 +135,7 @@ def _quadratic(
     return (Q + Q.transpose(0, 2, 1)) / 2
 
 
-def _halves(lower: np.ndarray, upper: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bisect_boxes(lower: np.ndarray, upper: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Boxes, one a row, cut in two where they are longest in parts of the ``whole``."""
     j = np.argmax((upper - lower) / np.where(whole > 0, whole, np.inf), axis=1)
     row = np.arange(len(lower))
@@ -135,7 +144,7 @@ def _halves(lower: np.ndarray, upper: np.ndarray, whole: np.ndarray) -> tuple[np
     return np.vstack([lower, right]), np.vstack([left, upper])
 
 
-def rows_of_blocks(at: Linearised) -> list[list[int]]:
+def rows_of_blocks(at: SystemLinearisation) -> list[list[int]]:
     """Rows that share a theta: each row of a box, the rows of another block."""
     out: list[list[int]] = []
     for place, block in at.model.law.parts():

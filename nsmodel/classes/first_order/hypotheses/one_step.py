@@ -13,203 +13,211 @@ from collections.abc import Sequence
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses import two_solutions
-from nsmodel.classes.first_order.hypotheses.affine_existence import Infeasible, never_two, solvable
-from nsmodel.classes.first_order.hypotheses.affine_search import SAMPLES, two_or_none
-from nsmodel.classes.first_order.hypotheses.affine_step import AffineStep, Shown, affine_step
-from nsmodel.classes.first_order.hypotheses.held_rows import without_held
-from nsmodel.classes.first_order.hypotheses.linearised import Linearised, numbers
-from nsmodel.classes.first_order.hypotheses.monotone_step import Unique, unique_on_region
-from nsmodel.classes.first_order.hypotheses.paired_step import unique_paired
-from nsmodel.classes.first_order.hypotheses.step_matrix import coherent, p_matrix
+from nsmodel.classes.first_order.hypotheses.affine_existence import InfeasibleState, decide_solvability, is_solution_unique
+from nsmodel.classes.first_order.hypotheses.affine_search import STATE_SAMPLES, find_counterexample
+from nsmodel.classes.first_order.hypotheses.affine_step import AffineStep, StepCounterexample, affine_step
+from nsmodel.classes.first_order.hypotheses.held_rows import substitute_held_rows
+from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation, constant_matrix_values
+from nsmodel.classes.first_order.hypotheses.monotone_step import UniquenessProof, prove_unique_on_region
+from nsmodel.classes.first_order.hypotheses.paired_step import prove_unique_paired
+from nsmodel.classes.first_order.hypotheses.step_matrix import decide_p_matrix, is_coherently_oriented
 from nsmodel.classes.lure.hypotheses import domains
-from nsmodel.classes.lure.hypotheses.range_condition import covers_everything
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.classes.lure.hypotheses.range_condition import is_range_whole_space
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.proof import exact
 
-MOST_STEPS = 5  # Different step lengths that are decided one by one.
-JUMPS = "f, h or g jumps (F-jacobians): a step across the jump may have no solution, or several, whatever W is"
+MAX_DECIDED_STEPS = 5  # Different step lengths that are decided one by one.
+JUMP_TEXT = "f, h or g jumps (F-jacobians): a step across the jump may have no solution, or several, whatever W is"
 
 
-def unique(hypothesis: Hypothesis, at: Linearised, regular: Finding, mlcp_finding: Finding, quick: bool) -> Finding:
+def step_uniqueness(
+    hypothesis: Hypothesis, at: SystemLinearisation, regular: Finding, mlcp_finding: Finding, quick: bool
+) -> Finding:
     """Decide F-unique from F-W, F-mlcp and, where they do not settle it, by enumeration."""
-    if regular.verdict == VIOLATED and at.constant_W:
-        return found(hypothesis, UNKNOWN, "W is singular (F-W): x_{k+1} is not determined by l")
+    if regular.verdict == VIOLATED and at.is_W_constant:
+        return make_finding(hypothesis, UNKNOWN, "W is singular (F-W): x_{k+1} is not determined by l")
     if at.defined.verdict != HOLDS:
-        return found(hypothesis, UNKNOWN, f"a step needs finite f, h and g: {at.defined.how}")
+        return make_finding(hypothesis, UNKNOWN, f"a step needs finite f, h and g: {at.defined.how}")
     if not at.model.law.size:
-        return _smooth(hypothesis, at, regular, quick)
+        return _smooth_uniqueness(hypothesis, at, regular, quick)
     exactly = at.constant and at.affine and regular.verdict == HOLDS
-    if exactly and (finding := _constant(hypothesis, at, mlcp_finding, quick)) is not None:
+    if exactly and (finding := _constant_uniqueness(hypothesis, at, mlcp_finding, quick)) is not None:
         return finding
     if quick:
-        return found(hypothesis, UNKNOWN, "not settled by W_mlcp alone; index sets are not enumerated (quick)")
-    most = None if exactly or at.jump is not None else _on_region(at, regular.verdict == HOLDS)
+        return make_finding(hypothesis, UNKNOWN, "not settled by W_mlcp alone; index sets are not enumerated (quick)")
+    most = None if exactly or at.jump is not None else _uniqueness_on_region(at, regular.verdict == HOLDS)
     if most is not None and most.exists:
-        return found(
+        return make_finding(
             hypothesis, HOLDS, f"{most.how[0].upper()}{most.how[1:]}.", {"solutions": 1}, scope=at.scope(local=most.local)
         )
-    finding = _searched(hypothesis, at)
+    finding = _search_finding(hypothesis, at)
     if most is not None and finding.verdict != VIOLATED:
         how = f"At most one in the region: {most.how}. That there is one is not proved."
-        return found(hypothesis, UNKNOWN, how, {"solutions": 1}, scope=at.scope(local=most.local))
+        return make_finding(hypothesis, UNKNOWN, how, {"solutions": 1}, scope=at.scope(local=most.local))
     if finding.verdict == SAMPLED and at.jump is not None:
-        return found(hypothesis, UNKNOWN, JUMPS, finding.value)
+        return make_finding(hypothesis, UNKNOWN, JUMP_TEXT, finding.value)
     return finding
 
 
-def _on_region(at: Linearised, regular: bool) -> Unique | None:
+def _uniqueness_on_region(at: SystemLinearisation, regular: bool) -> UniquenessProof | None:
     """At most one, or exactly one step in the region, the multipliers with y of one sign there put in."""
-    rest = without_held(at)
-    one = _best(rest, regular)
+    rest = substitute_held_rows(at)
+    one = _best_proof(rest, regular)
     if one is not None and len(rest.names) < len(at.names):
         held = [name for name in at.names if name not in rest.names]
         return one._replace(how=f"y has one sign in all steps from the region for {', '.join(held)}; {one.how}", local=True)
     return one
 
 
-def _best(at: Linearised, regular: bool) -> Unique | None:
+def _best_proof(at: SystemLinearisation, regular: bool) -> UniquenessProof | None:
     """The better answer of two forms."""
-    one = unique_paired(at, regular)
-    return one if one is not None and one.exists else unique_on_region(at, regular) or one
+    one = prove_unique_paired(at, regular)
+    return one if one is not None and one.exists else prove_unique_on_region(at, regular) or one
 
 
-def _smooth(hypothesis: Hypothesis, at: Linearised, regular: Finding, quick: bool) -> Finding:
+def _smooth_uniqueness(hypothesis: Hypothesis, at: SystemLinearisation, regular: Finding, quick: bool) -> Finding:
     if at.affine and regular.verdict == HOLDS:
-        return found(hypothesis, HOLDS, "A linear system with a regular matrix.", {"solutions": 1}, scope=at.scope(local=False))
+        return make_finding(
+            hypothesis, HOLDS, "A linear system with a regular matrix.", {"solutions": 1}, scope=at.scope(local=False)
+        )
     if at.jump is not None:
-        return found(hypothesis, UNKNOWN, JUMPS)
-    one = None if quick else unique_on_region(at, regular.verdict == HOLDS)
+        return make_finding(hypothesis, UNKNOWN, JUMP_TEXT)
+    one = None if quick else prove_unique_on_region(at, regular.verdict == HOLDS)
     if one is not None and one.exists:
-        return found(hypothesis, HOLDS, f"{one.how[0].upper()}{one.how[1:]}.", {"solutions": 1}, scope=at.scope(local=one.local))
+        return make_finding(
+            hypothesis, HOLDS, f"{one.how[0].upper()}{one.how[1:]}.", {"solutions": 1}, scope=at.scope(local=one.local)
+        )
     if regular.verdict == HOLDS:
         how = "W is regular over the region: solutions are isolated. That there is just one is seen along the run only."
-        return found(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope())
-    return found(hypothesis, UNKNOWN, "the step is nonlinear, and W is not proved to be regular")
+        return make_finding(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope())
+    return make_finding(hypothesis, UNKNOWN, "the step is nonlinear, and W is not proved to be regular")
 
 
 # -- for every state ------------------------------------------------------------------------------------------------------
 
 
-def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, quick: bool) -> Finding | None:
+def _constant_uniqueness(hypothesis: Hypothesis, at: SystemLinearisation, mlcp_finding: Finding, quick: bool) -> Finding | None:
     """Every state and each step length that occurs, where the Jacobians are constant; None where that settles nothing."""
-    if len(at.steps) > MOST_STEPS:
+    if len(at.steps) > MAX_DECIDED_STEPS:
         return None
     lengths = [float(h) for h in at.steps]
     try:
-        domains.of_law(at.model.law, np.zeros((at.model.law.size,) * 2))
-    except domains.Empty:
+        domains.domains_of_law(at.model.law, np.zeros((at.model.law.size,) * 2))
+    except domains.EmptyDomain:
         return None
-    reasons = [_one(at, at.exact_mlcp(h)) for h in lengths]
+    reasons = [_uniqueness_reason(at, at.exact_mlcp(h)) for h in lengths]
     if all(reasons):
-        return _just_one(hypothesis, at, reasons[0])
-    if (one := unique_paired(at, True)) is not None and one.exists:
-        return _just_one(hypothesis, at, one.how)
+        return _unique_finding(hypothesis, at, reasons[0])
+    if (one := prove_unique_paired(at, True)) is not None and one.exists:
+        return _unique_finding(hypothesis, at, one.how)
     if not at.model.law.is_box:
         return None
     several = [step for step in (affine_step(at, h) for h in lengths) if step is not None]
     if quick or len(several) < len(lengths) or not several[0].few:
         return None
-    finding = _exactly(hypothesis, at, several)
+    finding = _exact_uniqueness(hypothesis, at, several)
     if finding is None:
-        finding = _searched(hypothesis, at)
+        finding = _search_finding(hypothesis, at)
     if finding.verdict in (HOLDS, VIOLATED):
         return finding
-    if most := _at_most_one(at, several[-1]):
+    if most := _at_most_one_reason(at, several[-1]):
         how = f"{most[0].upper()}{most[1:]}; whether one exists for every state is not decided."
-        return found(hypothesis, UNKNOWN, how, {"solutions": 1})
-    how = f"All index sets tried at {2 * SAMPLES} states: one solution each, as far as the signs are clear."
+        return make_finding(hypothesis, UNKNOWN, how, {"solutions": 1})
+    how = f"All index sets tried at {2 * STATE_SAMPLES} states: one solution each, as far as the signs are clear."
     if mlcp_finding.verdict == SAMPLED:
         how += " W_mlcp is psd up to rounding only (F-mlcp)."
-    return found(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope(local=False))
+    return make_finding(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope(local=False))
 
 
-def _just_one(hypothesis: Hypothesis, at: Linearised, why: str) -> Finding:
-    return found(hypothesis, HOLDS, f"{why[0].upper()}{why[1:]}.", {"solutions": 1}, scope=at.scope(local=False))
+def _unique_finding(hypothesis: Hypothesis, at: SystemLinearisation, why: str) -> Finding:
+    return make_finding(hypothesis, HOLDS, f"{why[0].upper()}{why[1:]}.", {"solutions": 1}, scope=at.scope(local=False))
 
 
-def _exactly(hypothesis: Hypothesis, at: Linearised, several: Sequence[AffineStep]) -> Finding | None:
+def _exact_uniqueness(hypothesis: Hypothesis, at: SystemLinearisation, several: Sequence[AffineStep]) -> Finding | None:
     """What rational arithmetic decides of the steps, of the longest first; None where it does not."""
     reasons = []
     for step in reversed(several):
-        most = _at_most_one(at, step)
-        shown = None if most else two_or_none(step)
-        if shown is not None:
-            return _shown(hypothesis, at, step, shown)
-        if not most and never_two(step):
+        most = _at_most_one_reason(at, step)
+        counterexample = None if most else find_counterexample(step)
+        if counterexample is not None:
+            return _counterexample_finding(hypothesis, at, step, counterexample)
+        if not most and is_solution_unique(step):
             most = "no two index sets give different x from one state, by linear programs (exact)"
-        exists = _exists(step) if most else None
-        if isinstance(exists, Infeasible):
-            return _infeasible(hypothesis, at, step, exists)
+        exists = _existence_reason(step) if most else None
+        if isinstance(exists, InfeasibleState):
+            return _infeasible_finding(hypothesis, at, step, exists)
         reasons.append(f"{most}; {exists}" if exists else "")
-    return _just_one(hypothesis, at, reasons[0]) if all(reasons) else None
+    return _unique_finding(hypothesis, at, reasons[0]) if all(reasons) else None
 
 
-def _exists(step: AffineStep) -> str | Infeasible:
+def _existence_reason(step: AffineStep) -> str | InfeasibleState:
     """Why a step exists for every state of a psd W_mlcp, or one that moves no x; a state without one; '' where undecided."""
     if np.isfinite(step.upper - step.lower).all():
         return "K is bounded"
-    answer = solvable(step) if exact.psd(step.W).psd else None
-    if isinstance(answer, Infeasible):
+    answer = decide_solvability(step) if exact.definiteness(step.W).psd else None
+    if isinstance(answer, InfeasibleState):
         return answer
     return "every state is feasible, by Farkas' alternative, and W_mlcp psd: one exists (exact)" if answer else ""
 
 
-def _witness(at: Linearised, step: AffineStep, x: np.ndarray) -> dict[str, object]:
+def _step_witness(at: SystemLinearisation, step: AffineStep, x: np.ndarray) -> dict[str, object]:
     """The state of a step."""
     near = exact.doubles(x).ravel()
     witness: dict[str, object] = {"t": step.t, "x_k": near}
     if (exact.rational(near) != x.ravel()).any():
         witness["x_k exactly"] = [str(entry) for entry in x.ravel()]
     if step.r is not None:
-        witness["r_k"] = exact.doubles(exact.product(step.r[0], x) + step.r[1]).ravel()
+        witness["r_k"] = exact.doubles(exact.matrix_product(step.r[0], x) + step.r[1]).ravel()
     return {**witness, "h": step.h}
 
 
-def _shown(hypothesis: Hypothesis, at: Linearised, step: AffineStep, shown: Shown) -> Finding:
-    witness = _witness(at, step, shown.x)
-    if not shown.pair:
+def _counterexample_finding(
+    hypothesis: Hypothesis, at: SystemLinearisation, step: AffineStep, counterexample: StepCounterexample
+) -> Finding:
+    witness = _step_witness(at, step, counterexample.x)
+    if not counterexample.pair:
         how = f"No solution of the step from this state: none of the {len(step.sets)} index sets gives one (exact)."
-        return found(hypothesis, VIOLATED, how, {"solutions": 0}, witness)
-    for name, l in zip(("", "other "), shown.pair, strict=True):
-        witness |= {f"{name}x": exact.doubles(step.next(shown.x, l)).ravel(), f"{name}l": exact.doubles(l).ravel()}
+        return make_finding(hypothesis, VIOLATED, how, {"solutions": 0}, witness)
+    for name, l in zip(("", "other "), counterexample.pair, strict=True):
+        witness |= {f"{name}x": exact.doubles(step.next(counterexample.x, l)).ravel(), f"{name}l": exact.doubles(l).ravel()}
     how = "Two solutions of one step from this state, both verified in rational arithmetic."
-    return found(hypothesis, VIOLATED, how, {"solutions": shown.count}, witness)
+    return make_finding(hypothesis, VIOLATED, how, {"solutions": counterexample.count}, witness)
 
 
-def _infeasible(hypothesis: Hypothesis, at: Linearised, step: AffineStep, answer: Infeasible) -> Finding:
-    witness = {**_witness(at, step, answer.x), "v": exact.doubles(answer.v).ravel()}
+def _infeasible_finding(hypothesis: Hypothesis, at: SystemLinearisation, step: AffineStep, answer: InfeasibleState) -> Finding:
+    witness = {**_step_witness(at, step, answer.x), "v": exact.doubles(answer.v).ravel()}
     how = "No solution of the step from this state: v'y < 0 for all l in K, where v'y >= 0 is needed (exact)."
-    return found(hypothesis, VIOLATED, how, {"solutions": 0}, witness)
+    return make_finding(hypothesis, VIOLATED, how, {"solutions": 0}, witness)
 
 
-def _one(at: Linearised, W: np.ndarray | None) -> str:
+def _uniqueness_reason(at: SystemLinearisation, W: np.ndarray | None) -> str:
     if W is None:
         return ""
-    law, definite = at.model.law, exact.psd(W)
+    law, definite = at.model.law, exact.definiteness(W)
     if definite.definite:
         return "W_mlcp is positive definite (exact)"
     if not definite.psd:
         if law.is_box:
-            return "W_mlcp is a P-matrix (exact), and K a box" if p_matrix(W)[0] else ""
-        return "W_mlcp has a determinant > 0 on every face of K (exact)" if coherent(law, W) else ""
-    if not _inside_kernel(W, at):
+            return "W_mlcp is a P-matrix (exact), and K a box" if decide_p_matrix(W)[0] else ""
+        return "W_mlcp has a determinant > 0 on every face of K (exact)" if is_coherently_oriented(law, W) else ""
+    if not _is_kernel_contained(W, at):
         return ""
-    if covers_everything(law, W):
+    if is_range_whole_space(law, W):
         return "W_mlcp is psd, its kernel moves no x, and R(W_mlcp + N_K) is the whole space (exact); l may not be unique"
     return ""
 
 
-def _inside_kernel(W: np.ndarray, at: Linearised) -> bool:
+def _is_kernel_contained(W: np.ndarray, at: SystemLinearisation) -> bool:
     """Whether ker(W + W') lies in ker B: two solutions l have the same B l."""
     S = W + W.T
-    return exact.rank(np.vstack([S, exact.rational(numbers(at.jacobians.B))])) == exact.rank(S)
+    return exact.rank(np.vstack([S, exact.rational(constant_matrix_values(at.jacobians.B))])) == exact.rank(S)
 
 
-def _at_most_one(at: Linearised, step: AffineStep) -> str:
+def _at_most_one_reason(at: SystemLinearisation, step: AffineStep) -> str:
     """Why there is at most one x for every state; empty where that is not proved."""
     if not step.X_l.any():
         return "l moves no x"
-    if exact.psd(step.W).psd and _inside_kernel(step.W, at):
+    if exact.definiteness(step.W).psd and _is_kernel_contained(step.W, at):
         return "W_mlcp is psd and its kernel moves no x (exact): at most one solution"
     return ""
 
@@ -217,20 +225,20 @@ def _at_most_one(at: Linearised, step: AffineStep) -> str:
 # -- at some states -------------------------------------------------------------------------------------------------------
 
 
-def _searched(hypothesis: Hypothesis, at: Linearised) -> Finding:
+def _search_finding(hypothesis: Hypothesis, at: SystemLinearisation) -> Finding:
     """Two solutions of the longest step that are proved, or that none were found."""
     h = float(at.steps.max())
-    searched = two_solutions.search(at, h)
+    searched = two_solutions.search_two_solutions(at, h)
     if searched is None:
-        why = f"more than {two_solutions.MOST_MODES} index sets"
-        return found(hypothesis, UNKNOWN, f"W_mlcp does not settle it, and {why}")
+        why = f"more than {two_solutions.MAX_STEP_MODES} index sets"
+        return make_finding(hypothesis, UNKNOWN, f"W_mlcp does not settle it, and {why}")
     if searched.two is None:
         how = f"All index sets tried at states of {at.along} and on switching surfaces: never two solutions; the step map has "
-        how += f"{'both orientations' if searched.turned else 'one orientation'} at {searched.points} points."
-        return found(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope())
+        how += f"{'both orientations' if searched.orientations_differ else 'one orientation'} at {searched.points} points."
+        return make_finding(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope())
     two = searched.two
     witness: dict[str, object] = {"t": two.t, "x_k": two.x_k, **({} if two.r_k is None else {"r_k": two.r_k}), "h": h}
     for name, (x, l) in zip(("", "other "), (two.first, two.other), strict=True):
         witness |= {f"{name}x": x, f"{name}l": l}
     how = "Two solutions of one step from this state, each proved by Krawczyk's operator in interval arithmetic."
-    return found(hypothesis, VIOLATED, how, {"solutions": 2}, witness)
+    return make_finding(hypothesis, VIOLATED, how, {"solutions": 2}, witness)

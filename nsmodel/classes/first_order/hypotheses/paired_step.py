@@ -19,24 +19,24 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.hypotheses.linearised import Linearised
-from nsmodel.classes.first_order.hypotheses.monotone_form import Form, is_bounded, is_definite, tidied
-from nsmodel.classes.first_order.hypotheses.monotone_step import TOTAL, Unique, answered
-from nsmodel.laws.block import Halfspaces, Intervals, Round
+from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
+from nsmodel.classes.first_order.hypotheses.monotone_form import MonotoneForm, is_form_definite, is_law_bounded, tidy_matrix
+from nsmodel.classes.first_order.hypotheses.monotone_step import EVERYWHERE_CONTINUOUS, UniquenessProof, uniqueness_proof
+from nsmodel.laws.block import Halfspaces, Intervals, RoundSet
 from nsmodel.proof import exact, feasibility, interval, polynomial
-from nsmodel.proof.exact import EPS
-from nsmodel.proof.graph import operations, replay, same
+from nsmodel.proof.exact import MACHINE_EPSILON
+from nsmodel.proof.graph import is_same_expression, operation_codes, rewrite_nodes
 from nsmodel.proof.polynomial import Monomial
 
-MOST, MOST_STEPS = 6, 3  # states, and step lengths
-TERMS = 1e4
-POLYNOMIAL = {
+MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # states, and step lengths
+MAX_CANCELLATION = 1e4
+POLYNOMIAL_OPERATIONS = {
     ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
     ca.OP_TWICE,
 }  # fmt: skip
 
 
-class Paired(NamedTuple):
+class PairedForm(NamedTuple):
     """The parts: beta and s (n, 1) as expressions of t and x, B (n, m) of Fractions, D as a sum of expressions times Fractions.
 
     ``terms`` (n, n) are the absolute values of the terms of s_x, which is rounded by a few eps of them.
@@ -51,21 +51,21 @@ class Paired(NamedTuple):
     d: np.ndarray | None
 
 
-def paired(at: Linearised) -> Paired | None:
+def read_paired_form(at: SystemLinearisation) -> PairedForm | None:
     """Read g and h in this form, exactly; None where they do not have it."""
     model, n, m = at.model, len(at.model.names), at.model.law.size
-    read = _read(at)
-    parted = None if read is None else _parted(read.rows, n, m)
+    read = _read_polynomial_rows(at)
+    parted = None if read is None else _split_by_multipliers(read.rows, n, m)
     if read is None or parted is None:
         return None
     linear, smooth = parted
-    factored = _factored(read, linear, n)
+    factored = _factor_inputs(read, linear, n)
     if factored is None:
         return None
     beta, B, D = factored
     own = [monomial for monomial in smooth if ca.depends_on(read.expression(monomial), model.x)]
     H = np.hstack([exact.zeros(m, 0), *(smooth[monomial][n:] for monomial in own)])
-    weights = _weights(B, H, [read.expression(monomial) for monomial in own], model.x)
+    weights = _feature_weights(B, H, [read.expression(monomial) for monomial in own], model.x)
     if weights is None:
         return None
     features = ca.vertcat(ca.SX(0, 1), *(read.expression(monomial) for monomial in own), model.x)
@@ -73,10 +73,10 @@ def paired(at: Linearised) -> Paired | None:
     d = None if timed else smooth.get((), exact.zeros(n + m, 1))[n:]
     near = exact.doubles(weights)
     s, terms = ca.DM(near) @ features, ca.DM(np.abs(near)) @ ca.fabs(ca.jacobian(features, model.x))
-    return Paired(beta, B, s, terms, tuple(D), d)
+    return PairedForm(beta, B, s, terms, tuple(D), d)
 
 
-class _Polynomials(NamedTuple):
+class _PolynomialRows(NamedTuple):
     """The rows of (g, h), as polynomials of t, x, l and of what is no polynomial of these, and what the variables stand for."""
 
     rows: Sequence[polynomial.Polynomial]
@@ -89,7 +89,7 @@ class _Polynomials(NamedTuple):
         return out
 
 
-def _read(at: Linearised) -> _Polynomials | None:
+def _read_polynomial_rows(at: SystemLinearisation) -> _PolynomialRows | None:
     """The rows of (g, h), where what is no polynomial is free of l."""
     atoms: list[tuple[ca.SX, ca.SX]] = []
 
@@ -97,7 +97,7 @@ def _read(at: Linearised) -> _Polynomials | None:
         symbols, values = ([pair[k] for pair in atoms] for k in (0, 1))
         expression = ca.substitute([expression], symbols, values)[0] if atoms else expression
         for symbol, value in atoms:
-            if same(value, expression):
+            if is_same_expression(value, expression):
                 return symbol
         atoms.append((ca.SX.sym("atom"), expression))
         return atoms[-1][0]
@@ -110,15 +110,15 @@ def _read(at: Linearised) -> _Polynomials | None:
         return atom(old)
 
     stacked = ca.densify(ca.vertcat(at.model.g, at.model.h))
-    flat = replay(stacked, rule, tuple(operations(stacked) - POLYNOMIAL), at.z, "the model")
+    flat = rewrite_nodes(stacked, rule, tuple(operation_codes(stacked) - POLYNOMIAL_OPERATIONS), at.z, "the model")
     if any(ca.depends_on(old, at.model.lam) for _, old in atoms):
         return None
-    rows = polynomial.read(flat, ca.vertcat(at.z, *(symbol for symbol, _ in atoms)))
+    rows = polynomial.read_polynomials(flat, ca.vertcat(at.z, *(symbol for symbol, _ in atoms)))
     known = [row for row in rows if row is not None]
-    return _Polynomials(known, [*ca.vertsplit(at.z), *(old for _, old in atoms)]) if len(known) == len(rows) else None
+    return _PolynomialRows(known, [*ca.vertsplit(at.z), *(old for _, old in atoms)]) if len(known) == len(rows) else None
 
 
-def _parted(
+def _split_by_multipliers(
     rows: Sequence[polynomial.Polynomial], n: int, m: int
 ) -> tuple[dict[Monomial, np.ndarray], dict[Monomial, np.ndarray]] | None:
     """By monomials in t, x: the matrices (n + m, m) of l, and the columns (n + m, 1) without; None where l enters otherwise."""
@@ -137,8 +137,8 @@ def _parted(
     return linear, smooth
 
 
-def _factored(
-    read: _Polynomials, linear: dict[Monomial, np.ndarray], n: int
+def _factor_inputs(
+    read: _PolynomialRows, linear: dict[Monomial, np.ndarray], n: int
 ) -> tuple[ca.SX, np.ndarray, list[tuple[ca.SX, np.ndarray]]] | None:
     """beta, B and D; None where the matrix of l in g is not beta B, or 0."""
     B = next((matrix[:n] for matrix in linear.values() if matrix[:n].any()), None)
@@ -156,34 +156,34 @@ def _factored(
     return beta, B, D
 
 
-def unique_paired(at: Linearised, regular: bool) -> Unique | None:
+def prove_unique_paired(at: SystemLinearisation, regular: bool) -> UniquenessProof | None:
     """At most one, or exactly one step, for each length that occurs; None where neither is proved.
 
     ``regular``: x is a function of l, also beyond the box.
     """
     stacked = ca.vertcat(at.model.f, at.model.h, at.model.g)
-    if len(at.model.names) > MOST or not (
-        operations(stacked) <= TOTAL or interval.is_continuous(stacked, at.z, at.lower, at.upper)
+    if len(at.model.names) > MAX_PAIRED_STATES or not (
+        operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval.is_continuous(stacked, at.z, at.lower, at.upper)
     ):
         return None
-    parts = paired(at)
-    if parts is None or not _psd(at, parts):
+    parts = read_paired_form(at)
+    if parts is None or not _is_D_psd(at, parts):
         return None
-    answers = [_at_step(at, parts, float(h), regular) for h in at.steps] if len(at.steps) <= MOST_STEPS else [None]
+    answers = [_prove_at_step(at, parts, float(h), regular) for h in at.steps] if len(at.steps) <= MAX_PAIRED_STEPS else [None]
     proved = [answer for answer in answers if answer is not None]
     return min(proved, key=lambda one: one.exists) if len(proved) == len(answers) else None
 
 
-def _psd(at: Linearised, parts: Paired) -> bool:
+def _is_D_psd(at: SystemLinearisation, parts: PairedForm) -> bool:
     """Whether D is psd on the box: each of its terms is."""
     for factor, matrix in parts.D:
         low, _ = interval.enclose(factor, at.z, at.lower, at.upper)
-        if ca.depends_on(factor, at.model.x) or low.item() < 0 or not exact.psd(matrix).psd:
+        if ca.depends_on(factor, at.model.x) or low.item() < 0 or not exact.definiteness(matrix).psd:
             return False
     return True
 
 
-def _at_step(at: Linearised, parts: Paired, h: float, regular: bool) -> Unique | None:
+def _prove_at_step(at: SystemLinearisation, parts: PairedForm, h: float, regular: bool) -> UniquenessProof | None:
     model, n, m = at.model, len(at.model.names), at.model.law.size
     lower, upper = at.lower.copy(), at.upper.copy()
     lower[0] = min(lower[0] + h, upper[0])
@@ -194,18 +194,20 @@ def _at_step(at: Linearised, parts: Paired, h: float, regular: bool) -> Unique |
     turn = -1.0 if high < 0 else 1.0
     g_0 = ca.substitute([model.g], [model.lam], [ca.DM.zeros(m)])[0]
     W = model.M - h * ca.jacobian(model.theta * model.f + model.gamma * g_0, model.x)
-    S, bounded = turn * ca.jacobian(parts.s, model.x), is_bounded(at)
-    if not _clear(at, parts, W, S, lower, upper):
+    S, bounded = turn * ca.jacobian(parts.s, model.x), is_law_bounded(at)
+    if not _has_no_cancellation(at, parts, W, S, lower, upper):
         return None
     local = bool(ca.depends_on(ca.vertcat(ca.vec(W), ca.vec(S)), model.x)) or not timed
     if timed:
         for extended in (True, False):
-            form = _form_of(at, W, S, lower, upper, extended=extended)
-            if form is None or not is_definite(form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * EPS):
+            form = _product_form(at, W, S, lower, upper, extended=extended)
+            if form is None or not is_form_definite(
+                form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * MACHINE_EPSILON
+            ):
                 continue
             how = "g = beta B l and h = B's + D l with D psd, and <ds, W dx> > 0"
-            exists = extended and (bounded or (signed and _maximal(at, parts)))
-            return answered(
+            exists = extended and (bounded or (signed and _is_maximal_monotone(at, parts)))
+            return uniqueness_proof(
                 how,
                 form._replace(local=local),
                 exists or (bounded and regular),
@@ -214,19 +216,23 @@ def _at_step(at: Linearised, parts: Paired, h: float, regular: bool) -> Unique |
         return None
     if not bounded:
         return None
-    q = _force(at, parts, W, h, lower, upper)
+    q = _force_bounds(at, parts, W, h, lower, upper)
     if q is None:
         return None
     symbols = ca.SX.sym("e", n)
     E = W - symbols @ ca.gradient(ca.log(ca.fabs(parts.beta)), model.x).T
-    form = _form_of(at, E, S, lower, upper, extended=False, more=(symbols, *q))
-    if form is None or not is_definite(form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * EPS):
+    form = _product_form(at, E, S, lower, upper, extended=False, more=(symbols, *q))
+    if form is None or not is_form_definite(
+        form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * MACHINE_EPSILON
+    ):
         return None
     how = "g = beta(x) B l and h = B's + D l with D psd, and <ds, d(e / beta)> > 0 with e what the step asks of g"
-    return answered(how, form._replace(local=True), regular, "K is bounded, and x a function of l")
+    return uniqueness_proof(how, form._replace(local=True), regular, "K is bounded, and x a function of l")
 
 
-def _clear(at: Linearised, parts: Paired, W: ca.SX, S: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
+def _has_no_cancellation(
+    at: SystemLinearisation, parts: PairedForm, W: ca.SX, S: ca.SX, lower: np.ndarray, upper: np.ndarray
+) -> bool:
     """Whether the terms of S'W are no more than TERMS times what they add up to: far from what the room of the form leaves."""
     _, terms = interval.enclose(parts.terms, at.z, lower, upper)
     low, high = interval.enclose(ca.densify(W), at.z, lower, upper)
@@ -234,10 +240,10 @@ def _clear(at: Linearised, parts: Paired, W: ca.SX, S: ca.SX, lower: np.ndarray,
     size = np.abs(np.array(middle)).max()
     if not all(np.isfinite(end).all() for end in (terms, low, high)):
         return False
-    return bool((terms.T @ np.maximum(np.abs(low), np.abs(high))).max() <= TERMS * size)
+    return bool((terms.T @ np.maximum(np.abs(low), np.abs(high))).max() <= MAX_CANCELLATION * size)
 
 
-def _maximal(at: Linearised, parts: Paired) -> bool:
+def _is_maximal_monotone(at: SystemLinearisation, parts: PairedForm) -> bool:
     """Whether -B (D + N_K)^{-1}(-B's - d) is maximal monotone for every d that occurs.
 
     It is where D is definite, or B'x takes every value, or D is symmetric and K of boxes and bounded sets, for then it is the
@@ -246,14 +252,14 @@ def _maximal(at: Linearised, parts: Paired) -> bool:
     shapes = [block.shape() for block in at.model.law.blocks]
     if any(shape is None or isinstance(shape, Halfspaces) for shape in shapes):
         return False
-    definite = any(exact.psd(matrix).definite and factor.is_constant() for factor, matrix in parts.D)
+    definite = any(exact.definiteness(matrix).definite and factor.is_constant() for factor, matrix in parts.D)
     if definite or exact.rank(parts.B) == at.model.law.size:
         return True
     symmetric = all(exact.is_symmetric(matrix) for _, matrix in parts.D)
-    return symmetric and all(isinstance(shape, Intervals | Round) for shape in shapes) and _finite(at, parts)
+    return symmetric and all(isinstance(shape, Intervals | RoundSet) for shape in shapes) and _is_finite_somewhere(at, parts)
 
 
-def _finite(at: Linearised, parts: Paired) -> bool:
+def _is_finite_somewhere(at: SystemLinearisation, parts: PairedForm) -> bool:
     """Whether some s has B's + d where -y may be in the range of N_K: inside it, for each d, or for the one that there is."""
     n, lower, upper = len(at.model.names), at.lower[1 + len(at.model.names) :], at.upper[1 + len(at.model.names) :]
     rows = []
@@ -271,12 +277,12 @@ def _finite(at: Linearised, parts: Paired) -> bool:
     return (
         not rows
         or (parts.d is not None and not parts.d.any())
-        or feasibility.decide(feasibility.System(A, positive)).point is not None
+        or feasibility.decide_feasibility(feasibility.ConicSystem(A, positive)).point is not None
     )
 
 
-def _form_of(
-    at: Linearised,
+def _product_form(
+    at: SystemLinearisation,
     W: ca.SX,
     S: ca.SX,
     lower: np.ndarray,
@@ -284,7 +290,7 @@ def _form_of(
     *,
     extended: bool,
     more: tuple[ca.SX, np.ndarray, np.ndarray] | None = None,
-) -> Form | None:
+) -> MonotoneForm | None:
     """S(x_1)'W(x_2) on the box of both; ``extended``: their columns also between their middle and these values."""
     model, n, m = at.model, len(at.model.names), at.model.law.size
     x_1 = ca.SX.sym("x_1", n)
@@ -307,21 +313,23 @@ def _form_of(
                 z, ends = ca.vertcat(z, factor), [np.append(ends[0], 0.0), np.append(ends[1], 1.0)]
             columns.append(column)
         matrices.append(ca.horzcat(*columns))
-    product = tidied(matrices[0].T @ matrices[1], z)
+    product = tidy_matrix(matrices[0].T @ matrices[1], z)
     uses = np.array([bool(ca.depends_on(product, symbol)) for symbol in ca.vertsplit(z)])
     ends = [np.where(uses, end, 0.0) for end in ends]
     if not np.isfinite(ends).all():
         return None
     span = (at.upper - at.lower)[1 : n + 1] / 2
     sizes = np.where(np.isfinite(span) & (span > 0), span, 1.0)
-    return Form(product, ca.SX.zeros(n, m), ca.SX.zeros(m, n), ca.SX.zeros(m, m), z, ends[0], ends[1], sizes, extended, True)
+    return MonotoneForm(
+        product, ca.SX.zeros(n, m), ca.SX.zeros(m, n), ca.SX.zeros(m, m), z, ends[0], ends[1], sizes, extended, True
+    )
 
 
-def _force(
-    at: Linearised, parts: Paired, W: ca.SX, h: float, lower: np.ndarray, upper: np.ndarray
+def _force_bounds(
+    at: SystemLinearisation, parts: PairedForm, W: ca.SX, h: float, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Bounds (n,) of e between two solutions: h gamma beta B l at one of them, and |W| times how far they are apart."""
-    model, n, inverse = at.model, len(at.model.names), exact.inverse(at.M)
+    model, n, inverse = at.model, len(at.model.names), exact.inverse_matrix(at.M)
     if inverse is None:
         return None
     force = h * model.gamma * parts.beta * (ca.DM(exact.doubles(parts.B)) @ model.lam)
@@ -330,21 +338,21 @@ def _force(
     W_low, W_high = interval.enclose(ca.densify(W), at.z, lower, upper)
     if not all(np.isfinite(end).all() for end in (low, high, f_low, f_high, W_low, W_high)):
         return None
-    apart = 1.001 * np.abs(exact.doubles(inverse)) @ (f_high - f_low).ravel()
-    more = 1.001 * np.maximum(np.abs(W_low), np.abs(W_high)) @ np.minimum(apart, (upper - lower)[1 : n + 1])
+    distance = 1.001 * np.abs(exact.doubles(inverse)) @ (f_high - f_low).ravel()
+    more = 1.001 * np.maximum(np.abs(W_low), np.abs(W_high)) @ np.minimum(distance, (upper - lower)[1 : n + 1])
     return low - more, high + more
 
 
-def _weights(B: np.ndarray, H: np.ndarray, features: Sequence[ca.SX], x: ca.SX) -> np.ndarray | None:
+def _feature_weights(B: np.ndarray, H: np.ndarray, features: Sequence[ca.SX], x: ca.SX) -> np.ndarray | None:
     """Weights (n, k + n) of features and of x, with B'S = H: least on the range of B, and a multiple of x beyond it."""
     columns = exact.independent_columns(B)
     R = B[:, columns]
-    gram = exact.product(R.T, R)
-    own = exact.product(R, exact.solve(gram, H[columns]))
-    if (exact.product(B.T, own) != H).any():
+    gram = exact.matrix_product(R.T, R)
+    own = exact.matrix_product(R, exact.solve_linear_system(gram, H[columns]))
+    if (exact.matrix_product(B.T, own) != H).any():
         return None
-    project = exact.product(R, exact.solve(gram, R.T))
-    slopes = [own[i, k] for k, feature in enumerate(features) for i in range(len(B)) if same(feature, x[i])]
+    project = exact.matrix_product(R, exact.solve_linear_system(gram, R.T))
+    slopes = [own[i, k] for k, feature in enumerate(features) for i in range(len(B)) if is_same_expression(feature, x[i])]
     trace = sum(slopes, Fraction(0)) / len(columns)
     across = (exact.eye(len(B)) - project) * (trace if trace > 0 else Fraction(1))
     return np.hstack([own, across])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.hypotheses.quick import refuse_law
+from nsmodel.hypotheses.quick import check_law_sets
 
 
-def refuse_start(model: FirstOrderSystem) -> None:
+def check_start(model: FirstOrderSystem) -> None:
     """Refuse a law that the parameters made empty."""
-    refuse_law(model.law, model)
+    check_law_sets(model.law, model)
 
 
 def warnings(model: FirstOrderSystem) -> list[str]:

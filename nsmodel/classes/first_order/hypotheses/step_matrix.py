@@ -12,20 +12,20 @@ from nsmodel.laws import Law
 from nsmodel.laws.block import Halfspaces, Intervals
 from nsmodel.proof import exact, polynomial_signs
 
-ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
-MARGIN = "change by rounding, 1 where singular"
-MOST_MINORS = 12  # Rows up to which all principal minors are looked at: 2^12.
-MOST_ROOTS = 12  # States up to which the roots of det(M - s G) are counted exactly.
+ENTRY_ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
+ROUNDING_LABEL = "change by rounding, 1 where singular"
+MAX_P_MATRIX_ROWS = 12  # Rows up to which all principal minors are looked at: 2^12.
+MAX_ROOT_STATES = 12  # States up to which the roots of det(M - s G) are counted exactly.
 
 
-class Minor(NamedTuple):
+class PrincipalMinor(NamedTuple):
     """The least principal minor found, in units in which the diagonal is 1 where it is not 0, and its rows."""
 
     value: float
     rows: list[int]
 
 
-def p_matrix(W: np.ndarray) -> tuple[bool | None, Minor]:
+def decide_p_matrix(W: np.ndarray) -> tuple[bool | None, PrincipalMinor]:
     """Whether all principal minors of W (rational) are > 0; None where W is too large for that.
 
     Each minor is a product of pivots; one that is <= 0 ends the search (Tsatsomeros and Li's recursion on Schur complements).
@@ -33,16 +33,16 @@ def p_matrix(W: np.ndarray) -> tuple[bool | None, Minor]:
     diagonal = [W[i, i] for i in range(len(W))]
     if any(entry <= 0 for entry in diagonal):
         i = int(np.argmin(exact.doubles(np.array(diagonal, dtype=object))))
-        return False, Minor(float(diagonal[i]), [i])
+        return False, PrincipalMinor(float(diagonal[i]), [i])
     scaled = W / np.array(diagonal, dtype=object)[:, None]
-    if len(W) > MOST_MINORS:
+    if len(W) > MAX_P_MATRIX_ROWS:
         dominant = all(2 > sum(abs(entry) for entry in row) for row in scaled)
-        return (True if dominant else None), Minor(np.nan, [])
-    rows, least = _bad_minor(scaled, list(range(len(W))))
-    return rows is None, Minor(float(least), rows or [])
+        return (True if dominant else None), PrincipalMinor(np.nan, [])
+    rows, least = _nonpositive_minor(scaled, list(range(len(W))))
+    return rows is None, PrincipalMinor(float(least), rows or [])
 
 
-def _bad_minor(W: np.ndarray, rows: list[int]) -> tuple[list[int] | None, Fraction]:
+def _nonpositive_minor(W: np.ndarray, rows: list[int]) -> tuple[list[int] | None, Fraction]:
     """Rows of a principal minor <= 0, or None; and that minor, else the least one."""
     least: Fraction | None = None
     stack = [(W, rows, [], Fraction(1))]
@@ -62,7 +62,7 @@ def _bad_minor(W: np.ndarray, rows: list[int]) -> tuple[list[int] | None, Fracti
     return None, Fraction(1) if least is None else least
 
 
-def coherent(law: Law, W: np.ndarray) -> bool:
+def is_coherently_oriented(law: Law, W: np.ndarray) -> bool:
     """Whether l -> -(W l + N_K(l)) is one to one and onto, for K of boxes and polyhedra (Robinson 1992); W rational.
 
     It is where det Z'W Z > 0 for every face of K with directions Z. All sets of active rows are tried, also those of no face.
@@ -72,27 +72,29 @@ def coherent(law: Law, W: np.ndarray) -> bool:
         size, shape = block.size, block.shape()
         if isinstance(shape, Intervals):
             units = [(exact.eye(size)[:, [i]], exact.zeros(size, 0)) for i in range(size)]
-            parts += [[_placed(Z, place, len(W)) for Z in pair] for pair in units]
+            parts += [[_embed_rows(Z, place, len(W)) for Z in pair] for pair in units]
         elif isinstance(shape, Halfspaces):
             active = [list(rows) for k in range(len(shape.K) + 1) for rows in combinations(range(len(shape.K)), k)]
             own = [exact.nullspace(shape.H[rows]) if rows else exact.eye(size) for rows in active]
-            parts.append([_placed(Z, place, len(W)) for Z in own])
+            parts.append([_embed_rows(Z, place, len(W)) for Z in own])
         else:
             return False
         place, count = place + size, count * len(parts[-1]) if isinstance(shape, Halfspaces) else count * 2**size
-        if count > 2**MOST_MINORS:
+        if count > 2**MAX_P_MATRIX_ROWS:
             return False
-    return all(exact.determinant(exact.product(Z.T, W, Z)) > 0 for choice in product(*parts) if (Z := np.hstack(choice)).shape[1])
+    return all(
+        exact.determinant(exact.matrix_product(Z.T, W, Z)) > 0 for choice in product(*parts) if (Z := np.hstack(choice)).shape[1]
+    )
 
 
-def _placed(Z: np.ndarray, place: int, m: int) -> np.ndarray:
+def _embed_rows(Z: np.ndarray, place: int, m: int) -> np.ndarray:
     """Directions of some rows as those of all m."""
     out = exact.zeros(m, Z.shape[1])
     out[place : place + len(Z)] = Z
     return out
 
 
-class Steps(NamedTuple):
+class RegularSteps(NamedTuple):
     """``regular``: whether M - s G is regular for 0 < s <= h (None: not decided exactly); ``least``: h*, in floating point."""
 
     regular: bool | None
@@ -101,24 +103,26 @@ class Steps(NamedTuple):
     bound: float
 
 
-def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> Steps:
+def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> RegularSteps:
     """Decide M - s G for 0 < s <= h, M and G rational.
 
     h* = 1 / (largest real eigenvalue > 0 of M^{-1} G) is where it first becomes singular. ``bound`` = 1 / |M^{-1} G| is a lower
     bound of h*, 0 where M is singular.
     """
-    X = exact.solve(M, G) if exact.rank(M) == len(M) else None
+    X = exact.solve_linear_system(M, G) if exact.rank(M) == len(M) else None
     if X is None:
-        least, vector = _least_step(exact.doubles(M), exact.doubles(G))
-        return Steps(None, least, vector, 0.0)
-    least, vector = _least_step(np.eye(len(M)), exact.doubles(X))
+        least, vector = _singular_step(exact.doubles(M), exact.doubles(G))
+        return RegularSteps(None, least, vector, 0.0)
+    least, vector = _singular_step(np.eye(len(M)), exact.doubles(X))
     norms = [max((sum(abs(entry) for entry in row) for row in part), default=Fraction(0)) for part in (X, X.T)]
     bound = float(1 / min(norms)) if min(norms) else np.inf
     if Fraction(h) * min(norms) < 1:
-        return Steps(True, least, vector, bound)
-    if len(X) > MOST_ROOTS:
-        return Steps(None, least, vector, bound)
-    return Steps(not polynomial_signs.real_roots(_determinant(X), Fraction(0), Fraction(h)), least, vector, bound)
+        return RegularSteps(True, least, vector, bound)
+    if len(X) > MAX_ROOT_STATES:
+        return RegularSteps(None, least, vector, bound)
+    return RegularSteps(
+        not polynomial_signs.real_roots(_determinant_coefficients(X), Fraction(0), Fraction(h)), least, vector, bound
+    )
 
 
 def change_by_rounding(M: np.ndarray, G: np.ndarray, h: float) -> float:
@@ -145,10 +149,10 @@ def change_at_step(M: np.ndarray, G: np.ndarray, s: float) -> float:
     except np.linalg.LinAlgError:
         return np.inf
     size = np.abs(inverse) @ (np.abs(M) + abs(s) * np.abs(G))
-    return ROUNDING * float(np.abs(np.linalg.eigvals(size)).max()) if np.isfinite(size).all() else np.inf
+    return ENTRY_ROUNDING * float(np.abs(np.linalg.eigvals(size)).max()) if np.isfinite(size).all() else np.inf
 
 
-def _least_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:
+def _singular_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:
     """The least s > 0 with det(M - s G) = 0 and a null vector, in floating point; (inf, None) where there is none."""
     from scipy.linalg import eig
 
@@ -162,11 +166,11 @@ def _least_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]
     return float(1 / np.real(values[k])), np.real(vectors[:, k])
 
 
-def _determinant(X: np.ndarray) -> list[Fraction]:
+def _determinant_coefficients(X: np.ndarray) -> list[Fraction]:
     """Coefficients c_0 = 1, c_1, ... of det(I - s X), by Faddeev and LeVerrier."""
     n, coefficients, power = len(X), [Fraction(1)], exact.eye(len(X))
     for k in range(1, n + 1):
-        power = exact.product(X, power)
+        power = exact.matrix_product(X, power)
         coefficients.append(-sum((power[i, i] for i in range(n)), Fraction(0)) / k)
         for i in range(n):
             power[i, i] += coefficients[-1]

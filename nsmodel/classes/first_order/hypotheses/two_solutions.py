@@ -18,22 +18,29 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.hypotheses.linearised import Linearised
-from nsmodel.classes.first_order.hypotheses.modes import Mode, Modes
+from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
+from nsmodel.classes.first_order.hypotheses.modes import StepMode, StepModes
 from nsmodel.proof import interval, krawczyk
 
-MOST_MODES = 2500  # that are tried at one state
-SAMPLES, STATES, ROWS = 300, 12, 4  # points of modes; states of them, and of the runs, at which all modes are tried
-STARTS = 6  # of Newton's method on a mode where a ball or a cone is touched
-MOST_TRIES = 2500  # runs of Newton's method, in all
-NEWTON, TOLERANCE = 14, 1e-11
-SLACK, CLEAR = 1e-7, 1e-9  # An inequality counts where it holds by this part of its size, for all data this near to the model's.
-SAME = 1e-6  # Two solutions are one if they differ by less than this part of what x moves in a step.
-SINGULAR = 1e-10
-LEAST = np.finfo(float).tiny / np.finfo(float).eps  # Below it products with h underflow.
+MAX_STEP_MODES = 2500  # that are tried at one state
+MODE_SAMPLES, TRIED_STATES, TRIED_ROWS = (
+    300,
+    12,
+    4,
+)  # points of modes; states of them, and of the runs, at which all modes are tried
+NEWTON_STARTS = 6  # of Newton's method on a mode where a ball or a cone is touched
+MAX_NEWTON_RUNS = 2500  # runs of Newton's method, in all
+MAX_MODE_ITERATIONS, MODE_NEWTON_TOLERANCE = 14, 1e-11
+INEQUALITY_SLACK, DATA_MARGIN = (
+    1e-7,
+    1e-9,
+)  # An inequality counts where it holds by this part of its size, for all data this near to the model's.
+SAME_SOLUTION = 1e-6  # Two solutions are one if they differ by less than this part of what x moves in a step.
+SINGULAR_DETERMINANT = 1e-10
+UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps  # Below it products with h underflow.
 
 
-class Two(NamedTuple):
+class TwoSolutions(NamedTuple):
     """States x_k, r_k (None where gamma = 1) at time t and two solutions (x, l)."""
 
     t: float
@@ -43,52 +50,53 @@ class Two(NamedTuple):
     other: tuple[np.ndarray, np.ndarray]
 
 
-class Searched(NamedTuple):
+class SolutionSearchResult(NamedTuple):
     """Two solutions, or None; how many points of modes were looked at, and whether their orientations differ."""
 
-    two: Two | None
+    two: TwoSolutions | None
     points: int
-    turned: bool
+    orientations_differ: bool
 
 
-class _Point(NamedTuple):
+class _ModePoint(NamedTuple):
     """Unknowns u = (x, l, s) of a mode, the state they come from, and the orientation."""
 
-    mode: Mode
+    mode: StepMode
     u: np.ndarray
     t: float
     x_k: np.ndarray
     sign: float
 
 
-def search(at: Linearised, h: float, seed: int = 0) -> Searched | None:
+def search_two_solutions(at: SystemLinearisation, h: float, seed: int = 0) -> SolutionSearchResult | None:
     """Look for two solutions of a step of length h; None where there are too many modes."""
-    step = _Step(at, h)
-    if step.count > MOST_MODES:
+    step = _TwoSolutionSearch(at, h)
+    if step.count > MAX_STEP_MODES:
         return None
     rng = np.random.default_rng(seed)
-    points = [point for _ in range(SAMPLES) if (point := step.draw(rng)) is not None]
+    points = [point for _ in range(MODE_SAMPLES) if (point := step.draw(rng)) is not None]
     ahead, back = ([point for point in points if point.sign == sign] for sign in (1.0, -1.0))
     rarer = min(ahead, back, key=len)
-    rows = at.points[np.unique(np.linspace(0, len(at.points) - 1, ROWS).astype(int))]
+    rows = at.points[np.unique(np.linspace(0, len(at.points) - 1, TRIED_ROWS).astype(int))]
     seen = [
-        _Point((), np.concatenate([row[1 : step.n + 1], np.zeros(0)]), float(row[0]), row[1 : step.n + 1], 0.0) for row in rows
+        _ModePoint((), np.concatenate([row[1 : step.n + 1], np.zeros(0)]), float(row[0]), row[1 : step.n + 1], 0.0)
+        for row in rows
     ]
-    for point in [*rarer[:STATES], *seen]:
+    for point in [*rarer[:TRIED_STATES], *seen]:
         two = step.two(point, rng)
-        if two is not None or step.tries > MOST_TRIES:
-            return Searched(two, len(points), bool(rarer))
-    return Searched(None, len(points), bool(rarer))
+        if two is not None or step.tries > MAX_NEWTON_RUNS:
+            return SolutionSearchResult(two, len(points), bool(rarer))
+    return SolutionSearchResult(None, len(points), bool(rarer))
 
 
-class _Step(Modes):
+class _TwoSolutionSearch(StepModes):
     """The step with the points of its modes, and what was tried from them."""
 
-    def __init__(self, at: Linearised, h: float) -> None:
+    def __init__(self, at: SystemLinearisation, h: float) -> None:
         super().__init__(at, h)
         self.tries = 0
 
-    def draw(self, rng: np.random.Generator) -> _Point | None:
+    def draw(self, rng: np.random.Generator) -> _ModePoint | None:
         """A point of a mode, with the state it comes from; None where the draw does not satisfy the law."""
         at, n = self.at, self.n
         t = float(at.lower[0] if not at.timed or rng.random() < 0.5 else rng.uniform(at.lower[0], at.upper[0] - self.h))
@@ -102,7 +110,7 @@ class _Step(Modes):
         u = np.concatenate([x, self.start(mode, rng)])
         scale = np.concatenate([10 * max(wide, 1.0) * self.span if self.everywhere else self.span, self.width, self.size_s])
         for _ in range(6):
-            value, J = self.at_point(u[:n], u[n : n + self.m], t, u[:n])
+            value, J = self.residual_and_jacobian(u[:n], u[n : n + self.m], t, u[:n])
             F, D, slack = self.system(mode, u, value, J)
             if not (np.isfinite(F).all() and np.isfinite(D).all()):
                 return None
@@ -110,7 +118,7 @@ class _Step(Modes):
             if np.abs(weight * F[n:]).max(initial=0.0) < 1e-12:
                 break
             u = u - scale * np.linalg.lstsq(weight[:, None] * D[n:] * scale, weight * F[n:], rcond=1e-9)[0]
-            mode = self._by_sign(mode, value[n:])
+            mode = self._switch_bounds(mode, value[n:])
             for (_, rows), how in zip(self.blocks, mode, strict=True):
                 if how in ("lower", "upper"):
                     u[n + rows[0]] = (self.lower if how == "lower" else self.upper)[rows[0]]
@@ -118,15 +126,15 @@ class _Step(Modes):
             return None
         if slack.min(initial=1.0) < 1e-4:
             return None
-        x_k = self._origin(u, t)
+        x_k = self._preceding_state(u, t)
         if x_k is None or not (self.everywhere or ((x_k >= self.low) & (x_k <= self.up)).all()):
             return None
-        value, J = self.at_point(u[:n], u[n : n + self.m], t, x_k)
+        value, J = self.residual_and_jacobian(u[:n], u[n : n + self.m], t, x_k)
         D = self.system(mode, u, value, J)[1] * scale
         sign, size = np.linalg.slogdet(D / np.maximum(np.abs(D).max(axis=1, keepdims=True), np.finfo(float).tiny))
-        return _Point(mode, u, t, x_k, sign) if size > np.log(SINGULAR) else None
+        return _ModePoint(mode, u, t, x_k, sign) if size > np.log(SINGULAR_DETERMINANT) else None
 
-    def _by_sign(self, mode: Mode, y: np.ndarray) -> Mode:
+    def _switch_bounds(self, mode: StepMode, y: np.ndarray) -> StepMode:
         """The mode with rows at the other bound where the sign of y asks for it."""
         other = list(mode)
         for k, ((_, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
@@ -136,61 +144,61 @@ class _Step(Modes):
                 other[k] = "lower"
         return tuple(other)
 
-    def _origin(self, u: np.ndarray, t: float) -> np.ndarray | None:
+    def _preceding_state(self, u: np.ndarray, t: float) -> np.ndarray | None:
         """The x_k from which E = 0."""
         x_k = u[: self.n].copy()
         for _ in range(8):
             point = u[: self.n], u[self.n : self.n + self.m], t, x_k
-            value, J_k = self.at_point(*point)[0], self.in_x_k(*point, self.h).full()
+            value, J_k = self.residual_and_jacobian(*point)[0], self.in_x_k(*point, self.h).full()
             if not (np.isfinite(value).all() and np.isfinite(J_k).all()):
                 return None
             step = np.linalg.lstsq(J_k, -value[: self.n], rcond=None)[0]
             x_k = x_k + step
-            if np.abs(step).max() <= 1e-13 * np.abs(x_k).max() + LEAST:
+            if np.abs(step).max() <= 1e-13 * np.abs(x_k).max() + UNDERFLOW_LIMIT:
                 return x_k
         return None
 
-    def two(self, point: _Point, rng: np.random.Generator) -> Two | None:
+    def two(self, point: _ModePoint, rng: np.random.Generator) -> TwoSolutions | None:
         """Two solutions from the state of a point, both proved."""
         kept = [(point.mode, point.u)] if point.mode else []
         for mode, u in self._solutions(point, rng):
             for case in kept:
-                if not self._apart(u, case[1], point.x_k):
+                if not self._are_distinct(u, case[1], point.x_k):
                     break
             else:
                 kept.append((mode, u))
-        proved: list[krawczyk.Zero] = []
+        proved: list[krawczyk.ZeroEnclosure] = []
         changes: list[np.ndarray] = []
         for case in kept if len(kept) > 1 else []:
-            change = self._clear(case[0], point._replace(u=case[1]))
-            zero = None if change is None else self._proved(*case, point)
+            change = self._data_sensitivity(case[0], point._replace(u=case[1]))
+            zero = None if change is None else self._prove_zero(*case, point)
             if zero is None or change is None:
                 continue
             proved.append(zero)
             changes.append(change)
-            if len(proved) > 1 and self._disjoint(proved[0], proved[1], changes[0] + changes[-1]):
-                first, other = ((zero.middle[: self.n], self._user(zero.middle)) for zero in proved)
+            if len(proved) > 1 and self._are_disjoint(proved[0], proved[1], changes[0] + changes[-1]):
+                first, other = ((zero.middle[: self.n], self._declared_multipliers(zero.middle)) for zero in proved)
                 r_k = None if self.r_k is None else np.array(self.r_k(point.t, point.x_k)).ravel()
-                return Two(point.t, point.x_k, r_k, first, other)
+                return TwoSolutions(point.t, point.x_k, r_k, first, other)
             proved = proved[:1]
         return None
 
-    def _user(self, u: np.ndarray) -> np.ndarray:
+    def _declared_multipliers(self, u: np.ndarray) -> np.ndarray:
         return np.array(self.user(u[self.n : self.n + self.m])).ravel()
 
-    def _solutions(self, point: _Point, rng: np.random.Generator) -> Iterator[tuple[Mode, np.ndarray]]:
+    def _solutions(self, point: _ModePoint, rng: np.random.Generator) -> Iterator[tuple[StepMode, np.ndarray]]:
         curved = any(K is not None for K, _ in self.blocks)
         for mode in product(*self.modes):
-            for _ in range(STARTS if curved and "touched" in mode else 1):
+            for _ in range(NEWTON_STARTS if curved and "touched" in mode else 1):
                 self.tries += 1
                 u = self._newton(mode, np.concatenate([point.u[: self.n], self.start(mode, rng)]), point)
                 if u is not None:
                     yield mode, u
 
-    def _newton(self, mode: Mode, u: np.ndarray, point: _Point) -> np.ndarray | None:
+    def _newton(self, mode: StepMode, u: np.ndarray, point: _ModePoint) -> np.ndarray | None:
         n, m = self.n, self.m
-        for _ in range(NEWTON):
-            value, J = self.at_point(u[:n], u[n : n + m], point.t, point.x_k)
+        for _ in range(MAX_MODE_ITERATIONS):
+            value, J = self.residual_and_jacobian(u[:n], u[n : n + m], point.t, point.x_k)
             F, D, slack = self.system(mode, u, value, J)
             if not (np.isfinite(F).all() and np.isfinite(D).all()):
                 return None
@@ -199,30 +207,30 @@ class _Step(Modes):
             except np.linalg.LinAlgError:
                 return None
             u = u + step
-            if (np.abs(step) <= TOLERANCE * (np.abs(u) + np.abs(step))).all() or np.abs(step).max() < LEAST:
-                return u if slack.min(initial=1.0) > SLACK else None
+            if (np.abs(step) <= MODE_NEWTON_TOLERANCE * (np.abs(u) + np.abs(step))).all() or np.abs(step).max() < UNDERFLOW_LIMIT:
+                return u if slack.min(initial=1.0) > INEQUALITY_SLACK else None
         return None
 
-    def _apart(self, u: np.ndarray, v: np.ndarray, x_k: np.ndarray) -> bool:
+    def _are_distinct(self, u: np.ndarray, v: np.ndarray, x_k: np.ndarray) -> bool:
         """Whether two x_{k+1} differ by more than the step's tolerance leaves open."""
         a, b = u[: self.n], v[: self.n]
         moved = max(np.abs(a - x_k).max(), np.abs(b - x_k).max())
-        return bool(np.abs(a - b).max() > max(SAME * moved, 1e-9 * np.abs(x_k).max(), LEAST))
+        return bool(np.abs(a - b).max() > max(SAME_SOLUTION * moved, 1e-9 * np.abs(x_k).max(), UNDERFLOW_LIMIT))
 
-    def _clear(self, mode: Mode, point: _Point) -> np.ndarray | None:
+    def _data_sensitivity(self, mode: StepMode, point: _ModePoint) -> np.ndarray | None:
         """By how much x (n,) changes where the data do by CLEAR of themselves; None where an inequality may then fail."""
         n, m, u = self.n, self.m, point.u
         state = u[:n], u[n : n + m], point.t, point.x_k
-        (value, J), J_k = self.at_point(*state), self.in_x_k(*state, self.h).full()
+        (value, J), J_k = self.residual_and_jacobian(*state), self.in_x_k(*state, self.h).full()
         D = self.system(mode, u, value, J)[1]
         terms = np.abs(D) @ np.abs(u)
         terms[:n] += np.abs(J_k) @ np.abs(point.x_k)
         try:
-            change = CLEAR * np.abs(np.linalg.inv(D)) @ terms
+            change = DATA_MARGIN * np.abs(np.linalg.inv(D)) @ terms
         except np.linalg.LinAlgError:
             return None
         of_l, of_s = change[n : n + m], change[n + m :]
-        of_y = CLEAR * np.abs(J[n:]) @ np.abs(u[: n + m]) + np.abs(J[n:]) @ change[: n + m]
+        of_y = DATA_MARGIN * np.abs(J[n:]) @ np.abs(u[: n + m]) + np.abs(J[n:]) @ change[: n + m]
         l, y = u[n : n + m], value[n:]
         for k, ((K, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
             own = list(rows)
@@ -243,18 +251,18 @@ class _Step(Modes):
                 return None
         return change[:n]
 
-    def _proved(self, mode: Mode, u: np.ndarray, point: _Point) -> krawczyk.Zero | None:
+    def _prove_zero(self, mode: StepMode, u: np.ndarray, point: _ModePoint) -> krawczyk.ZeroEnclosure | None:
         F, conditions = self.expressions(mode)
         z = ca.vertcat(self.x, self.l, self.s, self.t, self.x_k, self.step)
         start = np.concatenate([u, [point.t], point.x_k, [self.h]])
         size = np.concatenate([np.where(np.abs(u) > 0, np.abs(u), 1.0), np.full(len(start) - len(u), 1e-200)])
-        zero = krawczyk.zero_near(F, z, start, size)
+        zero = krawczyk.enclose_zero(F, z, start, size)
         if zero is None or (zero.lower[len(u) :] != start[len(u) :]).any() or (zero.upper[len(u) :] != start[len(u) :]).any():
             return None
         low, _ = interval.enclose(conditions, z, zero.lower, zero.upper) if conditions.numel() else (np.ones(1), None)
         return zero if (low > 0).all() else None
 
-    def _disjoint(self, a: krawczyk.Zero, b: krawczyk.Zero, change: np.ndarray) -> bool:
+    def _are_disjoint(self, a: krawczyk.ZeroEnclosure, b: krawczyk.ZeroEnclosure, change: np.ndarray) -> bool:
         """Whether some x_i differ, by more than ``change`` (n,)."""
         n = self.n
         return bool((np.maximum(b.lower[:n] - a.upper[:n], a.lower[:n] - b.upper[:n]) > change).any())

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying, shown
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, moving_law_outputs, rewrite_as_basic_law, with_carried_inputs
 
 
 def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
@@ -29,14 +29,14 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
     x_k, r_k = model.x, ca.SX.sym("r_k", n)
     x, r, u = ca.SX.sym("x_next", n), ca.SX.sym("r", n), ca.SX.sym("u_next", model.u.numel())
     if not model.law.size:
-        return carrying(_smooth(model, h, x, u), model.u, u)
+        return with_carried_inputs(_smooth_problem(model, h, x, u), model.u, u)
 
     def end(expression: ca.SX, l: ca.SX) -> ca.SX:
         return ca.substitute([expression], [t, x_k, model.u, model.lam], [t + h, x, u, l])[0]
 
     # A polyhedron's rewriting needs y as the user declared it, in terms of the new multipliers.
     y_user = ca.SX.sym("y", model.law.size)
-    basic = basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u), ca.vertcat(t + h, u))
+    basic = rewrite_as_basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u), ca.vertcat(t + h, u))
     l = basic.multipliers
     hx, gx = end(model.h, l), end(model.g, l)
     f_k, f = model.f, end(model.f, l)
@@ -55,20 +55,20 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         next_state=ca.vertcat(x, r) if ga < 1 else x,
         multipliers=l if basic.differs else None,
         declared=model.multiplier_names,
-        outputs=shown(hx, y, basic.ends) if basic.differs else None,
+        outputs=moving_law_outputs(hx, y, basic.ends) if basic.differs else None,
         ends=basic.ends, scale=basic.scale,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
-        start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
-        order=SchemeOrder.of_weights(th, ga, gx, ca.vertcat(t, h, x, u), basic.law, Y, basic.l),
+        start=_start_problem(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        order=SchemeOrder.from_weights(th, ga, gx, ca.vertcat(t, h, x, u), basic.law, Y, basic.l),
         explicit=tuple(range(n, 2 * n)),
     )  # fmt: skip
-    return carrying(problem, model.u, u)
+    return with_carried_inputs(problem, model.u, u)
 
 
-def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
+def _start_problem(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     """l_0 solves the law at (t_0, x_0), and r_0 = g(t_0, x_0, l_0)."""
     y_user = ca.SX.sym("y", model.law.size)
-    basic = basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u))
+    basic = rewrite_as_basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u))
     here = [ca.substitute([e], [model.lam], [basic.multipliers])[0] for e in (model.h, model.g)]
     return OneStepProblem(
         scheme="multiplier at the start",
@@ -83,7 +83,7 @@ def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     )  # fmt: skip
 
 
-def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX, u: ca.SX) -> OneStepProblem:
+def _smooth_problem(model: FirstOrderSystem, h: ca.SX, x: ca.SX, u: ca.SX) -> OneStepProblem:
     """Without multipliers: the theta-scheme for M x' = f + g(t, x)."""
     t, x_k, th, ga = model.t, model.x, model.theta, model.gamma
     f, g = (ca.substitute([e], [t, x_k, model.u], [t + h, x, u])[0] for e in (model.f, model.g))
@@ -98,7 +98,7 @@ def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX, u: ca.SX) -> OneStepPro
         guess=x_k,
         next_state=x,
         records={"residual_R": ca.norm_inf(R)},
-        order=SchemeOrder.of_weights(th, ga, g, ca.vertcat(t, h, x), model.law, empty, empty),
+        order=SchemeOrder.from_weights(th, ga, g, ca.vertcat(t, h, x), model.law, empty, empty),
     )  # fmt: skip
 
 

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.set_valued import constraints
-from nsmodel.columns import extrapolated
-from nsmodel.hypotheses.along import SLACK, feasible, has_every_row, rows_missing
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.classes.inclusion.set_valued import set_constraints
+from nsmodel.columns import extrapolated_rows
+from nsmodel.hypotheses.along import SUM_ROUNDING, constraint_findings, has_every_row, missing_rows_findings
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.trajectory import Trajectory
 
-BOUND = Hypothesis(
+NORM_BOUND = Hypothesis(
     "run-bound",
     "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
     "catching-up 2026, Lemma 4.4",
@@ -26,10 +26,10 @@ CESARO = Hypothesis(
     "run-cesaro", "d_C(y_k) <= mu_k |v_k|: the predictor leaves C by O(mu), so that its mean distance vanishes",
     "catching-up 2026, Corollary 6.4",
 )  # fmt: skip
-CONTRACTION = Hypothesis(
+RUN_CONTRACTION = Hypothesis(
     "run-contraction", "|x(t) - x~(t)| <= e^{L t} |x_0 - x~_0| for two runs", "catching-up 2026, one-sided Lipschitz bound"
 )
-HYPOTHESES = (BOUND, DEFECTS, CESARO, CONTRACTION)
+HYPOTHESES = (NORM_BOUND, DEFECTS, CESARO, RUN_CONTRACTION)
 
 
 def along(
@@ -37,48 +37,50 @@ def along(
 ) -> list[Finding]:  # fmt: skip
     """C, the bounds of a step, and two runs."""
     if model.scheme != "catching-up":
-        return feasible(model, run, *constraints(model))
+        return constraint_findings(model, run, *set_constraints(model))
     steps = (
-        _steps(model, run, numbers) if has_every_row(run) and not run.is_event_driven else rows_missing(BOUND, DEFECTS, CESARO)
+        _step_bound_findings(model, run, numbers)
+        if has_every_row(run) and not run.is_event_driven
+        else missing_rows_findings(NORM_BOUND, DEFECTS, CESARO)
     )
-    two = [] if twin is None else [_contraction(run, twin, numbers["M-24"])]
-    return [*feasible(model, run, *constraints(model)), *steps, *two]
+    two = [] if twin is None else [_contraction_finding(run, twin, numbers["M-24"])]
+    return [*constraint_findings(model, run, *set_constraints(model)), *steps, *two]
 
 
-def _steps(model: MonotoneInclusion, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
+def _step_bound_findings(model: MonotoneInclusion, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
     """Lemma 4.4, Lemma 6.1 and Corollary 6.4 step by step: with 0 in C, |P_C(y)| <= |y| and |x_{k+1} - P_C(y)|^2 <= eps_k.
 
     Where C moves, at kappa at most (M-H), it moves away from a predictor by mu kappa more.
     """
     kappa = _speed_of_set(run, numbers["M-H"]) if model.moves else 0.0
     if kappa is None:
-        return [found(which, UNKNOWN, "M-H gives no speed of C along the run") for which in (BOUND, DEFECTS, CESARO)]
-    of_defects, of_mean = (_of_moving(which) if kappa else which for which in (DEFECTS, CESARO))
+        return [make_finding(which, UNKNOWN, "M-H gives no speed of C along the run") for which in (NORM_BOUND, DEFECTS, CESARO)]
+    of_defects, of_mean = (_moving_set_hypothesis(which) if kappa else which for which in (DEFECTS, CESARO))
     x, mu = run.x[:-1], run.step[1:]
     v, e = run.arrays["v"][1:], run.arrays["defect"][1:]
     eps, distance = (run.arrays[name][1:].ravel() for name in ("tolerance", "predictor_distance"))
     speed = np.linalg.norm(v, axis=1) + kappa
-    scale = SLACK * (1 + np.linalg.norm(run.x, axis=1)).max() ** 2
+    scale = SUM_ROUNDING * (1 + np.linalg.norm(run.x, axis=1)).max() ** 2
     mean = float(np.sum(mu * distance) / np.sum(mu))
     k = int(np.argmax(distance))
     over = distance - mu * speed
-    cesaro = found(
+    cesaro = make_finding(
         of_mean, HOLDS if over.max() <= scale else VIOLATED, f"evaluated at {mu.size} steps",
         {"mean of d_C(y)": mean, "largest d_C(y)": distance[k]}, {"t": run.t[k + 1], "mu |v|": mu[k] * speed[k]},
     )  # fmt: skip
     squares = (e**2).sum(axis=1)
     over = squares - (mu * speed) ** 2 - eps
     k = int(np.argmax(over))
-    defects = found(
+    defects = make_finding(
         of_defects, HOLDS if over[k] <= scale else VIOLATED, f"evaluated at {mu.size} steps",
         {"sum |e_k|^2": squares.sum(), "sum of the bounds": ((mu * speed) ** 2 + eps).sum()}, {"t": run.t[k + 1]},
     )  # fmt: skip
     if kappa:
-        return [found(BOUND, UNKNOWN, "C moves: it may carry the state outwards"), defects, cesaro]
-    return [_growth(model, run, numbers["M-A3"], x, mu, speed, eps, scale), defects, cesaro]
+        return [make_finding(NORM_BOUND, UNKNOWN, "C moves: it may carry the state outwards"), defects, cesaro]
+    return [_norm_bound_finding(model, run, numbers["M-A3"], x, mu, speed, eps, scale), defects, cesaro]
 
 
-def _of_moving(hypothesis: Hypothesis) -> Hypothesis:
+def _moving_set_hypothesis(hypothesis: Hypothesis) -> Hypothesis:
     return hypothesis._replace(statement=hypothesis.statement.replace("|v_k|", "(|v_k| + kappa)"))
 
 
@@ -89,51 +91,56 @@ def _speed_of_set(run: Trajectory, moves: Finding) -> float | None:
     return moves.value.get("kappa") if inside and moves.verdict == HOLDS else None
 
 
-def _growth(
+def _norm_bound_finding(
     model: MonotoneInclusion, run: Trajectory, dissipative: Finding, x: np.ndarray, mu: np.ndarray, speed: np.ndarray,
     eps: np.ndarray, scale: float,
 ) -> Finding:  # fmt: skip
     alpha, beta = dissipative.value.get("alpha", np.nan), dissipative.value.get("beta", np.nan)
     if not np.isfinite(alpha + beta):
-        return found(BOUND, UNKNOWN, f"M-A3 gives no alpha and beta: it is {dissipative.verdict}")
+        return make_finding(NORM_BOUND, UNKNOWN, f"M-A3 gives no alpha and beta: it is {dissipative.verdict}")
     square = (run.x**2).sum(axis=1)
     reach = np.sqrt(square[:-1]) + mu * speed
     allowed = square[:-1] - 2 * mu * (alpha * square[:-1] - beta) + (mu * speed) ** 2 + 2 * reach * np.sqrt(eps) + eps
     over = np.nan_to_num(square[1:] - allowed, nan=-np.inf)  # inf - inf: a square beyond the doubles
-    over[extrapolated(run)[1:]] = -np.inf
+    over[extrapolated_rows(run)[1:]] = -np.inf
     k = int(np.argmax(over))
     values = {"largest excess": over[k], "alpha": alpha, "beta": beta, "largest |x|": np.sqrt(square.max())}
     witness = {"t": run.t[k + 1], "|x|^2": square[k + 1], "bound": allowed[k]}
     if over[k] <= scale:
-        return found(BOUND, HOLDS, f"evaluated at {mu.size} steps", values, witness)
-    c, _ = constraints(model)
+        return make_finding(NORM_BOUND, HOLDS, f"evaluated at {mu.size} steps", values, witness)
+    c, _ = set_constraints(model)
     at_zero = np.array(ca.Function("c", [model.x], [ca.densify(c)])(np.zeros(model.x.numel()))) if c.numel() else np.zeros(1)
     if (at_zero < 0).any():
-        return found(BOUND, UNKNOWN, "0 is not in C: the step may move outwards by O(mu^2) more than the bound", values, witness)
-    return found(BOUND, VIOLATED, f"evaluated at {mu.size} steps", values, witness)
+        return make_finding(
+            NORM_BOUND, UNKNOWN, "0 is not in C: the step may move outwards by O(mu^2) more than the bound", values, witness
+        )
+    return make_finding(NORM_BOUND, VIOLATED, f"evaluated at {mu.size} steps", values, witness)
 
 
-def _contraction(run: Trajectory, twin: Trajectory, lipschitz: Finding) -> Finding:
+def _contraction_finding(run: Trajectory, twin: Trajectory, lipschitz: Finding) -> Finding:
     """The distance d of two runs: projections do not stretch, so that a step obeys |d'|^2 <= (1 + 2 mu L) |d|^2 + mu^2 |dv|^2."""
     L = lipschitz.value.get("L", np.nan)
     rows = min(len(run.t), len(twin.t))
     gap = np.linalg.norm(run.x[:rows] - twin.x[:rows], axis=1)
     if not (np.isfinite(L) and gap[0] > 0):
         why = "M-24 gives no L" if gap[0] > 0 else "both runs have the same start"
-        return found(CONTRACTION, UNKNOWN, why)
+        return make_finding(RUN_CONTRACTION, UNKNOWN, why)
     mu, eps = run.step[1:rows], np.maximum(*(r.arrays["tolerance"][1:rows].ravel() for r in (run, twin)))
-    apart = np.linalg.norm(run.arrays["v"][1:rows] - twin.arrays["v"][1:rows], axis=1)
-    square = (1 + 2 * mu * L) * gap[:-1] ** 2 + (mu * apart) ** 2
+    velocity_distance = np.linalg.norm(run.arrays["v"][1:rows] - twin.arrays["v"][1:rows], axis=1)
+    square = (1 + 2 * mu * L) * gap[:-1] ** 2 + (mu * velocity_distance) ** 2
     allowed = np.sqrt(np.maximum(square, 0.0)) + 2 * np.sqrt(eps)
     over = gap[1:] - allowed
-    scale = SLACK * np.linalg.norm(run.x[:rows], axis=1).max() + SLACK * (mu * apart).max()
+    scale = SUM_ROUNDING * np.linalg.norm(run.x[:rows], axis=1).max() + SUM_ROUNDING * (mu * velocity_distance).max()
     bound = np.exp(np.minimum(L * run.t[:rows], 700.0)) * gap[0]
     k = int(np.argmax(np.where(np.isnan(over), np.inf, over)))
     values = {"L": L, "distance at the start": gap[0], "distance at the end": gap[-1], "e^{Lt} |x_0 - x~_0|": bound[-1]}
     witness = {"t": run.t[k + 1], "distance": gap[k + 1], "bound of the step": allowed[k]}
-    how = f"two runs, the other from {_short(twin.x[0])}: {mu.size} steps, each against its own bound (the predictor is explicit)"
-    return found(CONTRACTION, HOLDS if over[k] <= scale else VIOLATED, how, values, witness)
+    how = (
+        f"two runs, the other from {_state_text(twin.x[0])}: {mu.size} steps, each against its own bound "
+        "(the predictor is explicit)"
+    )
+    return make_finding(RUN_CONTRACTION, HOLDS if over[k] <= scale else VIOLATED, how, values, witness)
 
 
-def _short(x: np.ndarray) -> str:
+def _state_text(x: np.ndarray) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in x[:4]) + (", ...)" if x.size > 4 else ")")

@@ -11,15 +11,15 @@ from copy import copy
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.inclusion.hypotheses.continuity import continuous
+from nsmodel.classes.inclusion.hypotheses.continuity import field_continuity
 from nsmodel.classes.inclusion.hypotheses.growth import linear_growth
-from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided
-from nsmodel.classes.inclusion.hypotheses.selected_field import Field, field_of, set_of
-from nsmodel.classes.inclusion.hypotheses.steps import PAPER, convergence
-from nsmodel.classes.inclusion.hypotheses.switches import monotone_part, opposed
+from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided_lipschitz
+from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField, constraint_set, decompose_field
+from nsmodel.classes.inclusion.hypotheses.steps import CATCHING_UP_PAPER, scheme_convergence
+from nsmodel.classes.inclusion.hypotheses.switches import monotone_part, nonmonotone_pair
 from nsmodel.classes.inclusion.hypotheses.tangent import dissipativity
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.hypotheses.domain import without_domain
+from nsmodel.hypotheses.domain import potential_without_domain
 from nsmodel.hypotheses.findings import (
     HOLDS,
     SAMPLED,
@@ -28,131 +28,146 @@ from nsmodel.hypotheses.findings import (
     Consequence,
     Finding,
     Hypothesis,
-    follows,
-    found,
-    scope_of,
+    common_scope,
+    make_consequence,
+    make_finding,
 )
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import exact, extremum, interval, polynomial
 from nsmodel.proof.convex import potentials
-from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex
-from nsmodel.proof.graph import keys
+from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex_set
+from nsmodel.proof.graph import symbol_hashes
 from nsmodel.proof.jumps import find_jump
-from nsmodel.proof.search import are_quick
-from nsmodel.proof.verdict import Part
+from nsmodel.proof.search import searches_are_quick
+from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.trajectory import Trajectory
 
-OPERATOR = Hypothesis("M-T", "T = S + N_C is maximal monotone", f"{PAPER}, Section 2, (5)")
-SET = Hypothesis("M-C", "C = cl dom T is closed and convex, with interior", f"{PAPER}, Section 2")
-A1 = Hypothesis("M-A1", "F is continuous and locally bounded", f"{PAPER}, (A1)")
-A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{PAPER}, (A2)")
-A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{PAPER}, (A3)")
-LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{PAPER}, (24)")
-HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
-FEW = 64  # Fewer points show nothing.
-CONTRACTS = ("M-T", "M-C", "M-A1", "M-24")
+M_T = Hypothesis("M-T", "T = S + N_C is maximal monotone", f"{CATCHING_UP_PAPER}, Section 2, (5)")
+M_C = Hypothesis("M-C", "C = cl dom T is closed and convex, with interior", f"{CATCHING_UP_PAPER}, Section 2")
+M_A1 = Hypothesis("M-A1", "F is continuous and locally bounded", f"{CATCHING_UP_PAPER}, (A1)")
+M_A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{CATCHING_UP_PAPER}, (A2)")
+M_A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{CATCHING_UP_PAPER}, (A3)")
+M_24 = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{CATCHING_UP_PAPER}, (24)")
+HYPOTHESES = (M_T, M_C, M_A1, M_A2, M_A3, M_24)
+MIN_EIGENVALUE_SAMPLES = 64  # Fewer points show nothing.
+CONTRACTION_IDS = ("M-T", "M-C", "M-A1", "M-24")
 
 
 def check(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence]]:
     """Return one finding a hypothesis, and what follows; see `check.check`."""
-    C = set_of(model)
+    C = constraint_set(model)
     x0 = np.array(ca.DM(model.x0)).ravel()
     if C.empty:
-        return _empty(model, C, x0, runs)
-    field = field_of(model, C)
+        return _check_empty_set(model, C, x0, runs)
+    field = decompose_field(model, C)
     box = C.part(region.lower, region.upper)
-    a, T = linear_growth(field, box, quick=quick), operator(model, C, box, quick)
+    a, T = linear_growth(field, box, quick=quick), operator_monotonicity(model, C, box, quick)
     monotone = T.verdict == HOLDS and not T.local
     parts = (
-        (OPERATOR, T),
-        (SET, _set(C, box, x0, quick)),
-        (A1, continuous(model, C, box)),
-        (A2, a),
-        (A3, Part(UNKNOWN, "not of the box", {}, {}) if are_quick() else dissipativity(field, a, quick=quick)),
-        (LIPSCHITZ, one_sided(field, box, quick=quick, alone=model.field if monotone else None)),
+        (M_T, T),
+        (M_C, _check_constraint_set(C, box, x0, quick)),
+        (M_A1, field_continuity(model, C, box)),
+        (M_A2, a),
+        (
+            M_A3,
+            HypothesisPart(UNKNOWN, "not of the box", {}, {}) if searches_are_quick() else dissipativity(field, a, quick=quick),
+        ),
+        (M_24, one_sided_lipschitz(field, box, quick=quick, alone=model.field if monotone else None)),
     )
-    findings = [found(which, part.verdict, part.how, part.value, part.witness, region.scope(part.local)) for which, part in parts]
-    return findings, consequences_of(model, findings, x0, runs)
+    findings = [
+        make_finding(which, part.verdict, part.how, part.value, part.witness, region.scope(part.local)) for which, part in parts
+    ]
+    return findings, autonomous_consequences(model, findings, x0, runs)
 
 
-def _empty(
+def _check_empty_set(
     model: MonotoneInclusion, C: ConvexSet, x0: np.ndarray, runs: Sequence[Trajectory]
 ) -> tuple[list[Finding], list[Consequence]]:
-    nothing = Part(UNKNOWN, "C is empty: there is no state to speak of", {}, {})
-    parts = [(which, has_interior(C, x0) if which is SET else nothing) for which in HYPOTHESES]
-    findings = [found(which, part.verdict, part.how, part.value, part.witness) for which, part in parts]
-    return findings, consequences_of(model, findings, x0, runs)
+    nothing = HypothesisPart(UNKNOWN, "C is empty: there is no state to speak of", {}, {})
+    parts = [(which, has_interior(C, x0) if which is M_C else nothing) for which in HYPOTHESES]
+    findings = [make_finding(which, part.verdict, part.how, part.value, part.witness) for which, part in parts]
+    return findings, autonomous_consequences(model, findings, x0, runs)
 
 
 # -- M-C ---------------------------------------------------------------------------------------------------------------
 
 
-def _set(C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray, quick: bool) -> Part:
-    convex, interior = is_convex(C, *box, quick=quick), has_interior(C, x0)
+def _check_constraint_set(C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray, quick: bool) -> HypothesisPart:
+    convex, interior = is_convex_set(C, *box, quick=quick), has_interior(C, x0)
     order = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)
     verdict = min(convex.verdict, interior.verdict, key=order.index)
-    told = [part for part in (convex, interior) if part.verdict == verdict]
+    deciding_parts = [part for part in (convex, interior) if part.verdict == verdict]
     values = {**convex.value, **interior.value} or {"constraints": 0}
-    witness = {k: w for part in told for k, w in part.witness.items()}
-    return Part(verdict, "; ".join(part.how for part in told), values, witness, any(part.local for part in told))
+    witness = {k: w for part in deciding_parts for k, w in part.witness.items()}
+    return HypothesisPart(
+        verdict, "; ".join(part.how for part in deciding_parts), values, witness, any(part.local for part in deciding_parts)
+    )
 
 
 # -- M-T ---------------------------------------------------------------------------------------------------------------
 
 
-def operator(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Part:
+def operator_monotonicity(
+    model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool
+) -> HypothesisPart:
     """T = S + N_C is maximal monotone."""
     if model.potential_split is not None:
-        part = potentials.is_convex(without_domain(model.phi, model.x, "phi"), C, *box, quick=quick)
-        value = {"least eigenvalue of sym S'": part.value[potentials.LEAST]} if potentials.LEAST in part.value else part.value
+        part = potentials.is_convex_potential(potential_without_domain(model.phi, model.x, "phi"), C, *box, quick=quick)
+        value = (
+            {"least eigenvalue of sym S'": part.value[potentials.MIN_EIGENVALUE_KEY]}
+            if potentials.MIN_EIGENVALUE_KEY in part.value
+            else part.value
+        )
         return part._replace(how=f"T = dphi, phi convex: {part.how}", value=value or {"terms": len(model.potential_split.terms)})
-    field = field_of(_alone(model), C)
+    field = decompose_field(_without_field(model), C)
     aligned, x = bool(field.aligned), model.x
-    whole = (
+    signed_operator = (
         ca.substitute(model.operator, model.sign_symbols, ca.sign(model.sign_arguments)) if field.l.numel() else model.operator
     )
     S = -field.rest
-    if field.jumps or not interval.is_continuous(S, x, *C.hull):
-        if field.jumps and not _separate_switches(model):
-            return _broken_monotony(field)
-        full = whole if field.jumps else S
+    if field.jumps or not interval.is_continuous(S, x, *C.bounding_box):
+        if field.jumps and not _has_separate_switches(model):
+            return _jump_monotonicity(field)
+        full = signed_operator if field.jumps else S
         split = monotone_part(full, C)
-        found = _rest_of_operator(split.rest, C, box, quick, aligned=aligned and not split.ridges)
+        found = _remainder_monotonicity(split.rest, C, box, quick, aligned=aligned and not split.ridges)
         if found.verdict == HOLDS and split.open:
-            return _filled(model, C)
+            return _unfilled_jump(model, C)
         if found.verdict == HOLDS and not found.local:
-            return found._replace(how=_with_ridges(found.how, split.ridges))
-        broken = _broken_monotony(field) if field.jumps else found
-        broken = broken if broken.verdict == VIOLATED else _not_monotone(full, C, C.hull) or broken
+            return found._replace(how=_mention_ridges(found.how, split.ridges))
+        broken = _jump_monotonicity(field) if field.jumps else found
+        broken = broken if broken.verdict == VIOLATED else _monotonicity_counterexample(full, C, C.bounding_box) or broken
         return broken if broken.verdict == VIOLATED or found.verdict != HOLDS else found
-    return _rest_of_operator(S, C, box, quick, aligned=aligned)
+    return _remainder_monotonicity(S, C, box, quick, aligned=aligned)
 
 
-def _with_ridges(how: str, count: int) -> str:
+def _mention_ridges(how: str, count: int) -> str:
     ridges = "nondecreasing functions of one direction, their jumps upwards filled in"
     if not count:
         return how
     return f"a sum of {ridges}" if how.startswith("S = 0") else f"{how}; beside {ridges}"
 
 
-def _rest_of_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool, *, aligned: bool) -> Part:
-    entries = polynomial.read(S, C.x)
+def _remainder_monotonicity(
+    S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool, *, aligned: bool
+) -> HypothesisPart:
+    entries = polynomial.read_polynomials(S, C.x)
     if all(p is not None and polynomial.degree(p) <= 1 for p in entries):
-        return _linear_operator(entries, C.n, aligned)
-    return _smooth_operator(S, C, box, quick)
+        return _linear_monotonicity(entries, C.n, aligned)
+    return _smooth_monotonicity(S, C, box, quick)
 
 
-def _separate_switches(model: MonotoneInclusion) -> bool:
+def _has_separate_switches(model: MonotoneInclusion) -> bool:
     """Whether S is affine in its signs, and no two of them switch on one hyperplane: then its values there are all that fill."""
     n, symbols = model.x.numel(), model.sign_symbols
     slopes = ca.jacobian(model.operator, symbols)
-    if keys(slopes) & keys(symbols):
+    if symbol_hashes(slopes) & symbol_hashes(symbols):
         return False
     rows = []
-    for p in polynomial.read(model.sign_arguments, model.x):
-        read = polynomial.quadratic(p, n) if p is not None and polynomial.degree(p) <= 1 else None
+    for p in polynomial.read_polynomials(model.sign_arguments, model.x):
+        read = polynomial.as_quadratic(p, n) if p is not None and polynomial.degree(p) <= 1 else None
         if read is None or not read.q.any():
             return False
         first = next(number for number in read.q.ravel() if number)
@@ -160,118 +175,124 @@ def _separate_switches(model: MonotoneInclusion) -> bool:
     return len(set(rows)) == len(rows)
 
 
-def _filled(model: MonotoneInclusion, C: ConvexSet) -> Part:
+def _unfilled_jump(model: MonotoneInclusion, C: ConvexSet) -> HypothesisPart:
     """S is monotone, but steps of if_else, floor or ceil are no sets: with one inside C it is not maximal."""
     S = ca.substitute(model.operator, model.sign_symbols, ca.SX.zeros(model.sign_symbols.shape))
-    low, high = (np.clip(end, -1e3, 1e3) for end in C.hull)
+    low, high = (np.clip(end, -1e3, 1e3) for end in C.bounding_box)
     jump = find_jump(S, C.x, low, high, lambda points: np.all(C.values(points) > 0, axis=1))
     if jump is None:
-        return Part(UNKNOWN, "S is monotone, but it may jump in C where it is not filled in; only sign stands for a set", {}, {})
+        return HypothesisPart(
+            UNKNOWN, "S is monotone, but it may jump in C where it is not filled in; only sign stands for a set", {}, {}
+        )
     how = "S jumps and is single-valued there: monotone, but not maximal; write the jump with sign, which stands for all between"
-    return Part(VIOLATED, how, {"jump": jump.size}, {"x": jump.at, "below": jump.below, "above": jump.above})
+    return HypothesisPart(VIOLATED, how, {"jump": jump.size}, {"x": jump.at, "below": jump.below, "above": jump.above})
 
 
-def _not_monotone(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part | None:
-    pair = opposed(S, C, box)
+def _monotonicity_counterexample(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> HypothesisPart | None:
+    pair = nonmonotone_pair(S, C, box)
     if pair is None:
         return None
     f = ca.Function("S", [C.x], [S])
     x, y = pair["x"], pair["y"]
     rate = float((np.array(f(x)) - np.array(f(y))).ravel() @ (x - y) / ((x - y) @ (x - y)))
     how = "S is not monotone: <S(x) - S(y), x - y> < 0 at two points of C (bounds)"
-    return Part(VIOLATED, how, {"<S(x) - S(y), x - y>/|x - y|^2": rate}, pair)
+    return HypothesisPart(VIOLATED, how, {"<S(x) - S(y), x - y>/|x - y|^2": rate}, pair)
 
 
-def _alone(model: MonotoneInclusion) -> MonotoneInclusion:
+def _without_field(model: MonotoneInclusion) -> MonotoneInclusion:
     """The same operator without F."""
     alone = copy(model)
     alone._set(field=ca.SX.zeros(model.x.numel()))
     return alone
 
 
-def _linear_operator(entries: Sequence[polynomial.Polynomial | None], n: int, switches: bool) -> Part:
-    rows = [polynomial.quadratic(p, n) for p in entries]
+def _linear_monotonicity(entries: Sequence[polynomial.Polynomial | None], n: int, switches: bool) -> HypothesisPart:
+    rows = [polynomial.as_quadratic(p, n) for p in entries]
     A = np.hstack([row.q for row in rows if row is not None]).T
-    decided, M = exact.psd(A), exact.doubles(A)
+    decided, M = exact.definiteness(A), exact.doubles(A)
     values, vectors = np.linalg.eigh((M + M.T) / 2)
-    least, rounding = float(values[0]), potentials.ROUNDING * float(np.abs(values).max(initial=0.0))
+    least, rounding = float(values[0]), potentials.EIGENVALUE_ROUNDING * float(np.abs(values).max(initial=0.0))
     label = "least eigenvalue of sym S'"
     if decided.psd:
         how = "S = 0" if not any(entries) else "S is monotone in exact arithmetic"
         how += ", and its switches are subdifferentials of weighted |a'x + c|" if switches else ""
-        return Part(HOLDS, how, {label: max(least, 0.0)}, {})
+        return HypothesisPart(HOLDS, how, {label: max(least, 0.0)}, {})
     witness = {"direction": vectors[:, 0]}
     if least >= -rounding:
-        return Part(SAMPLED, "S is monotone up to rounding only", {label: least, "rounding bound": rounding}, witness)
-    return Part(VIOLATED, "S is not monotone: <S(x) - S(y), x - y> < 0 along the direction", {label: least}, witness)
+        return HypothesisPart(SAMPLED, "S is monotone up to rounding only", {label: least, "rounding bound": rounding}, witness)
+    return HypothesisPart(VIOLATED, "S is not monotone: <S(x) - S(y), x - y> < 0 along the direction", {label: least}, witness)
 
 
-def _smooth_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Part:
+def _smooth_monotonicity(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> HypothesisPart:
     J = ca.jacobian(S, C.x)
     symmetric = (J + J.T) / 2
     label = "least eigenvalue of sym S'"
     where = C.rows if C.rows.numel() else None
-    low, high = np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1])
-    for local, ends, fast in ((False, C.hull, True), (True, (low, high), quick)):
+    low, high = np.maximum(C.bounding_box[0], box[0]), np.minimum(C.bounding_box[1], box[1])
+    for local, ends, fast in ((False, C.bounding_box, True), (True, (low, high), quick)):
         if not interval.is_continuous(S, C.x, *ends):
             continue
         sup = extremum.largest_eigenvalue(-symmetric, C.x, *ends, where=where, bound_to=0.0, quick=fast)
         if sup.bound <= 0:
             value = {label: -sup.value if sup.at is not None else -sup.bound}
-            return Part(HOLDS, "bounds of the eigenvalues of the symmetric Jacobian of S", value, {}, local)
-        down = potentials.downwards(S, ca.densify(symmetric), C, sup.at)
+            return HypothesisPart(HOLDS, "bounds of the eigenvalues of the symmetric Jacobian of S", value, {}, local)
+        down = potentials.find_negative_curvature(S, ca.densify(symmetric), C, sup.at)
         if down:
             how = "the symmetric Jacobian of S has a negative eigenvalue: S is not monotone"
-            return Part(VIOLATED, how, {label: -sup.value}, down)
-    pair = _not_monotone(S, C, (low, high))
+            return HypothesisPart(VIOLATED, how, {label: -sup.value}, down)
+    pair = _monotonicity_counterexample(S, C, (low, high))
     if pair is not None:
         return pair
     sup = extremum.largest_eigenvalue(-symmetric, C.x, low, high, where=where, quick=True)
-    if sup.at is None or sup.count < FEW or not interval.is_continuous(S, C.x, low, high):
-        return Part(UNKNOWN, "S is not proved continuous on the box, and its Jacobian could not be looked at", {}, {})
+    if sup.at is None or sup.count < MIN_EIGENVALUE_SAMPLES or not interval.is_continuous(S, C.x, low, high):
+        return HypothesisPart(UNKNOWN, "S is not proved continuous on the box, and its Jacobian could not be looked at", {}, {})
     how = f"no negative eigenvalue of the symmetric Jacobian of S at {sup.count} points of the box"
-    return Part(SAMPLED, how, {label: -sup.value}, {"x": sup.at}, True)
+    return HypothesisPart(SAMPLED, how, {label: -sup.value}, {"x": sup.at}, True)
 
 
-def _broken_monotony(field: Field) -> Part:
-    part = one_sided(field, field.C.hull, quick=True)
+def _jump_monotonicity(field: SelectedField) -> HypothesisPart:
+    part = one_sided_lipschitz(field, field.C.bounding_box, quick=True)
     if part.verdict == VIOLATED:
-        return Part(VIOLATED, "S jumps downwards across a switching surface: it is not monotone", part.value, part.witness)
-    return Part(UNKNOWN, f"the switches of S are not seen to be monotone: {part.how}", {}, {})
+        return HypothesisPart(
+            VIOLATED, "S jumps downwards across a switching surface: it is not monotone", part.value, part.witness
+        )
+    return HypothesisPart(UNKNOWN, f"the switches of S are not seen to be monotone: {part.how}", {}, {})
 
 
 # -- consequences ------------------------------------------------------------------------------------------------------
 
 
-def consequences_of(
+def autonomous_consequences(
     model: MonotoneInclusion, findings: Sequence[Finding], x0: np.ndarray, runs: Sequence[Trajectory]
 ) -> list[Consequence]:
     """What follows from the findings, for starts of the size of x0."""
     numbers = {finding.id: finding.value for finding in findings}
     base = ["M-T", "M-C", "M-A1", "M-A2", "M-A3"]
-    local = _on_a_box(findings, [*base, "M-24"])
+    local = _is_local(findings, [*base, "M-24"])
     starts = "from x0 one and only one solution starts" if local else "one and only one solution for each start in C, for all t"
-    out = [follows("well posed", starts, findings, [*base, "M-24"], f"{PAPER}, Theorem 5.6, Theorem 7.3")]
+    out = [make_consequence("well posed", starts, findings, [*base, "M-24"], f"{CATCHING_UP_PAPER}, Theorem 5.6, Theorem 7.3")]
     alpha, beta = numbers["M-A3"].get("alpha", np.nan), numbers["M-A3"].get("beta", np.nan)
     if np.isfinite(alpha + beta):
         radius = float(np.sqrt(max(x0 @ x0, beta / alpha)))
-        every = "" if _on_a_box(findings, ["M-C", "M-A3"]) else (
+        every = "" if _is_local(findings, ["M-C", "M-A3"]) else (
             f" for all t, and the part of C in any ball about 0 of radius >= {np.sqrt(beta / alpha):.6g} is invariant"
         )  # fmt: skip
         statement = f"|x(t)|^2 <= e^(-2 alpha t) |x_0|^2 + (beta/alpha)(1 - e^(-2 alpha t)): |x| <= {radius:.6g}{every}"
         values = {"alpha": alpha, "beta": beta, "radius": radius, "absorbing radius": float(np.sqrt(beta / alpha))}
-        out.append(follows("bounded", statement, findings, ["M-C", "M-A3"], f"{PAPER}, Proposition 4.1", values))
+        out.append(
+            make_consequence("bounded", statement, findings, ["M-C", "M-A3"], f"{CATCHING_UP_PAPER}, Proposition 4.1", values)
+        )
     L = numbers["M-24"].get("L", np.nan)
     if np.isfinite(L):
         word = "contraction" if L < 0 else "stability"
-        alone = _on_a_box(findings, CONTRACTS)
+        alone = _is_local(findings, CONTRACTION_IDS)
         end = " while both stay inside the box" if alone else ": all solutions approach each other" if L < 0 else ""
         statement = f"|x(t) - y(t)| <= e^({L:.6g} t) |x_0 - y_0|{end}"
-        out.append(follows(word, statement, findings, CONTRACTS, f"{PAPER}, Theorem 7.3", {"L": L}))
+        out.append(make_consequence(word, statement, findings, CONTRACTION_IDS, f"{CATCHING_UP_PAPER}, Theorem 7.3", {"L": L}))
     span = "" if local else ", uniformly on every finite interval"
-    return [*out, *convergence(model, findings, [*base, "M-24"], span, runs)]
+    return [*out, *scheme_convergence(model, findings, [*base, "M-24"], span, runs)]
 
 
-def _on_a_box(findings: Sequence[Finding], ids: Sequence[str]) -> bool:
-    scope = scope_of(findings, ids)
+def _is_local(findings: Sequence[Finding], ids: Sequence[str]) -> bool:
+    scope = common_scope(findings, ids)
     return scope is not None and bool(scope.states)

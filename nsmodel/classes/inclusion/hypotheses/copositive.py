@@ -9,11 +9,11 @@ import numpy as np
 
 from nsmodel.proof import conic_program, exact
 
-MOST_ROWS, MOST_STATES = 14, 12
-CAP = 1e4
+MAX_CONE_ROWS, MAX_CONE_STATES = 14, 12
+MULTIPLIER_CAP = 1e4
 
 
-def certificate(P: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray] | None:
+def copositivity_multipliers(P: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray] | None:
     """Return k > 0 and M (rows, rows) symmetric, >= 0 entrywise, Fractions, with P - k I - N'M N psd; None where none was found.
 
     Args:
@@ -21,12 +21,12 @@ def certificate(P: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray] | None
         N: (rows, n) Fractions.
     """
     rows, n = N.shape
-    if not rows or rows > MOST_ROWS or n > MOST_STATES:
+    if not rows or rows > MAX_CONE_ROWS or n > MAX_CONE_STATES:
         return None
     S = (P + P.T) / 2
     pairs = list(combinations_with_replacement(range(rows), 2))
-    basis = [_symmetric(N, i, j) for i, j in pairs]
-    found = _solve(exact.doubles(S), [exact.doubles(matrix) for matrix in basis])
+    basis = [_symmetric_product(N, i, j) for i, j in pairs]
+    found = _largest_copositive_margin(exact.doubles(S), [exact.doubles(matrix) for matrix in basis])
     if found is None:
         return None
     k, weights = found
@@ -38,18 +38,18 @@ def certificate(P: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray] | None
             total = total - number * matrix
             M[i, j] += number / 2
             M[j, i] += number / 2
-        if rate > 0 and exact.psd(total).psd:
+        if rate > 0 and exact.definiteness(total).psd:
             return float(rate), M
     return None
 
 
-def _symmetric(N: np.ndarray, i: int, j: int) -> np.ndarray:
+def _symmetric_product(N: np.ndarray, i: int, j: int) -> np.ndarray:
     """N'(e_i e_j' + e_j e_i')N / 2."""
     outer = N[i][:, None] * N[j][None, :]
     return (outer + outer.T) / 2
 
 
-def _solve(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] | None:
+def _largest_copositive_margin(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] | None:
     """The largest k with S - k I - sum w_ij basis_ij psd, 0 <= w <= CAP |S|, k <= |S|, by Clarabel."""
     n, m = len(S), len(basis)
     size = float(np.abs(S).max()) or 1.0
@@ -64,9 +64,9 @@ def _solve(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] |
 
     psd = np.column_stack([packed(np.eye(n)), *(packed(matrix / s) for matrix, s in zip(basis, scale, strict=True))])
     A = np.vstack([psd, np.eye(m + 1), -np.eye(m + 1)[1:]])
-    b = np.concatenate([packed(S / size), np.ones(1), np.full(m, CAP), np.zeros(m)])
-    cones = [conic_program.semidefinite(n), conic_program.nonnegative(2 * m + 1)]
-    x = np.array(conic_program.minimise(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
+    b = np.concatenate([packed(S / size), np.ones(1), np.full(m, MULTIPLIER_CAP), np.zeros(m)])
+    cones = [conic_program.semidefinite_cone(n), conic_program.nonnegative_cone(2 * m + 1)]
+    x = np.array(conic_program.solve_conic_program(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
     if not np.isfinite(x).all() or x[0] <= 1e-7:
         return None
     return float(x[0]) * size * (1 - 1e-6), x[1:] * size / np.array(scale)

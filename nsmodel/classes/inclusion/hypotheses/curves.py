@@ -12,23 +12,23 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.inclusion.hypotheses.recession import directions
-from nsmodel.classes.inclusion.hypotheses.selected_field import Field
+from nsmodel.classes.inclusion.hypotheses.recession import recession_directions
+from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
 from nsmodel.hypotheses.findings import VIOLATED
 from nsmodel.proof import polynomial
-from nsmodel.proof.at_infinity import STARTS, curve, orders, run
+from nsmodel.proof.at_infinity import START_EXPONENTS, asymptotic_orders, polynomial_order, propagate_orders
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
 from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.orders import Asymptotic, constant, plus, times
+from nsmodel.proof.orders import AsymptoticOrder, add_orders, constant_order, multiply_orders
 from nsmodel.proof.straight_line import program
-from nsmodel.proof.verdict import Part
+from nsmodel.proof.verdict import HypothesisPart
 
-NEAR, FAR = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.
-TRIED = 8  # Curves on which a proof is tried.
-BENDS = ((2, 1.0), (2, 1e4), (4, 1.0), (4, 1e4), (4, 1e12))
+NEAR_TIME, FAR_TIME = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.
+MAX_CURVES = 8  # Curves on which a proof is tried.
+CURVE_BENDS = ((2, 1.0), (2, 1e4), (4, 1.0), (4, 1e4), (4, 1e12))
 
 
-class Curve(NamedTuple):
+class PolynomialCurve(NamedTuple):
     """c + d t + e t^m, coefficients (n, m + 1) of t^0, t^1, ..."""
 
     coefficients: np.ndarray
@@ -42,11 +42,11 @@ class Curve(NamedTuple):
         """The point."""
         return self.coefficients @ t ** np.arange(self.power + 1)
 
-    def orders(self, k: int) -> list[Asymptotic]:
+    def orders(self, k: int) -> list[AsymptoticOrder]:
         """The order of each state."""
-        return [curve([Fraction(float(number)) for number in row], k) for row in self.coefficients]
+        return [polynomial_order([Fraction(float(number)) for number in row], k) for row in self.coefficients]
 
-    def put_into(self, p: polynomial.Polynomial, k: int) -> Asymptotic | None:
+    def compose_polynomial(self, p: polynomial.Polynomial, k: int) -> AsymptoticOrder | None:
         """The order of a polynomial in the states, its coefficients in t exact."""
         rows = [{((0, j),) if j else (): Fraction(float(c)) for j, c in enumerate(row) if c} for row in self.coefficients]
         total: polynomial.Polynomial = {}
@@ -57,8 +57,8 @@ class Curve(NamedTuple):
                     term = None if term is None else polynomial.multiply(term, rows[variable])
             if term is None:
                 return None
-            total = polynomial.add(total, term)
-        return curve(polynomial.coefficients(total), k)
+            total = polynomial.add_multiple(total, term)
+        return polynomial_order(polynomial.univariate_coefficients(total), k)
 
     @property
     def witness(self) -> dict[str, Any]:
@@ -69,10 +69,10 @@ class Curve(NamedTuple):
         return {"curve, t large": rows}
 
 
-class Along:
+class FieldAlongCurves:
     """G and C along curves."""
 
-    def __init__(self, field: Field) -> None:
+    def __init__(self, field: SelectedField) -> None:
         self.field, self.n = field, field.x.numel()
         z = field.variables[0]
         self.rows: list[tuple[polynomial.Polynomial, list[tuple[Fraction, int]]]] = []
@@ -81,9 +81,9 @@ class Along:
             total: polynomial.Polynomial = {}
             left = []
             for factor, term in additive_terms(row):
-                (p,) = polynomial.read(term, field.x)
+                (p,) = polynomial.read_polynomials(term, field.x)
                 if p is not None:
-                    total = polynomial.add(total, p, factor)
+                    total = polynomial.add_multiple(total, p, factor)
                 else:
                     left.append((factor, len(others)))
                     others.append(term)
@@ -93,43 +93,43 @@ class Along:
         self.speed = ca.Function("v", [z], [field.rest])
         self.u = ca.Function("u", [field.x], [ca.vertcat(ca.SX(0, 1), *(jump.u for jump in field.jumps))])
 
-    def velocity(self, path: Curve, k: int) -> list[Asymptotic | None]:
+    def velocity(self, path: PolynomialCurve, k: int) -> list[AsymptoticOrder | None]:
         """The rows of ``rest`` on the curve for t >= 2^k, the multipliers that switch put in."""
         out = []
-        for (p, _), others in zip(self.rows, self._terms(path, k), strict=True):
-            total = path.put_into(p, k)
+        for (p, _), others in zip(self.rows, self._term_orders(path, k), strict=True):
+            total = path.compose_polynomial(p, k)
             for other in others:
-                total = plus(total, other, k)
+                total = add_orders(total, other, k)
             out.append(total)
         return out
 
-    def product(self, path: Curve, k: int) -> Asymptotic | None:
+    def product(self, path: PolynomialCurve, k: int) -> AsymptoticOrder | None:
         """<x, v> on the curve, v any element of G."""
         exact: polynomial.Polynomial = {}
         for i, (p, _) in enumerate(self.rows):
             part = polynomial.multiply(p, {((i, 1),): Fraction(1)})
             if part is None:
                 return None
-            exact = polynomial.add(exact, part)
-        total = path.put_into(exact, k)
+            exact = polynomial.add_multiple(exact, part)
+        total = path.compose_polynomial(exact, k)
         x = path.orders(k)
-        for own, others in zip(x, self._terms(path, k), strict=True):
+        for own, others in zip(x, self._term_orders(path, k), strict=True):
             for other in others:
-                total = plus(total, times(own, other), k)
+                total = add_orders(total, multiply_orders(own, other), k)
         size = sum(term.size for term in self.field.aligned)
         for own in x:
-            total = plus(total, times(own, constant(-size, size)), k) if size else total
+            total = add_orders(total, multiply_orders(own, constant_order(-size, size)), k) if size else total
         return total
 
-    def _terms(self, path: Curve, k: int) -> list[list[Asymptotic | None]]:
+    def _term_orders(self, path: PolynomialCurve, k: int) -> list[list[AsymptoticOrder | None]]:
         """The terms of each row that are no polynomials."""
         x = path.orders(k)
-        u = run(self.switches, x, k) if self.field.jumps else []
-        l = [_selected(jump.lower, jump.upper, order) for jump, order in zip(self.field.jumps, u, strict=True)]
-        terms = run(self.terms, [*x, *l], k) if self.terms.outputs else []
-        return [[times(terms[i], curve([factor], k)) for factor, i in left] for _, left in self.rows]
+        u = propagate_orders(self.switches, x, k) if self.field.jumps else []
+        l = [_switched_order(jump.lower, jump.upper, order) for jump, order in zip(self.field.jumps, u, strict=True)]
+        terms = propagate_orders(self.terms, [*x, *l], k) if self.terms.outputs else []
+        return [[multiply_orders(terms[i], polynomial_order([factor], k)) for factor, i in left] for _, left in self.rows]
 
-    def values(self, path: Curve, t: float) -> tuple[np.ndarray, np.ndarray]:
+    def values(self, path: PolynomialCurve, t: float) -> tuple[np.ndarray, np.ndarray]:
         """x and rest(x) in doubles."""
         x = path.at(t)
         u = np.array(self.u(x)).ravel()
@@ -137,19 +137,19 @@ class Along:
         return x, np.array(self.speed(np.concatenate([x, l]))).ravel()
 
 
-def _selected(lower: float, upper: float, u: Asymptotic | None) -> Asymptotic:
+def _switched_order(lower: float, upper: float, u: AsymptoticOrder | None) -> AsymptoticOrder:
     if u is None or not u.sign:
-        return constant(lower, upper)
-    return constant(lower if u.sign > 0 else upper)
+        return constant_order(lower, upper)
+    return constant_order(lower if u.sign > 0 else upper)
 
 
 # -- which curves ------------------------------------------------------------------------------------------------------
 
 
-def paths(field: Field, more: np.ndarray | None = None) -> Iterator[Curve]:
+def candidate_curves(field: SelectedField, more: np.ndarray | None = None) -> Iterator[PolynomialCurve]:
     """Rays and bent curves whose points far out lie in C, in doubles."""
     C = field.C
-    start = _base(C)
+    start = _curve_origin(C)
     if start is None:
         return
     rng = np.random.default_rng(1)
@@ -160,47 +160,47 @@ def paths(field: Field, more: np.ndarray | None = None) -> Iterator[Curve]:
         given.append(J[np.isfinite(J).all(axis=1) & J.any(axis=1)])
     wanted = np.vstack(given)
     if C.is_polyhedron:
-        for d in directions(C, wanted):
-            yield Curve(np.column_stack([start, _unit(np.array([float(entry) for entry in d]))]))
+        for d in recession_directions(C, wanted):
+            yield PolynomialCurve(np.column_stack([start, _unit_direction(np.array([float(entry) for entry in d]))]))
         return
     axes = np.vstack([np.eye(C.n), -np.eye(C.n)])
     for d in np.vstack([axes, wanted, -wanted, rng.normal(size=(48, C.n))]):
-        path = Curve(np.column_stack([start, _unit(d)]))
-        if _inside(C, path):
+        path = PolynomialCurve(np.column_stack([start, _unit_direction(d)]))
+        if _lies_inside(C, path):
             yield path
-    for m, size in BENDS:
+    for m, size in CURVE_BENDS:
         for e in axes:
             for d in np.vstack([axes, rng.normal(size=(4, C.n))]):
-                path = Curve(np.column_stack([start, _unit(d), *np.zeros((m - 2, C.n)), size * e]))
-                if abs(d @ e) < 1 and _inside(C, path):
+                path = PolynomialCurve(np.column_stack([start, _unit_direction(d), *np.zeros((m - 2, C.n)), size * e]))
+                if abs(d @ e) < 1 and _lies_inside(C, path):
                     yield path
 
 
-def _unit(d: np.ndarray) -> np.ndarray:
+def _unit_direction(d: np.ndarray) -> np.ndarray:
     scaled = d / np.abs(d).max()
     return scaled if np.count_nonzero(d) == 1 else scaled / np.linalg.norm(scaled)
 
 
-def _base(C: ConvexSet) -> np.ndarray | None:
+def _curve_origin(C: ConvexSet) -> np.ndarray | None:
     zero = np.zeros(C.n)
-    if C.surely_inside(zero) is not None:
+    if C.interior_margin(zero) is not None:
         return zero
-    inner = has_interior(C, np.clip(zero, *C.hull)).witness.get("interior point")
+    inner = has_interior(C, np.clip(zero, *C.bounding_box)).witness.get("interior point")
     point = None if inner is None else np.asarray(inner, float)
-    return point if point is not None and C.surely_inside(point) is not None else None
+    return point if point is not None and C.interior_margin(point) is not None else None
 
 
-def _inside(C: ConvexSet, path: Curve) -> bool:
-    values = C.values(np.array([path.at(t) for t in (NEAR, FAR)]))
+def _lies_inside(C: ConvexSet, path: PolynomialCurve) -> bool:
+    values = C.values(np.array([path.at(t) for t in (NEAR_TIME, FAR_TIME)]))
     return bool((values > 0).all())
 
 
-def stays(C: ConvexSet, path: Curve, k: int) -> bool:
+def remains_inside(C: ConvexSet, path: PolynomialCurve, k: int) -> bool:
     """Whether the curve lies in the interior of C for all t >= 2^k."""
     if C.equalities.numel():
         return False
     for i, p in enumerate(C.polynomials):
-        order = path.put_into(p, k) if p is not None else orders(C.rows[i], C.x, path.orders(k), k)[0]
+        order = path.compose_polynomial(p, k) if p is not None else asymptotic_orders(C.rows[i], C.x, path.orders(k), k)[0]
         if order is None or order.sign <= 0:
             return False
     return True
@@ -209,13 +209,13 @@ def stays(C: ConvexSet, path: Curve, k: int) -> bool:
 # -- what is too fast --------------------------------------------------------------------------------------------------
 
 
-def faster_than_linear(field: Field) -> Part | None:
+def superlinear_curve(field: SelectedField) -> HypothesisPart | None:
     """A curve in C along which a row of F - S grows faster than |x|."""
-    along = Along(field)
+    along = FieldAlongCurves(field)
     seen = []
-    for path in paths(field):
+    for path in candidate_curves(field):
         sizes = []
-        for t in (NEAR, FAR):
+        for t in (NEAR_TIME, FAR_TIME):
             x, v = along.values(path, t)
             sizes.append(np.linalg.norm(v) / np.linalg.norm(x))
         rise = (
@@ -223,47 +223,47 @@ def faster_than_linear(field: Field) -> Part | None:
         )
         if rise > 1.2:
             seen.append((rise, path))
-    for _, path in _best(seen):
-        for k in STARTS:
-            if not stays(field.C, path, k):
+    for _, path in _best_curves(seen):
+        for k in START_EXPONENTS:
+            if not remains_inside(field.C, path, k):
                 continue
             for order in along.velocity(path, k):
                 if order is not None and order.sign and order.rate > (path.power, 0):
-                    how = f"|F - S| grows faster than |x| along {_named(path)} (bounds of its order for all t)"
+                    how = f"|F - S| grows faster than |x| along {_curve_name(path)} (bounds of its order for all t)"
                     power = float(order.p) / path.power
-                    return Part(VIOLATED, how, {"power": power}, path.witness)
+                    return HypothesisPart(VIOLATED, how, {"power": power}, path.witness)
     return None
 
 
-def not_drawn_back(field: Field) -> Part | None:
+def nondissipative_curve(field: SelectedField) -> HypothesisPart | None:
     """A curve in C along which <x, v> has no part -alpha |x|^2: then no alpha > 0 and beta bound it."""
-    along = Along(field)
+    along = FieldAlongCurves(field)
     seen = []
-    for path in paths(field):
+    for path in candidate_curves(field):
         ratios = []
-        for t in (NEAR, FAR):
+        for t in (NEAR_TIME, FAR_TIME):
             x, v = along.values(path, t)
             ratios.append(x @ v / (x @ x))
         if np.isnan(ratios).any() or ratios[1] > min(0.7 * ratios[0], 0.0) or ratios[1] >= 0:
             seen.append((np.nan_to_num(ratios[1], nan=0.0), path))
-    for _, path in _best(seen):
-        for k in STARTS:
-            if not stays(field.C, path, k):
+    for _, path in _best_curves(seen):
+        for k in START_EXPONENTS:
+            if not remains_inside(field.C, path, k):
                 continue
             order = along.product(path, k)
             if order is None or not np.isfinite(order.low):
                 continue
             if order.low >= 0 or order.rate < (2 * path.power, 0):
-                how = f"along {_named(path)} <x, F - S> >= 0 or small beside |x|^2: no alpha > 0 bounds it (by its order)"
+                how = f"along {_curve_name(path)} <x, F - S> >= 0 or small beside |x|^2: no alpha > 0 bounds it (by its order)"
                 limit = max(order.low, 0.0) if order.rate == (2 * path.power, 0) else 0.0
                 value = {"lim <x, F - S>/|x|^2": limit}
-                return Part(VIOLATED, how, value, path.witness)
+                return HypothesisPart(VIOLATED, how, value, path.witness)
     return None
 
 
-def _named(path: Curve) -> str:
+def _curve_name(path: PolynomialCurve) -> str:
     return "d, a direction in which C is unbounded," if path.power == 1 else "a curve in C"
 
 
-def _best(seen: list[tuple[float, Curve]]) -> list[tuple[float, Curve]]:
-    return sorted(seen, key=lambda pair: -pair[0])[:TRIED]
+def _best_curves(seen: list[tuple[float, PolynomialCurve]]) -> list[tuple[float, PolynomialCurve]]:
+    return sorted(seen, key=lambda pair: -pair[0])[:MAX_CURVES]

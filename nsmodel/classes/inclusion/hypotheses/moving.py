@@ -15,36 +15,46 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.hypotheses import autonomous, for_all
-from nsmodel.classes.inclusion.hypotheses.steps import convergence
+from nsmodel.classes.inclusion.hypotheses.steps import scheme_convergence
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.set_valued import constraints
+from nsmodel.classes.inclusion.set_valued import set_constraints
 from nsmodel.hypotheses import uniform
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found, scope_of
-from nsmodel.hypotheses.inputs import STILL, Edge, Motion, unbounded
+from nsmodel.hypotheses.findings import (
+    HOLDS,
+    UNKNOWN,
+    VIOLATED,
+    Consequence,
+    Finding,
+    Hypothesis,
+    common_scope,
+    make_consequence,
+    make_finding,
+)
+from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, InputJump, missing_rate_reason
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.proof import extremum, interval
-from nsmodel.proof.convex.moving_sets import MARGIN, MovingSet, has_interior_for_all, outer
+from nsmodel.proof.convex.moving_sets import INTERIOR_MARGIN, MovingSet, has_interior_for_all, outer_set
 from nsmodel.proof.jumps import find_jump
 from nsmodel.proof.search import quick_searches
-from nsmodel.proof.verdict import Part
+from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.trajectory import Trajectory
 
-MOVES = Hypothesis("M-H", "t -> C(t) is Lipschitz continuous in the Hausdorff distance", "Moreau 1977")
-EXISTENCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at each t (uniqueness)"
-UP = 1 + 1e-12
+SET_MOTION = Hypothesis("M-H", "t -> C(t) is Lipschitz continuous in the Hausdorff distance", "Moreau 1977")
+EXISTENCE_SOURCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at each t (uniqueness)"
+SPEED_ROUND_UP = 1 + 1e-12
 KAPPA = "kappa"
-DOUBLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
-SHELL = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
-PARTS, MOST_PARTS = 64, 256  # Parts of the time that a bound is sought on, and of the time and all else together.
-POINTS = 256  # Where a point is looked for that a jump of an input puts outside of C.
+SPEED_QUADRUPLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
+SHELL_PART = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
+TIME_PARTS, MAX_BOX_PARTS = 64, 256  # Parts of the time that a bound is sought on, and of the time and all else together.
+JUMP_SAMPLES = 256  # Where a point is looked for that a jump of an input puts outside of C.
 
 
-class Passing(NamedTuple):
+class MovingSetRates(NamedTuple):
     """C(t) as its p = (t, u, parameters) passes: the box of z = (p, u', x), and the speed of an expression of p and x."""
 
     C: MovingSet
-    motion: Motion
+    motion: InputBounds
 
     def speed(self, expression: ca.SX) -> ca.SX:
         """The derivative by time."""
@@ -73,28 +83,28 @@ def check(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence]]:
     """Return one finding a hypothesis, of all t between the ends of the region, and what follows; see `check.check`."""
-    frozen, time = at_each_time(model), (region.t0, region.t1)
+    frozen, time = time_as_parameter(model), (region.t0, region.t1)
     box = {str(model.t): time}
     at_all = replace(region, parameters=MappingProxyType(box))
     seen = []
-    for one in uniform.values_in(box, for_all.values(frozen, box)):
+    for one in uniform.sample_values(box, for_all.values(frozen, box)):
         with quick_searches():
             own = autonomous.check(frozen.bind(one), replace(region, parameters={}), (), True)[0]
         seen.append((one, {finding.id: finding for finding in own}))
     proved = {finding.id: finding for finding in for_all.findings(frozen, at_all, quick)}
-    findings = [in_time(finding, str(model.t), time) for finding in uniform.joined(box, seen, proved)]
-    findings.append(moves(model, region, STILL, quick))
-    return findings, consequences_of(model, findings, runs)
+    findings = [finding_in_time(finding, str(model.t), time) for finding in uniform.join_findings(box, seen, proved)]
+    findings.append(set_motion_finding(model, region, NO_INPUT_BOUNDS, quick))
+    return findings, moving_consequences(model, findings, runs)
 
 
-def at_each_time(model: MonotoneInclusion) -> MonotoneInclusion:
+def time_as_parameter(model: MonotoneInclusion) -> MonotoneInclusion:
     """The inclusion that stands still at t, the last of its parameters without value."""
     frozen, parameters = copy(model), MappingProxyType({**model.parameters, str(model.t): None})
     frozen._set(p=ca.vertcat(model.p, model.t), t=ca.SX.sym("t"), parameters=parameters, tolerances=None)
     return frozen
 
 
-def in_time(finding: Finding, t: str, time: tuple[float, float]) -> Finding:
+def finding_in_time(finding: Finding, t: str, time: tuple[float, float]) -> Finding:
     """The finding for all values of the parameter t, as one for all times."""
     scope = finding.scope or Scope()
     others = {name: ends for name, ends in scope.parameters.items() if name != t}
@@ -104,37 +114,37 @@ def in_time(finding: Finding, t: str, time: tuple[float, float]) -> Finding:
 # -- M-H ---------------------------------------------------------------------------------------------------------------
 
 
-def moves(model: MonotoneInclusion, region: Region, motion: Motion, quick: bool) -> Finding:
+def set_motion_finding(model: MonotoneInclusion, region: Region, motion: InputBounds, quick: bool) -> Finding:
     """A constant kappa with d_H(C(t), C(s)) <= kappa |t - s|, at all values of the parameters (and inputs) of the model."""
-    low, high = region.of_parameters()
+    low, high = region.parameter_bounds()
     slow, ends = ca.vertcat(model.t, model.p), (np.append(region.t0, low), np.append(region.t1, high))
-    C = Passing(MovingSet(model.x, slow, constraints(model)[0], *ends), motion)
+    C = MovingSetRates(MovingSet(model.x, slow, set_constraints(model)[0], *ends), motion)
     part = (
-        _still(C) or _driven(model, C, region) or _jump(model, C)
-        or (_of_box(model, C) if not model.constraints else _of_rows(C, region, quick))
+        _fixed_set(C) or _input_jump(model, C, region) or _moving_bound_jump(model, C)
+        or (_box_speed(model, C) if not model.constraints else _constraint_speed(C, region, quick))
     )  # fmt: skip
     scope = region.scope(part.local)
     where = Scope(scope.states if scope is not None else {}, (region.t0, region.t1), region.parameters)
-    return found(MOVES, part.verdict, part.how, part.value, part.witness, where)
+    return make_finding(SET_MOTION, part.verdict, part.how, part.value, part.witness, where)
 
 
-def _still(passing: Passing) -> Part | None:
+def _fixed_set(passing: MovingSetRates) -> HypothesisPart | None:
     passes = ca.vertcat(passing.C.p[0], passing.motion.u)
-    return None if ca.depends_on(passing.C.rows, passes) else Part(HOLDS, "C does not move", {KAPPA: 0.0}, {})
+    return None if ca.depends_on(passing.C.rows, passes) else HypothesisPart(HOLDS, "C does not move", {KAPPA: 0.0}, {})
 
 
-def _driven(model: MonotoneInclusion, passing: Passing, region: Region) -> Part | None:
+def _input_jump(model: MonotoneInclusion, passing: MovingSetRates, region: Region) -> HypothesisPart | None:
     """Where an input that has no rate moves C: a jump of it that provably moves C."""
     C, motion = passing.C, passing.motion
-    loose = motion.may_jump(C.rows)
+    loose = motion.jumping_indices(C.rows)
     for edge in motion.edges(loose, region):
-        seen = _of_bound(model, C, edge) if not model.constraints else _of_point(C, edge, region)
+        seen = _bound_jump(model, C, edge) if not model.constraints else _point_jump(C, edge, region)
         if seen is not None:
-            return Part(VIOLATED, f"{edge.text}, and C with it", {"jump": seen[0]}, {**edge.witness, **seen[1]})
-    return Part(UNKNOWN, unbounded(motion, loose), {}, {}) if loose else None
+            return HypothesisPart(VIOLATED, f"{edge.text}, and C with it", {"jump": seen[0]}, {**edge.witness, **seen[1]})
+    return HypothesisPart(UNKNOWN, missing_rate_reason(motion, loose), {}, {}) if loose else None
 
 
-def _of_bound(model: MonotoneInclusion, C: MovingSet, edge: Edge) -> tuple[float, dict[str, Any]] | None:
+def _bound_jump(model: MonotoneInclusion, C: MovingSet, edge: InputJump) -> tuple[float, dict[str, Any]] | None:
     """How far a bound of a box jumps."""
     for word, ends in (("lower", model.lower), ("upper", model.upper)):
         for name, end in zip(model.names, ca.vertsplit(ends), strict=True):
@@ -145,10 +155,10 @@ def _of_bound(model: MonotoneInclusion, C: MovingSet, edge: Edge) -> tuple[float
     return None
 
 
-def _of_point(C: MovingSet, edge: Edge, region: Region) -> tuple[float, dict[str, Any]] | None:
+def _point_jump(C: MovingSet, edge: InputJump, region: Region) -> tuple[float, dict[str, Any]] | None:
     """A point of C on one side of the jump that is not in C on the other, and by how much."""
     z = ca.vertcat(C.x, C.p)
-    for x in extremum.samples(region.lower, region.upper, POINTS):
+    for x in extremum.samples(region.lower, region.upper, JUMP_SAMPLES):
         before, after = (interval.enclose(C.rows, z, side, side) for side in edge.at(x))
         for (inside, _), (_, outside) in ((before, after), (after, before)):
             if (inside >= 0).all() and (outside < 0).any():
@@ -156,7 +166,7 @@ def _of_point(C: MovingSet, edge: Edge, region: Region) -> tuple[float, dict[str
     return None
 
 
-def _jump(model: MonotoneInclusion, passing: Passing) -> Part | None:
+def _moving_bound_jump(model: MonotoneInclusion, passing: MovingSetRates) -> HypothesisPart | None:
     """A bound that jumps: C does, where it is a box; where nothing jumps that is for the others to bound."""
     C, of = passing.C, ca.vertcat(model.t, passing.motion.u)
     ends = ca.vertcat(*(end for end in (*ca.vertsplit(model.lower), *ca.vertsplit(model.upper)) if ca.depends_on(end, of)))
@@ -164,55 +174,55 @@ def _jump(model: MonotoneInclusion, passing: Passing) -> Part | None:
         return None
     jump = find_jump(ends, C.p, C.lower, C.upper, lambda points: np.ones(len(points), bool))
     if jump is None:
-        return Part(UNKNOWN, "a bound of C may jump; no jump was seen", {}, {})
+        return HypothesisPart(UNKNOWN, "a bound of C may jump; no jump was seen", {}, {})
     at = dict(zip(map(str, ca.vertsplit(C.p)), jump.at.tolist(), strict=True))
     witness = {"t": at.pop(str(model.t)), **at, "below": jump.below, "above": jump.above}
-    return Part(VIOLATED, "a bound of C jumps", {"jump": jump.size}, witness)
+    return HypothesisPart(VIOLATED, "a bound of C jumps", {"jump": jump.size}, witness)
 
 
-def _of_box(model: MonotoneInclusion, passing: Passing) -> Part:
+def _box_speed(model: MonotoneInclusion, passing: MovingSetRates) -> HypothesisPart:
     """Of a box: its sides move with their own speeds."""
     total = 0.0
     for ends in zip(ca.vertsplit(model.lower), ca.vertsplit(model.upper), strict=True):
-        total += max(_largest(passing.speed(end), *passing.slow) for end in ends) ** 2
-    kappa = float(np.sqrt(total)) * UP
+        total += max(_max_rate(passing.speed(end), *passing.slow) for end in ends) ** 2
+    kappa = float(np.sqrt(total)) * SPEED_ROUND_UP
     if not np.isfinite(kappa):
-        return Part(UNKNOWN, "the speed of a bound of C has no bound that was found", {}, {})
-    return Part(HOLDS, "bounds of the speeds of the sides", {KAPPA: kappa}, {})
+        return HypothesisPart(UNKNOWN, "the speed of a bound of C has no bound that was found", {}, {})
+    return HypothesisPart(HOLDS, "bounds of the speeds of the sides", {KAPPA: kappa}, {})
 
 
-def _of_rows(passing: Passing, region: Region, quick: bool) -> Part:
+def _constraint_speed(passing: MovingSetRates, region: Region, quick: bool) -> HypothesisPart:
     """The largest of what is found on parts of the time, and of what else C depends on."""
     C = passing.C
-    hull = outer(C).hull
+    hull = outer_set(C).bounding_box
     local = not np.isfinite(hull).all()
     box = (np.maximum(hull[0], region.lower), np.minimum(hull[1], region.upper)) if local else hull
     left, bounds, whole, count = [(C.lower, C.upper)], dict[str, float](), np.maximum(C.upper - C.lower, 1e-300), 0
     while left:
         low, high = left.pop()
         count += 1
-        bound = _on(passing._replace(C=C._replace(lower=low, upper=high)), box, quick)
+        bound = _hausdorff_bound(passing._replace(C=C._replace(lower=low, upper=high)), box, quick)
         widest = int(np.argmax((high - low) / whole))
         if bound is not None:
             bounds[bound.how] = max(bounds.get(bound.how, 0.0), bound.kappa)
-        elif (high - low)[widest] > whole[widest] / PARTS and count < MOST_PARTS:
+        elif (high - low)[widest] > whole[widest] / TIME_PARTS and count < MAX_BOX_PARTS:
             middle = low[widest] + (high - low)[widest] / 2
             right, up = low.copy(), high.copy()
             right[widest], up[widest] = middle, middle
             left += [(right, high), (low, up)]
         else:
-            return Part(UNKNOWN, f"no bound was found for t in [{low[0]:.4g}, {high[0]:.4g}]", {}, {}, local)
-    return Part(HOLDS, "; ".join(bounds), {KAPPA: max(bounds.values())}, {}, local)
+            return HypothesisPart(UNKNOWN, f"no bound was found for t in [{low[0]:.4g}, {high[0]:.4g}]", {}, {}, local)
+    return HypothesisPart(HOLDS, "; ".join(bounds), {KAPPA: max(bounds.values())}, {}, local)
 
 
-def _on(passing: Passing, box: tuple[np.ndarray, np.ndarray], quick: bool) -> HausdorffBound | None:
+def _hausdorff_bound(passing: MovingSetRates, box: tuple[np.ndarray, np.ndarray], quick: bool) -> HausdorffBound | None:
     """One row: |c_t| / |grad c| where c = 0; several: sup |c_t| times the size of the box, over the depth of an inner point."""
     C, (low, high) = passing.C, box
     z, lower, upper = passing.box(C.x, low, high)
     rates = passing.speed(C.rows)
     if not interval.is_continuous(ca.vertcat(C.rows, rates), z, lower, upper):
         return None
-    fastest = max(_largest(rate, z, lower, upper) for rate in ca.vertsplit(rates))
+    fastest = max(_max_rate(rate, z, lower, upper) for rate in ca.vertsplit(rates))
     if C.rows.numel() == 1 and (kappa := _normal_speed(C, rates, z, lower, upper, fastest, quick)) is not None:
         return HausdorffBound(kappa, "bounds of |c_t| / |grad c| beside c = 0")
     interior = has_interior_for_all(C, (low + high) / 2)
@@ -220,7 +230,7 @@ def _on(passing: Passing, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Ha
     if interior is None or point is None:
         return None
     far = float(np.linalg.norm(np.maximum(np.abs(low - point), np.abs(high - point))))
-    kappa = fastest * far / interior.part.value[MARGIN] * UP
+    kappa = fastest * far / interior.part.value[INTERIOR_MARGIN] * SPEED_ROUND_UP
     how = "bounds of |c_t| |x - z| / c(t, z), z an inner point of C(t) for a while: x stays in C by going towards it"
     return HausdorffBound(kappa, how) if np.isfinite(kappa) else None
 
@@ -234,15 +244,15 @@ def _normal_speed(
     if not (0 < fastest < np.inf and 0 < most < np.inf):
         return 0.0 if fastest == 0 else None
 
-    shell = SHELL * extremum.supremum(-C.rows, z, lower, upper, quick=True).bound
+    shell = SHELL_PART * extremum.supremum(-C.rows, z, lower, upper, quick=True).bound
 
     def enough(kappa: float) -> bool:
         over = rate - kappa**2 * steep
-        beside = ca.vertcat(-C.rows, C.rows + shell)
-        return extremum.supremum(over, z, lower, upper, where=beside, bound_to=0.0, quick=quick).bound <= 0
+        shell_rows = ca.vertcat(-C.rows, C.rows + shell)
+        return extremum.supremum(over, z, lower, upper, where=shell_rows, bound_to=0.0, quick=quick).bound <= 0
 
     low = fastest / float(np.sqrt(most)) / 2
-    high = next((low * 4**k for k in range(1, DOUBLINGS) if enough(low * 4**k)), None)
+    high = next((low * 4**k for k in range(1, SPEED_QUADRUPLINGS) if enough(low * 4**k)), None)
     if high is None:
         return None
     low = max(low, high / 4)
@@ -252,7 +262,7 @@ def _normal_speed(
     return high
 
 
-def _largest(rate: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> float:
+def _max_rate(rate: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> float:
     if rate.is_zero():
         return 0.0
     return max(extremum.supremum(sign * rate, z, lower, upper, quick=True).bound for sign in (1, -1))
@@ -261,21 +271,23 @@ def _largest(rate: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> flo
 # -- consequences ------------------------------------------------------------------------------------------------------
 
 
-def consequences_of(
+def moving_consequences(
     model: MonotoneInclusion, findings: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows from the findings at each t."""
     numbers = {finding.id: finding.value for finding in findings}
-    base = ["M-T", "M-C", "M-A1", "M-A2", "M-24", MOVES.id]
-    scope = scope_of(findings, base)
+    base = ["M-T", "M-C", "M-A1", "M-A2", "M-24", SET_MOTION.id]
+    scope = common_scope(findings, base)
     local = scope is not None and bool(scope.states)
     starts = "from x0 one and only one solution starts" if local else "one and only one solution for each start in C(0)"
-    out = [follows("well posed", starts, findings, base, EXISTENCE)]
+    out = [make_consequence("well posed", starts, findings, base, EXISTENCE_SOURCE)]
     L = numbers["M-24"].get("L", np.nan)
     if np.isfinite(L):
         word, ids = "contraction" if L < 0 else "stability", ("M-T", "M-C", "M-24")
-        own = scope_of(findings, ids)
+        own = common_scope(findings, ids)
         end = " while both stay inside the box" if own is not None and own.states else ""
         statement = f"|x(t) - y(t)| <= e^({L:.6g} t) |x_0 - y_0|{end}"
-        out.append(follows(word, statement, findings, ids, f"{autonomous.PAPER}, Theorem 7.3, at each t", {"L": L}))
-    return [*out, *convergence(model, findings, base, "", runs)]
+        out.append(
+            make_consequence(word, statement, findings, ids, f"{autonomous.CATCHING_UP_PAPER}, Theorem 7.3, at each t", {"L": L})
+        )
+    return [*out, *scheme_convergence(model, findings, base, "", runs)]

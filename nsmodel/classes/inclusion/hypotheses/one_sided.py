@@ -7,16 +7,18 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.inclusion.hypotheses.growth import affine
-from nsmodel.classes.inclusion.hypotheses.selected_field import Field
+from nsmodel.classes.inclusion.hypotheses.growth import affine_field
+from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
 from nsmodel.classes.inclusion.hypotheses.switches import monotone_part
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
-from nsmodel.proof.verdict import Part
+from nsmodel.proof.verdict import HypothesisPart
 
 
-def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: bool, alone: ca.SX | None = None) -> Part:
+def one_sided_lipschitz(
+    field: SelectedField, region: tuple[np.ndarray, np.ndarray], *, quick: bool, alone: ca.SX | None = None
+) -> HypothesisPart:
     """(24): L, on C where it can be had there, else on the box looked at.
 
     Args:
@@ -26,14 +28,17 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
         alone: F, where S is proved monotone on all of C: then L of F serves for G.
     """
     if field.jumps and alone is None:
-        return _jumps_up(field)
-    found = affine(field) if not field.jumps else None
+        return _outward_jump(field)
+    found = affine_field(field) if not field.jumps else None
     if found is not None and found.exact:
         A = exact.doubles(found.A)
         direction = np.linalg.eigh((A + A.T) / 2)[1][:, -1]
         how = "the largest eigenvalue of a constant matrix, rounded up (exact)"
-        return Part(HOLDS, how, {"L": exact.eigenvalue_above(found.A)}, {"direction": direction})
-    hull, box = field.C.hull, (np.maximum(field.C.hull[0], region[0]), np.minimum(field.C.hull[1], region[1]))
+        return HypothesisPart(HOLDS, how, {"L": exact.eigenvalue_upper_bound(found.A)}, {"direction": direction})
+    hull, box = (
+        field.C.bounding_box,
+        (np.maximum(field.C.bounding_box[0], region[0]), np.minimum(field.C.bounding_box[1], region[1])),
+    )
     whole = [] if field.jumps else [("", field.rest, hull, quick or not field.C.bounded), ("", field.rest, box, quick)]
     falling = monotone_part(-(field.rest if alone is None else alone), field.C)
     tries = whole[:1]
@@ -60,18 +65,20 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
             witness = {} if sup.at is None else {"attained near": sup.at}
             values = {"L": sup.bound + 0.0} | ({} if sup.at is None or G is not field.rest else {"attained": sup.value})
             how = f"{given}bounds of the eigenvalues of the symmetric Jacobian"
-            return Part(HOLDS, how, values, witness, low is box[0])
+            return HypothesisPart(HOLDS, how, values, witness, low is box[0])
     if field.jumps:
-        return _jumps_up(field)
-    return Part(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})
+        return _outward_jump(field)
+    return HypothesisPart(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})
 
 
-def _jumps_up(field: Field) -> Part:
+def _outward_jump(field: SelectedField) -> HypothesisPart:
     """A jump that is no subdifferential: a point where it switches, and a direction along which G jumps outwards."""
     inner = np.asarray(
-        has_interior(field.C, np.clip(np.zeros(field.C.n), *field.C.hull)).witness.get("interior point", np.zeros(field.C.n))
+        has_interior(field.C, np.clip(np.zeros(field.C.n), *field.C.bounding_box)).witness.get(
+            "interior point", np.zeros(field.C.n)
+        )
     )
-    places = ((jump, point) for jump in field.jumps for point in switching_points(field.C, jump.u, field.C.hull, inner))
+    places = ((jump, point) for jump in field.jumps for point in switching_points(field.C, jump.u, field.C.bounding_box, inner))
     for jump, point in places:
         f = ca.Function(
             "jump",
@@ -89,10 +96,10 @@ def _jumps_up(field: Field) -> Part:
         step = 1e-6 * (1 + np.linalg.norm(point)) * d
         if rate > 0 and float(f(point + step)[2]) > 0 > float(f(point - step)[2]):
             how = "F - S jumps outwards across a switching surface: no L bounds the quotient (it grows like jump/distance)"
-            return Part(VIOLATED, how, {"jump along d": rate}, {"x": point, "direction": d, "switch": str(jump.u)})
+            return HypothesisPart(VIOLATED, how, {"jump along d": rate}, {"x": point, "direction": d, "switch": str(jump.u)})
     names = ", ".join(str(jump.u) for jump in field.jumps)
     how = f"the switches at {names} = 0 are no subdifferentials, and no point inside C was found where one jumps outwards"
-    return Part(UNKNOWN, how, {}, {})
+    return HypothesisPart(UNKNOWN, how, {}, {})
 
 
 def switching_point(C: ConvexSet, u: ca.SX, box: tuple[np.ndarray, np.ndarray], inner: np.ndarray) -> np.ndarray | None:
@@ -103,16 +110,18 @@ def switching_point(C: ConvexSet, u: ca.SX, box: tuple[np.ndarray, np.ndarray], 
 def switching_points(C: ConvexSet, u: ca.SX, box: tuple[np.ndarray, np.ndarray], inner: np.ndarray) -> Iterator[np.ndarray]:
     """Points inside C with u = 0, by Newton's method from points of a box and around a point inside."""
     f = ca.Function("u", [C.x], [u, ca.gradient(u, C.x)])
-    low, high = (np.clip(end, -1e3, 1e3) for end in (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1])))
+    low, high = (
+        np.clip(end, -1e3, 1e3) for end in (np.maximum(C.bounding_box[0], box[0]), np.minimum(C.bounding_box[1], box[1]))
+    )
     around_it = inner + np.random.default_rng(0).normal(size=(32, C.n)) * (1 + np.abs(inner))
     for start in np.vstack([extremum.samples(low, np.maximum(low, high), 32), inner, around_it]):
-        x = _newton(f, start)
-        inside = np.isfinite(x).all() and C.surely_inside(x) is not None
+        x = _newton_zero(f, start)
+        inside = np.isfinite(x).all() and C.interior_margin(x) is not None
         if inside and abs(float(f(x)[0])) <= 1e-9 * (1 + np.linalg.norm(x)):
             yield x
 
 
-def _newton(f: ca.Function, x: np.ndarray) -> np.ndarray:
+def _newton_zero(f: ca.Function, x: np.ndarray) -> np.ndarray:
     """Where Newton's method for u = 0 ends, from x; f: x -> u, its gradient."""
     with np.errstate(all="ignore"):  # It may run away.
         for _ in range(30):

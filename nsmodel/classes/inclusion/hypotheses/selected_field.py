@@ -16,14 +16,14 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.set_valued import constraints, selection
+from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
 from nsmodel.proof import exact, interval, polynomial
 from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.solve.certificate import numeric_law
 
 
 @dataclass(frozen=True)
-class Aligned:
+class AlignedMultiplier:
     """B l with B = beta J', u = J x + c: a box lower <= l <= upper (one row), or a ball |l| <= upper (J with several rows).
 
     ``B`` is (n, m), ``c`` (m,), doubles.
@@ -66,7 +66,7 @@ class FreeMultiplier:
 
 
 @dataclass(frozen=True)
-class Field:
+class SelectedField:
     """G on C.
 
     Attributes:
@@ -84,13 +84,13 @@ class Field:
     lower: np.ndarray
     upper: np.ndarray
     rest: ca.SX
-    aligned: tuple[Aligned, ...]
+    aligned: tuple[AlignedMultiplier, ...]
     jumps: tuple[FreeMultiplier, ...]
 
     @property
     def variables(self) -> tuple[ca.SX, np.ndarray, np.ndarray]:
         """(x, l of the jumps) and its box on the hull of C."""
-        low, high = self.C.hull
+        low, high = self.C.bounding_box
         z = ca.vertcat(self.x, *(jump.l for jump in self.jumps))
         ends = np.array([[jump.lower, jump.upper] for jump in self.jumps]).reshape(-1, 2)
         return z, np.concatenate([low, ends[:, 0]]), np.concatenate([high, ends[:, 1]])
@@ -105,63 +105,66 @@ class Field:
         return total
 
 
-def set_of(model: MonotoneInclusion) -> ConvexSet:
+def constraint_set(model: MonotoneInclusion) -> ConvexSet:
     """C, the bounds first."""
-    rows, names = constraints(model)
+    rows, names = set_constraints(model)
     return ConvexSet(model.x, rows, names)
 
 
-def field_of(model: MonotoneInclusion, C: ConvexSet) -> Field:
+def decompose_field(model: MonotoneInclusion, C: ConvexSet) -> SelectedField:
     """Take G = F - S apart."""
-    chosen, law = selection(model), numeric_law(selection(model).law)
+    chosen, law = velocity_selection(model), numeric_law(velocity_selection(model).law)
     G, l, u = chosen.velocity, chosen.l, chosen.u
     lower, upper = np.array(law.lower, float), np.array(law.upper, float)
     balls = {rows.start: (rows, K.radius) for rows, K in law.curved}
     for rows, radius in balls.values():
         lower[rows], upper[rows] = -radius, radius
-    G, settled = _settle(G, l, u, lower, upper, C, {i for rows, _ in balls.values() for i in range(rows.start, rows.stop)})
-    aligned: list[Aligned] = []
+    G, fixed = _fix_multipliers(G, l, u, lower, upper, C, {i for rows, _ in balls.values() for i in range(rows.start, rows.stop)})
+    aligned: list[AlignedMultiplier] = []
     jumps: list[FreeMultiplier] = []
     slopes = ca.jacobian(G, l)
     i, zero = 0, []
     while i < l.numel():
         rows = balls[i][0] if i in balls else slice(i, i + 1)
         i = rows.stop
-        if set(range(rows.start, rows.stop)) <= settled:
+        if set(range(rows.start, rows.stop)) <= fixed:
             continue
         text = " ,".join(str(entry) for entry in ca.vertsplit(u[rows]))
-        term = _aligned(slopes[:, rows], u[rows], C.x, lower[rows.start], upper[rows.start], text)
+        term = _align_multiplier(slopes[:, rows], u[rows], C.x, lower[rows.start], upper[rows.start], text)
         if term is None:
             jumps += [FreeMultiplier(l[k], u[k], lower[k], upper[k], slopes[:, k]) for k in range(rows.start, rows.stop)]
         else:
             aligned.append(term)
             zero += list(range(rows.start, rows.stop))
     rest = ca.substitute(G, l[zero], ca.SX.zeros(len(zero))) if zero else G
-    return Field(C.x, C, G, l, u, lower, upper, rest, tuple(aligned), tuple(jumps))
+    return SelectedField(C.x, C, G, l, u, lower, upper, rest, tuple(aligned), tuple(jumps))
 
 
-def _settle(
+def _fix_multipliers(
     G: ca.SX, l: ca.SX, u: ca.SX, lower: np.ndarray, upper: np.ndarray, C: ConvexSet, curved: set[int]
 ) -> tuple[ca.SX, set[int]]:
     """Put in the multipliers whose u has one sign on the hull of C."""
-    settled: set[int] = set()
+    fixed: set[int] = set()
     if not l.numel():
-        return G, settled
-    low, high = (np.asarray(end).ravel() for end in interval.enclose(u, C.x, *C.hull))
+        return G, fixed
+    low, high = (np.asarray(end).ravel() for end in interval.enclose(u, C.x, *C.bounding_box))
     for k in range(l.numel()):
         if k not in curved and (low[k] > 0 or high[k] < 0):
             G = ca.substitute(G, l[k], lower[k] if low[k] > 0 else upper[k])
-            settled.add(k)
-    return G, settled
+            fixed.add(k)
+    return G, fixed
 
 
-def _aligned(B: ca.SX, u: ca.SX, x: ca.SX, lower: float, upper: float, text: str) -> Aligned | None:
+def _align_multiplier(B: ca.SX, u: ca.SX, x: ca.SX, lower: float, upper: float, text: str) -> AlignedMultiplier | None:
     """The term where u = J x + c and B = beta J', beta >= 0, all exactly constant; else None."""
     n, m = B.shape
     if not np.isfinite([lower, upper]).all():
         return None
-    rows = [polynomial.quadratic(p, n) if p is not None and polynomial.degree(p) <= 1 else None for p in polynomial.read(u, x)]
-    entries = polynomial.read(B, x)
+    rows = [
+        polynomial.as_quadratic(p, n) if p is not None and polynomial.degree(p) <= 1 else None
+        for p in polynomial.read_polynomials(u, x)
+    ]
+    entries = polynomial.read_polynomials(B, x)
     if any(row is None for row in rows) or any(p is None or not polynomial.is_constant(p) for p in entries):
         return None
     kept = [row for row in rows if row is not None]
@@ -176,4 +179,4 @@ def _aligned(B: ca.SX, u: ca.SX, x: ca.SX, lower: float, upper: float, text: str
     if beta < 0 or (matrix != beta * J.T).any():
         return None
     c = np.array([float(row.c) for row in kept])
-    return Aligned(exact.doubles(matrix), c, float(beta), float(lower), float(upper), text)
+    return AlignedMultiplier(exact.doubles(matrix), c, float(beta), float(lower), float(upper), text)

@@ -18,18 +18,24 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.hypotheses import growth
-from nsmodel.classes.inclusion.hypotheses.copositive import certificate
-from nsmodel.classes.inclusion.hypotheses.curves import not_drawn_back
-from nsmodel.classes.inclusion.hypotheses.escape import escape, looked_at
-from nsmodel.classes.inclusion.hypotheses.growth import UP, around
-from nsmodel.classes.inclusion.hypotheses.selected_field import Field
-from nsmodel.classes.inclusion.hypotheses.tangent_form import TangentForm, form_between_lines, form_of, nearest, offsets
+from nsmodel.classes.inclusion.hypotheses.copositive import copositivity_multipliers
+from nsmodel.classes.inclusion.hypotheses.curves import nondissipative_curve
+from nsmodel.classes.inclusion.hypotheses.escape import escape_direction, sample_quotient
+from nsmodel.classes.inclusion.hypotheses.growth import NORM_ROUND_UP, split_box
+from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
+from nsmodel.classes.inclusion.hypotheses.tangent_form import (
+    TangentForm,
+    aligned_offset,
+    exact_tangent_form,
+    nearest_point_to_zero,
+    sector_tangent_form,
+)
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs, sum_of_squares
-from nsmodel.proof.verdict import Part
+from nsmodel.proof.verdict import HypothesisPart
 
-SLOWER = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
-FAR = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
+DECAY_RATES = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
+SLOPE_EXPONENTS = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
 
 
 class DecayBound(NamedTuple):
@@ -42,77 +48,79 @@ class DecayBound(NamedTuple):
     displaced: bool = False
 
 
-def dissipativity(field: Field, a: Part, *, quick: bool, reach: float = 0.0) -> Part:
+def dissipativity(field: SelectedField, a: HypothesisPart, *, quick: bool, reach: float = 0.0) -> HypothesisPart:
     """(A3) on C, and on each convex part of C with a point no farther than ``reach`` from 0.
 
     ``a`` is the finding of (A2), whose numbers enter where C does not hold 0.
     """
-    base = nearest(field.C)
+    base = nearest_point_to_zero(field.C)
     if base is None:
-        return Part(UNKNOWN, "no point of C near 0 was verified", {}, {})
-    distance = max(float(np.linalg.norm(base)) * (UP if base.any() else 1.0), reach)
-    form = form_of(field)
-    bound = _from_form(field, form, distance) or _by_jacobian(field, base)
-    tries = [] if bound is not None or field.C.bounded else [(k, merged) for merged in (False, True) for k in FAR]
+        return HypothesisPart(UNKNOWN, "no point of C near 0 was verified", {}, {})
+    distance = max(float(np.linalg.norm(base)) * (NORM_ROUND_UP if base.any() else 1.0), reach)
+    form = exact_tangent_form(field)
+    bound = _decay_from_form(field, form, distance) or _decay_by_jacobian(field, base)
+    tries = [] if bound is not None or field.C.bounded else [(k, merged) for merged in (False, True) for k in SLOPE_EXPONENTS]
     for k, merged in tries:
-        first = form is None and k == FAR[0]
-        bound = bound or _from_form(field, form_between_lines(field, k, merged=merged), distance, cube=first and not distance)
+        first = form is None and k == SLOPE_EXPONENTS[0]
+        bound = bound or _decay_from_form(
+            field, sector_tangent_form(field, k, merged=merged), distance, cube=first and not distance
+        )
     if bound is not None and distance > 0 and not bound.displaced:
-        bound = _displaced(bound, distance, a)
+        bound = _displaced_decay(bound, distance, a)
     if bound is not None:
-        return _solved(bound, field)
+        return _dissipativity_part(bound, field)
     if field.C.bounded:
-        return _bounded(field, distance, quick=quick)
-    return escape(field, form) or not_drawn_back(field) or looked_at(field)
+        return _bounded_set_part(field, distance, quick=quick)
+    return escape_direction(field, form) or nondissipative_curve(field) or sample_quotient(field)
 
 
-def _from_form(field: Field, form: TangentForm | None, distance: float, *, cube: bool = True) -> DecayBound | None:
+def _decay_from_form(field: SelectedField, form: TangentForm | None, distance: float, *, cube: bool = True) -> DecayBound | None:
     """The bound from <x, rest> as a form; ``cube``: terms beyond the quadratic ones that couple states are looked at too."""
     return (
-        _quadratic(field, form)
-        or (_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
-        or _superlinear(field, form)
-        or (_squares(field, form) if cube and not distance else None)
-        or (_homogeneous(field, form, distance) if cube else None)
+        _quadratic_decay(field, form)
+        or (_decay_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
+        or _superlinear_decay(field, form)
+        or (_decay_by_squares(field, form) if cube and not distance else None)
+        or (_homogeneous_decay(field, form, distance) if cube else None)
     )
 
 
 # -- the bound <x, rest> <= -k |x|^2 + p |x| + q ------------------------------------------------------------------------
 
 
-def _but(field: Field) -> str:
-    return ", but for bounded terms" if any(row.size for row in growth.read_rows(field)) else ""
+def _bounded_terms_text(field: SelectedField) -> str:
+    return ", but for bounded terms" if any(row.size for row in growth.read_field_rows(field)) else ""
 
 
-def _linear(form: TangentForm) -> float:
+def _linear_bound(form: TangentForm) -> float:
     """|linear| + the jumps' share."""
-    return growth.norm(exact.doubles(form.linear)) + form.others
+    return growth.rounded_norm(exact.doubles(form.linear)) + form.others
 
 
-def _quadratic(field: Field, form: TangentForm | None) -> DecayBound | None:
+def _quadratic_decay(field: SelectedField, form: TangentForm | None) -> DecayBound | None:
     """The form is quadratic and negative definite on the whole space, decided exactly."""
-    if form is None or form.higher or not exact.psd(-form.Q).definite:
+    if form is None or form.higher or not exact.definiteness(-form.Q).definite:
         return None
-    k = _rate(-form.Q)
+    k = _verified_rate(-form.Q)
     if k is None:
         return None
-    how = "<x, F - S> is quadratic and negative definite (exact)" + _but(field)
-    return DecayBound(k, _linear(form), exact.up(form.constant) + offsets(field), how)
+    how = "<x, F - S> is quadratic and negative definite (exact)" + _bounded_terms_text(field)
+    return DecayBound(k, _linear_bound(form), exact.round_up(form.constant) + aligned_offset(field), how)
 
 
-def _rate(P: np.ndarray) -> float | None:
+def _verified_rate(P: np.ndarray) -> float | None:
     """k in doubles with x'Px/2 >= k |x|^2, verified exactly: half the least eigenvalue of P, lowered by rounding where needed."""
     values = np.linalg.eigvalsh(exact.doubles(P)) / 2
     if len(P) == 1:
-        return exact.down(Fraction(P[0, 0]) / 2)
+        return exact.round_down(Fraction(P[0, 0]) / 2)
     for less in (0.0, 1e-15, 1e-14, 1e-12, 1e-9, 1e-6):
         k = float(values[0]) - less * float(values[-1])
-        if k > 0 and exact.psd(P - 2 * Fraction(k) * exact.eye(len(P))).psd:
+        if k > 0 and exact.definiteness(P - 2 * Fraction(k) * exact.eye(len(P))).psd:
             return k
     return None
 
 
-def _on_cone(field: Field, form: TangentForm | None) -> DecayBound | None:
+def _decay_on_cone(field: SelectedField, form: TangentForm | None) -> DecayBound | None:
     """The form is quadratic and negative on the directions of C only: -Q/2 - k I - N'M N psd with M >= 0 entrywise.
 
     With y = N x + h >= 0, x'N'M N x = (y - h)'M(y - h) >= -2 h'M y + h'M h = -2 h'M N x - h'M h.
@@ -120,23 +128,23 @@ def _on_cone(field: Field, form: TangentForm | None) -> DecayBound | None:
     if form is None or form.higher:
         return None
     N, h = field.C.half_spaces
-    found = certificate(-form.Q / 2, N)
+    found = copositivity_multipliers(-form.Q / 2, N)
     if found is None:
         return None
     k, M = found
-    linear = form.linear + 2 * exact.product(N.T, M, h)
-    constant = form.constant + exact.product(h.T, M, h)[0, 0]
-    p = growth.norm(exact.doubles(linear)) + form.others
+    linear = form.linear + 2 * exact.matrix_product(N.T, M, h)
+    constant = form.constant + exact.matrix_product(h.T, M, h)[0, 0]
+    p = growth.rounded_norm(exact.doubles(linear)) + form.others
     how = "<x, F - S> is quadratic and negative on the directions in which C is unbounded (exact multipliers)"
-    return DecayBound(k, p, exact.up(constant) + offsets(field), how)
+    return DecayBound(k, p, exact.round_up(constant) + aligned_offset(field), how)
 
 
-def _superlinear(field: Field, form: TangentForm | None) -> DecayBound | None:
+def _superlinear_decay(field: SelectedField, form: TangentForm | None) -> DecayBound | None:
     """Terms beyond the quadratic ones in one state each, falling at both ends of C: they dominate that state's square."""
     if form is None or not form.higher or any(len(monomial) > 1 for monomial in form.higher):
         return None
     n = field.x.numel()
-    low, high = field.C.hull
+    low, high = field.C.bounding_box
     strong = polynomial.variables(form.higher)
     size = max(1.0, float(np.abs(exact.doubles(form.Q)).max(initial=0.0)))
     for t in (1.0, 10.0, 100.0, 1e4):
@@ -144,44 +152,44 @@ def _superlinear(field: Field, form: TangentForm | None) -> DecayBound | None:
         for i in strong:
             D[i, i] = Fraction(t * size)
         P = 2 * D - form.Q  # x'Qx/2 <= x'Dx - k |x|^2
-        k = _rate(P) if exact.psd(P).definite else None
+        k = _verified_rate(P) if exact.definiteness(P).definite else None
         if k is None:
             continue
         total = form.constant
         for i in strong:
             own = {monomial: number for monomial, number in form.higher.items() if monomial[0][0] == i}
-            top = _largest(polynomial.add(own, {((i, 2),): D[i, i]}), low[i], high[i])
+            top = _polynomial_upper_bound(polynomial.add_multiple(own, {((i, 2),): D[i, i]}), low[i], high[i])
             if top is None:
                 return None
             total += top
         how = "beyond the quadratic part, terms in one state each that fall at infinity (exact)"
-        return DecayBound(k, _linear(form), exact.up(total) + offsets(field), how)
+        return DecayBound(k, _linear_bound(form), exact.round_up(total) + aligned_offset(field), how)
     return None
 
 
-def _squares(field: Field, form: TangentForm | None) -> DecayBound | None:
+def _decay_by_squares(field: SelectedField, form: TangentForm | None) -> DecayBound | None:
     """The form is -k |x|^2 + c less a sum of squares, in rational arithmetic, with c as small as it can be for some k."""
     if form is None or not form.higher or polynomial.degree(form.higher) % 2 or not np.isfinite(form.others):
         return None
     n = field.x.numel()
-    if _top(form.higher, polynomial.degree(form.higher), n) > 0:
+    if _leading_maximum(form.higher, polynomial.degree(form.higher), n) > 0:
         return None
-    p = polynomial.add({}, form.higher, Fraction(-1))
+    p = polynomial.add_multiple({}, form.higher, Fraction(-1))
     for i in range(n):
-        p = polynomial.add(p, {((i, 1),): -form.linear[i, 0]})
+        p = polynomial.add_multiple(p, {((i, 1),): -form.linear[i, 0]})
         for j in range(n):
             square = ((i, 2),) if i == j else ((min(i, j), 1), (max(i, j), 1))
-            p = polynomial.add(p, {square: -form.Q[i, j] / 2})
-    for k in SLOWER:
-        rest = polynomial.add(p, {((i, 2),): Fraction(1) for i in range(n)}, Fraction(-k))
-        least = sum_of_squares.lower_bound(rest, n)
+            p = polynomial.add_multiple(p, {square: -form.Q[i, j] / 2})
+    for k in DECAY_RATES:
+        rest = polynomial.add_multiple(p, {((i, 2),): Fraction(1) for i in range(n)}, Fraction(-k))
+        least = sum_of_squares.sos_lower_bound(rest, n)
         if least is not None:
-            how = "<x, F - S> + k |x|^2 is a constant less a sum of squares (exact)" + _but(field)
-            return DecayBound(k, form.others, exact.up(form.constant - least) + offsets(field), how)
+            how = "<x, F - S> + k |x|^2 is a constant less a sum of squares (exact)" + _bounded_terms_text(field)
+            return DecayBound(k, form.others, exact.round_up(form.constant - least) + aligned_offset(field), how)
     return None
 
 
-def _homogeneous(field: Field, form: TangentForm | None, distance: float) -> DecayBound | None:
+def _homogeneous_decay(field: SelectedField, form: TangentForm | None, distance: float) -> DecayBound | None:
     """Terms beyond the quadratic ones whose highest form is negative: bounds on the faces of a cube, and scaling.
 
     A form of degree m is at most M r^m, r the largest |x_i|, with M its bound where r = 1; |x|^2 <= n r^2.
@@ -192,42 +200,42 @@ def _homogeneous(field: Field, form: TangentForm | None, distance: float) -> Dec
     degree = polynomial.degree(form.higher)
     powers = sorted({sum(power for _, power in monomial) for monomial in form.higher} | {2})
     total: polynomial.Polynomial = {((0, 2),): Fraction(n)} if degree > 2 else {}
-    if degree % 2 or not _falls(form.higher, degree, n):
+    if degree % 2 or not _leading_decay(form.higher, degree, n):
         return None
     for m in powers:
         part = {monomial: number for monomial, number in form.whole.items() if sum(power for _, power in monomial) == m}
-        bound = _on_cube(part, field.x, 0.5 * _falls(form.higher, degree, n) if m == degree else None)
-        bound = bound + form.slope * n * UP if m == 2 else bound
+        bound = _cube_bound(part, field.x, 0.5 * _leading_decay(form.higher, degree, n) if m == degree else None)
+        bound = bound + form.slope * n * NORM_ROUND_UP if m == 2 else bound
         if not np.isfinite(bound) or (m == degree and bound >= 0):
             return None
-        total = polynomial.add(total, {((0, m),): Fraction(bound)})
+        total = polynomial.add_multiple(total, {((0, m),): Fraction(bound)})
     if distance > 0:
-        total = polynomial.add(total, _speed(field, form), Fraction(distance))
-    top = _largest(total, 0.0, np.inf)
+        total = polynomial.add_multiple(total, _speed_polynomial(field, form), Fraction(distance))
+    top = _polynomial_upper_bound(total, 0.0, np.inf)
     if top is None:
         return None
     how = "the highest form of <x, F - S> is negative on the faces of a cube (bounds), and dominates"
-    return DecayBound(1.0, _linear(form), exact.up(top + form.constant) + offsets(field), how, True)
+    return DecayBound(1.0, _linear_bound(form), exact.round_up(top + form.constant) + aligned_offset(field), how, True)
 
 
-def _speed(field: Field, form: TangentForm) -> polynomial.Polynomial:
+def _speed_polynomial(field: SelectedField, form: TangentForm) -> polynomial.Polynomial:
     """A polynomial in r = max |x_i| that |v| does not exceed."""
     n = field.x.numel()
-    total: polynomial.Polynomial = {(): Fraction(form.others + sum(term.size for term in field.aligned) * UP)}
-    for row in growth.read_rows(field):
+    total: polynomial.Polynomial = {(): Fraction(form.others + sum(term.size for term in field.aligned) * NORM_ROUND_UP)}
+    for row in growth.read_field_rows(field):
         for monomial, number in (row.p or {}).items():
             if all(v < n for v, _ in monomial):
                 power = sum(power for _, power in monomial)
-                total = polynomial.add(total, {((0, power),) if power else (): abs(number)})
-    return polynomial.add(total, {((0, 1),): Fraction(form.slope * n * UP)})
+                total = polynomial.add_multiple(total, {((0, power),) if power else (): abs(number)})
+    return polynomial.add_multiple(total, {((0, 1),): Fraction(form.slope * n * NORM_ROUND_UP)})
 
 
-def _falls(higher: polynomial.Polynomial, degree: int, n: int) -> float:
+def _leading_decay(higher: polynomial.Polynomial, degree: int, n: int) -> float:
     """The largest value of the highest form seen where max |x_i| = 1, 0 where it is not negative at some point."""
-    return min(_top(higher, degree, n), 0.0)
+    return min(_leading_maximum(higher, degree, n), 0.0)
 
 
-def _top(higher: polynomial.Polynomial, degree: int, n: int) -> float:
+def _leading_maximum(higher: polynomial.Polynomial, degree: int, n: int) -> float:
     """The largest value of the highest form seen where max |x_i| = 1."""
     rng = np.random.default_rng(0)
     points = np.vstack([np.eye(n), np.ones(n), rng.uniform(-1, 1, (200, n))])
@@ -237,7 +245,7 @@ def _top(higher: polynomial.Polynomial, degree: int, n: int) -> float:
     return float(np.max(values))
 
 
-def _on_cube(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> float:
+def _cube_bound(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> float:
     """A bound of a form where max |x_i| = 1: by cutting the cube's faces down to a ``level`` that will do, else natural."""
     n = x.numel()
     expr = ca.SX(0)
@@ -257,14 +265,14 @@ def _on_cube(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> floa
             if level is not None and natural > level:
                 natural = extremum.supremum(expr, x, low, high, bound_to=level).bound
             worst = max(worst, natural)
-    return exact.up(Fraction(worst) + slack) if np.isfinite(worst) else np.inf
+    return exact.round_up(Fraction(worst) + slack) if np.isfinite(worst) else np.inf
 
 
-def _largest(p: polynomial.Polynomial, low: float, high: float) -> Fraction | None:
+def _polynomial_upper_bound(p: polynomial.Polynomial, low: float, high: float) -> Fraction | None:
     """A number that a polynomial in one variable does not exceed on [low, high], verified exactly."""
-    c = [-number for number in polynomial.coefficients(p)]
+    c = [-number for number in polynomial.univariate_coefficients(p)]
     a, b = (Fraction(end) if np.isfinite(end) else None for end in (low, high))
-    least, _ = polynomial_signs.minimum(c, a, b)
+    least, _ = polynomial_signs.approximate_minimum(c, a, b)
     if not np.isfinite(least):
         return None
     for more in (1e-12, 1e-9, 1e-6):
@@ -274,7 +282,7 @@ def _largest(p: polynomial.Polynomial, low: float, high: float) -> Fraction | No
     return None
 
 
-def _by_jacobian(field: Field, base: np.ndarray) -> DecayBound | None:
+def _decay_by_jacobian(field: SelectedField, base: np.ndarray) -> DecayBound | None:
     """rest is strongly monotone downwards on the hull of C, or outside a box B around a point c of C: its Jacobian.
 
     With M the largest |rest| on B, D its radius about c, and L < 0 bounding the symmetric Jacobian outside B: for x outside, y
@@ -283,28 +291,28 @@ def _by_jacobian(field: Field, base: np.ndarray) -> DecayBound | None:
     """
     if field.jumps:
         return None
-    low, high = field.C.hull
+    low, high = field.C.bounding_box
     J = ca.jacobian(field.rest, field.x)
     S = (J + J.T) / 2
     if not interval.is_continuous(field.rest, field.x, low, high):
         return None
     for half in (0.0, 1.0):
-        box, outside = around(base, half, low, high)
+        box, outside = split_box(base, half, low, high)
         bounds = [extremum.largest_eigenvalue(S, field.x, *part, quick=True).bound for part in outside]
         L = max(bounds, default=-np.inf)
         if -np.inf < L < 0:
             at = interval.enclose(field.rest + ca.DM(field.shift), field.x, *box)
-            M = float(np.linalg.norm(np.maximum(np.abs(at[0]), np.abs(at[1])))) * UP
-            D, d = half * float(np.sqrt(base.size)) * UP, float(np.linalg.norm(base)) * UP
+            M = float(np.linalg.norm(np.maximum(np.abs(at[0]), np.abs(at[1])))) * NORM_ROUND_UP
+            D, d = half * float(np.sqrt(base.size)) * NORM_ROUND_UP, float(np.linalg.norm(base)) * NORM_ROUND_UP
             if np.isfinite(M):
                 # |x - c| <= |x| + d; <c, v(x)> is added with the displacement of C.
                 p = -L * D + M
                 how = "bounds of the symmetric Jacobian on C, below 0" + (" outside a box" if half else "")
-                return DecayBound(-L, 2 * -L * d + p, p * d + offsets(field), how)
+                return DecayBound(-L, 2 * -L * d + p, p * d + aligned_offset(field), how)
     return None
 
 
-def _displaced(bound: DecayBound, distance: float, a: Part) -> DecayBound | None:
+def _displaced_decay(bound: DecayBound, distance: float, a: HypothesisPart) -> DecayBound | None:
     """Add d |v| <= d (a_1 + a_2 |x|), twice where the Jacobian was used: once for the cone, once for its <c, v>."""
     a_1, a_2 = a.value.get("a_1", np.inf), a.value.get("a_2", np.inf)
     if a.verdict != HOLDS or not np.isfinite(a_1 + a_2):
@@ -314,25 +322,27 @@ def _displaced(bound: DecayBound, distance: float, a: Part) -> DecayBound | None
     return DecayBound(bound.k, bound.p + times * distance * a_2, bound.q + times * distance * a_1, how)
 
 
-def _solved(bound: DecayBound, field: Field) -> Part:
+def _dissipativity_part(bound: DecayBound, field: SelectedField) -> HypothesisPart:
     """-k |x|^2 + p |x| + q <= -(k/2) |x|^2 + p^2/(2 k) + q."""
     alpha, beta = bound.k / 2, max(bound.p**2 / (2 * bound.k) + bound.q, 0.0)
-    return Part(HOLDS, bound.how, {"alpha": alpha, "beta": beta}, {})
+    return HypothesisPart(HOLDS, bound.how, {"alpha": alpha, "beta": beta}, {})
 
 
-def _bounded(field: Field, distance: float, *, quick: bool) -> Part:
+def _bounded_set_part(field: SelectedField, distance: float, *, quick: bool) -> HypothesisPart:
     """C is bounded: any alpha will do, here 1."""
     z, low, high = field.variables
     n = field.x.numel()
-    reach = float(np.linalg.norm(np.maximum(np.abs(low[:n]), np.abs(high[:n])))) * UP
+    reach = float(np.linalg.norm(np.maximum(np.abs(low[:n]), np.abs(high[:n])))) * NORM_ROUND_UP
     product = ca.dot(field.x, field.rest + ca.DM(field.shift)) + ca.sumsqr(field.x)
     rows = field.C.rows if field.C.rows.numel() else None
     top = extremum.supremum(product, z, low, high, where=rows, quick=quick)
-    beta = top.bound + offsets(field)
+    beta = top.bound + aligned_offset(field)
     if distance > 0:
         speed = extremum.supremum(ca.sumsqr(field.rest), z, low, high, quick=True)
-        beta += distance * (float(np.sqrt(max(speed.bound, 0.0))) * UP + sum(term.size for term in field.aligned) * UP)
+        beta += distance * (
+            float(np.sqrt(max(speed.bound, 0.0))) * NORM_ROUND_UP + sum(term.size for term in field.aligned) * NORM_ROUND_UP
+        )
     if not np.isfinite(beta):
-        return Part(UNKNOWN, "F - S has no bound on the box that holds C", {}, {})
+        return HypothesisPart(UNKNOWN, "F - S has no bound on the box that holds C", {}, {})
     how = f"C is bounded (|x| <= {reach:.4g}): with any alpha, here 1, beta is the largest <x, F - S> + |x|^2 on its box"
-    return Part(HOLDS, how, {"alpha": 1.0, "beta": max(beta, 0.0)}, {"bounded": "C"})
+    return HypothesisPart(HOLDS, how, {"alpha": 1.0, "beta": max(beta, 0.0)}, {"bounded": "C"})

@@ -11,17 +11,17 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.hypotheses import growth
-from nsmodel.classes.inclusion.hypotheses.growth import UP
-from nsmodel.classes.inclusion.hypotheses.selected_field import Field
+from nsmodel.classes.inclusion.hypotheses.growth import NORM_ROUND_UP
+from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
 from nsmodel.proof import exact, extremum, interval, polynomial
-from nsmodel.proof.at_infinity import curve, orders
+from nsmodel.proof.at_infinity import asymptotic_orders, polynomial_order
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
 from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.least_value import least_value
-from nsmodel.proof.convex.ridges import Ridges, ridges
-from nsmodel.proof.graph import applied, fold, keys, same
-from nsmodel.proof.monotone import factored
-from nsmodel.proof.orders import natural
+from nsmodel.proof.convex.least_value import minimise_potential
+from nsmodel.proof.convex.ridges import Ridges, find_ridges
+from nsmodel.proof.graph import apply_operation, fold_graph, is_same_expression, symbol_hashes
+from nsmodel.proof.monotone import extract_constant_factor
+from nsmodel.proof.orders import value_interval
 from nsmodel.proof.sectors import sector
 from nsmodel.proof.straight_line import is_double
 
@@ -43,14 +43,14 @@ class TangentForm(NamedTuple):
     slope: float
 
 
-def form_of(field: Field) -> TangentForm | None:
+def exact_tangent_form(field: SelectedField) -> TangentForm | None:
     """<x, rest> exactly, but for terms of ``rest`` that are bounded on C; None where neither works for some term.
 
     The jumps must enter by constant columns.
     """
     n = field.x.numel()
     whole: polynomial.Polynomial = {}
-    degree, rows = 0, growth.read_rows(field)
+    degree, rows = 0, growth.read_field_rows(field)
     for i, (p, _, _) in enumerate(rows):
         if p is None:
             return None
@@ -61,19 +61,19 @@ def form_of(field: Field) -> TangentForm | None:
         term = polynomial.multiply(own, {((i, 1),): Fraction(1)})
         if term is None:
             return None
-        whole = polynomial.add(whole, term)
-    others = float(np.linalg.norm([row.size for row in rows])) * (UP if n > 1 else 1.0)
-    slope = float(np.linalg.norm([row.slope for row in rows])) * (UP if n > 1 else 1.0)
+        whole = polynomial.add_multiple(whole, term)
+    others = float(np.linalg.norm([row.size for row in rows])) * (NORM_ROUND_UP if n > 1 else 1.0)
+    slope = float(np.linalg.norm([row.slope for row in rows])) * (NORM_ROUND_UP if n > 1 else 1.0)
     for jump in field.jumps:
         column = np.array([float(entry) for entry in ca.vertsplit(jump.B)]) if jump.B.is_constant() else np.full(n, np.inf)
-        others += float(np.linalg.norm(column)) * max(abs(jump.lower), abs(jump.upper)) * UP
+        others += float(np.linalg.norm(column)) * max(abs(jump.lower), abs(jump.upper)) * NORM_ROUND_UP
     for i, number in enumerate(field.shift):
         if number:
-            whole = polynomial.add(whole, {((i, 1),): Fraction(float(number))})
-    return _form(whole, n, others, degree, slope)
+            whole = polynomial.add_multiple(whole, {((i, 1),): Fraction(float(number))})
+    return _build_tangent_form(whole, n, others, degree, slope)
 
 
-def form_between_lines(field: Field, k: int, *, merged: bool) -> TangentForm | None:
+def sector_tangent_form(field: SelectedField, k: int, *, merged: bool) -> TangentForm | None:
     """The same, with what <x, rest> gains at infinity: the slopes of its terms are those beyond 2^k.
 
     - (c'x) h(a'x) with c = b a + d: b s h(s) <= b m s^2 + |b| r |s| where h lies between two lines, s = a'x, m the larger slope
@@ -83,29 +83,29 @@ def form_between_lines(field: Field, k: int, *, merged: bool) -> TangentForm | N
 
     ``merged``: polynomials of one direction are taken as such functions too, and may make up for others.
     """
-    terms = _Terms(field, k)
+    terms = _TangentTerms(field, k)
     for i, row in enumerate(ca.vertsplit(field.rest)):
         for outer, inner in additive_terms(row):
-            number, term = factored(inner)
+            number, term = extract_constant_factor(inner)
             if not terms.add(i, outer * number, term, merged):
                 return None
     whole, extra, rest_slope = terms.whole, 0.0, 0.0
     for direction, own in terms.ridges.items():
-        found = _ridges_between_lines(field, np.array(direction, dtype=object), own, terms.s, k)
+        found = _ridge_sector_bound(field, np.array(direction, dtype=object), own, terms.s, k)
         if found is None:
             return None
         p, size, slope = found
-        whole, extra, rest_slope = polynomial.add(whole, p), extra + size, rest_slope + slope
-    others = (float(np.linalg.norm(terms.sizes)) + extra) * UP
-    slope = (float(np.linalg.norm(terms.slopes)) + rest_slope) * UP
+        whole, extra, rest_slope = polynomial.add_multiple(whole, p), extra + size, rest_slope + slope
+    others = (float(np.linalg.norm(terms.sizes)) + extra) * NORM_ROUND_UP
+    slope = (float(np.linalg.norm(terms.slopes)) + rest_slope) * NORM_ROUND_UP
     for i, number in enumerate(field.shift):
         if number:
-            whole = polynomial.add(whole, {((i, 1),): Fraction(float(number))})
-    whole = polynomial.add(whole, {(): terms.constant}) if terms.constant else whole
-    return _form(whole, field.x.numel(), others, terms.degree, slope)
+            whole = polynomial.add_multiple(whole, {((i, 1),): Fraction(float(number))})
+    whole = polynomial.add_multiple(whole, {(): terms.constant}) if terms.constant else whole
+    return _build_tangent_form(whole, field.x.numel(), others, terms.degree, slope)
 
 
-class _Terms:
+class _TangentTerms:
     """The terms of <x, rest>, sorted by what bounds them.
 
     Attributes:
@@ -114,7 +114,7 @@ class _Terms:
         sizes, slopes: of the other terms of each row.
     """
 
-    def __init__(self, field: Field, k: int) -> None:
+    def __init__(self, field: SelectedField, k: int) -> None:
         n = field.x.numel()
         self._field, self._k = field, k
         self.whole: polynomial.Polynomial = {}
@@ -126,40 +126,40 @@ class _Terms:
     def add(self, i: int, factor: Fraction, term: ca.SX, merged: bool) -> bool:
         """Take in factor times a term of row i; False where the polynomial becomes too long."""
         field = self._field
-        (p,) = polynomial.read(term, field.x)
+        (p,) = polynomial.read_polynomials(term, field.x)
         linear = p is not None and polynomial.degree(p) <= 1
-        split = None if linear or (p is not None and not merged) else ridges(term, field.x)
+        split = None if linear or (p is not None and not merged) else find_ridges(term, field.x)
         if split is not None and split.s.numel() == 1:
             self._add_ridge(i, factor, split)
             return True
         if p is not None:
             self.degree = max(self.degree, polynomial.degree(p))
             longer = polynomial.multiply(p, {((i, 1),): factor})
-            self.whole = self.whole if longer is None else polynomial.add(self.whole, longer)
+            self.whole = self.whole if longer is None else polynomial.add_multiple(self.whole, longer)
             return longer is not None
-        radial = _radial(factor, term, i, field, self._k)
+        radial = _radial_bound(factor, term, i, field, self._k)
         if radial is not None:
-            self.whole = polynomial.add(self.whole, {((i, 2),): Fraction(radial[0])})
+            self.whole = polynomial.add_multiple(self.whole, {((i, 2),): Fraction(radial[0])})
             self.constant += Fraction(radial[1])
             return True
-        size, slope = growth.bound_of(term, field, *field.variables, 2.0**self._k)
-        self.sizes[i] += float(abs(factor)) * size * UP
-        self.slopes[i] += float(abs(factor)) * slope * UP
+        size, slope = growth.term_bound(term, field, *field.variables, 2.0**self._k)
+        self.sizes[i] += float(abs(factor)) * size * NORM_ROUND_UP
+        self.slopes[i] += float(abs(factor)) * slope * NORM_ROUND_UP
         return True
 
     def _add_ridge(self, i: int, factor: Fraction, split: Ridges) -> None:
         h = ca.substitute(split.h, split.s, self.s)
         own = self.ridges.setdefault(tuple(split.a[0]), [])
-        place = next((c for other, c in own if same(other, h)), None)
+        place = next((c for other, c in own if is_same_expression(other, h)), None)
         if place is None:
             place = [Fraction(0)] * self._field.x.numel()
             own.append((h, place))
         place[i] += factor
 
 
-def _form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slope: float) -> TangentForm | None:
+def _build_tangent_form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slope: float) -> TangentForm | None:
     low = {monomial: number for monomial, number in whole.items() if sum(power for _, power in monomial) <= 2}
-    found = polynomial.quadratic(low, n)
+    found = polynomial.as_quadratic(low, n)
     if found is None or not np.isfinite(others + slope):
         return None
     higher = {monomial: number for monomial, number in whole.items() if monomial not in low}
@@ -167,13 +167,13 @@ def _form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slop
     return TangentForm(Q, found.q, found.c, higher, others, whole, degree, slope)
 
 
-def _ridges_between_lines(
-    field: Field, a: np.ndarray, terms: list[tuple[ca.SX, list[Fraction]]], s: ca.SX, k: int
+def _ridge_sector_bound(
+    field: SelectedField, a: np.ndarray, terms: list[tuple[ca.SX, list[Fraction]]], s: ca.SX, k: int
 ) -> tuple[polynomial.Polynomial, float, float] | None:
     """(p, r, b) with sum of (c'x) h(a'x) <= p(x) + r |x| + b |x|^2."""
     n = len(a)
-    ends = Ridges(s, s, a[None, :]).box(field.x, *field.C.hull)
-    length = growth.norm(exact.doubles(a[None, :]))
+    ends = Ridges(s, s, a[None, :]).box(field.x, *field.C.bounding_box)
+    length = growth.rounded_norm(exact.doubles(a[None, :]))
     j = next(i for i, number in enumerate(a) if number)
     p: polynomial.Polynomial = {}
     size = slope = 0.0
@@ -183,101 +183,101 @@ def _ridges_between_lines(
         b = c[j] / a[j] if len(terms) == 1 else Fraction(float(c[j] / a[j]))
         along += (float((b > 0) - (b < 0)) if len(terms) == 1 else float(b)) * h
         left = [number - b * entry for number, entry in zip(c, a, strict=True)]
-        (exactly,) = polynomial.read(h, s)
+        (exactly,) = polynomial.read_polynomials(h, s)
         if any(left) and exactly is not None:
-            longer = _composed(left, exactly, a)
+            longer = _compose_ridge(left, exactly, a)
             if longer is None:
                 return None
-            p = polynomial.add(p, longer)
+            p = polynomial.add_multiple(p, longer)
         elif any(left):
             found = sector(h, s, ends[0][0], ends[1][0], k)
             if found is None or not found.bounded:
                 return None
             middle = found.low + (found.high - found.low) / 2
             width = max(found.high - middle, middle - found.low)
-            distance = growth.norm(exact.doubles(np.array([left], dtype=object)))
-            size, slope = size + distance * found.reach * UP, slope + distance * width * length * UP
+            distance = growth.rounded_norm(exact.doubles(np.array([left], dtype=object)))
+            size, slope = size + distance * found.reach * NORM_ROUND_UP, slope + distance * width * length * NORM_ROUND_UP
             for u, v in product(range(n), range(n)):
                 number = left[u] * Fraction(middle) * a[v]
-                p = polynomial.add(p, _square(u, v, number))
+                p = polynomial.add_multiple(p, _quadratic_term(u, v, number))
     found = sector(along, s, ends[0][0], ends[1][0], k)
     if found is None or not np.isfinite(found.high):
-        (exactly,) = polynomial.read(along, s)
-        longer = None if exactly is None else _composed([abs(whole) * number for number in a], exactly, a)
-        return None if longer is None else (polynomial.add(p, longer), size, slope)
+        (exactly,) = polynomial.read_polynomials(along, s)
+        longer = None if exactly is None else _compose_ridge([abs(whole) * number for number in a], exactly, a)
+        return None if longer is None else (polynomial.add_multiple(p, longer), size, slope)
     for u, v in product(range(n), range(n)):
-        p = polynomial.add(p, _square(u, v, abs(whole) * Fraction(found.high) * a[u] * a[v]))
-    return p, size + exact.up(abs(whole)) * found.reach * length * UP, slope
+        p = polynomial.add_multiple(p, _quadratic_term(u, v, abs(whole) * Fraction(found.high) * a[u] * a[v]))
+    return p, size + exact.round_up(abs(whole)) * found.reach * length * NORM_ROUND_UP, slope
 
 
-def _composed(c: Sequence[Fraction], h: polynomial.Polynomial, a: np.ndarray) -> polynomial.Polynomial | None:
+def _compose_ridge(c: Sequence[Fraction], h: polynomial.Polynomial, a: np.ndarray) -> polynomial.Polynomial | None:
     """(c'x) h(a'x) as a polynomial in x; None where it is too long."""
     direction = {((i, 1),): number for i, number in enumerate(a) if number}
     total: polynomial.Polynomial = {}
     factor: polynomial.Polynomial | None = {((i, 1),): number for i, number in enumerate(c) if number}
-    for number in polynomial.coefficients(h):
+    for number in polynomial.univariate_coefficients(h):
         if factor is None:
             return None
-        total = polynomial.add(total, factor, number) if number else total
+        total = polynomial.add_multiple(total, factor, number) if number else total
         factor = polynomial.multiply(factor, direction)
     return total
 
 
-def _square(u: int, v: int, number: Fraction) -> polynomial.Polynomial:
+def _quadratic_term(u: int, v: int, number: Fraction) -> polynomial.Polynomial:
     if not number:
         return {}
     return {((u, 2),): number} if u == v else {((min(u, v), 1), (max(u, v), 1)): number}
 
 
-def _radial(factor: Fraction, term: ca.SX, i: int, field: Field, k: int) -> tuple[float, float] | None:
+def _radial_bound(factor: Fraction, term: ca.SX, i: int, field: SelectedField, k: int) -> tuple[float, float] | None:
     """(m, q) with factor times x_i term <= m x_i^2 + q, where the term is x_i psi: psi of |x|^2, or bounded on the hull of C."""
-    psi = _without(term, i, field.x)
+    psi = _without_factor(term, i, field.x)
     if psi is None:
         return None
     psi = float(factor) * psi if is_double(factor) else None
     if psi is None:
         return None
     square = ca.SX.sym("square")
-    shown = in_square(psi, field.x, square)
-    if shown is not None:
-        (order,) = orders(shown, square, [curve([0, 1], k)], k)
-        top = np.inf if order is None else float(natural(order, k)[1][0])
+    radial_function = as_function_of_square(psi, field.x, square)
+    if radial_function is not None:
+        (order,) = asymptotic_orders(radial_function, square, [polynomial_order([0, 1], k)], k)
+        top = np.inf if order is None else float(value_interval(order, k)[1][0])
         if np.isfinite(top):
-            inner = extremum.supremum(shown, square, np.zeros(1), np.array([2.0**k]), quick=True).bound
+            inner = extremum.supremum(radial_function, square, np.zeros(1), np.array([2.0**k]), quick=True).bound
             if np.isfinite(inner):
-                return top, max(inner - top, 0.0) * 2.0**k * UP
+                return top, max(inner - top, 0.0) * 2.0**k * NORM_ROUND_UP
     z, low, high = field.variables
     top = float(np.max(interval.enclose(psi, z, low, high)[1]))
     return (top, 0.0) if np.isfinite(top) else None
 
 
-def _without(term: ca.SX, i: int, x: ca.SX) -> ca.SX | None:
+def _without_factor(term: ca.SX, i: int, x: ca.SX) -> ca.SX | None:
     """The term without a factor c x_i, c put in; None where it is not seen."""
-    (p,) = polynomial.read(term, x)
+    (p,) = polynomial.read_polynomials(term, x)
     if p is not None:
         number = p.get(((i, 1),))
         return ca.SX(float(number)) if number is not None and len(p) == 1 and is_double(number) else None
     op = term.op()
     if op == ca.OP_MUL:
         for one, other in ((0, 1), (1, 0)):
-            left = _without(term.dep(one), i, x)
+            left = _without_factor(term.dep(one), i, x)
             if left is not None:
                 return left * term.dep(other)
     if op == ca.OP_DIV:
-        left = _without(term.dep(0), i, x)
+        left = _without_factor(term.dep(0), i, x)
         return None if left is None else left / term.dep(1)
     if op == ca.OP_NEG:
-        left = _without(term.dep(0), i, x)
+        left = _without_factor(term.dep(0), i, x)
         return None if left is None else -left
     return None
 
 
-def in_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
+def as_function_of_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
     """A function of |x|^2 written with the symbol ``square``; None where it is not seen to be one."""
     n = x.numel()
     place = {entry.element_hash(): i for i, entry in enumerate(ca.vertsplit(x))}
 
-    def shown(node: ca.SX | None, p: polynomial.Polynomial | None) -> ca.SX | None:
+    def from_square(node: ca.SX | None, p: polynomial.Polynomial | None) -> ca.SX | None:
         if p is None or polynomial.is_constant(p):
             return node
         numbers = {p.get(((i, 2),)) for i in range(n)}
@@ -288,52 +288,52 @@ def in_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
         return float(number) * square + float(offset) if is_double(number) and is_double(offset) else None
 
     def apply(op: int, args: list) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
-        p = polynomial.apply(op, [q for _, q in args]) if all(q is not None for _, q in args) else None
+        p = polynomial.apply_to_polynomials(op, [q for _, q in args]) if all(q is not None for _, q in args) else None
         if p is not None and polynomial.degree(p) <= 2:
-            return (applied(op, [node for node, _ in args]) if all(node is not None for node, _ in args) else None), p
-        nodes = [shown(node, q) for node, q in args]
+            return (apply_operation(op, [node for node, _ in args]) if all(node is not None for node, _ in args) else None), p
+        nodes = [from_square(node, q) for node, q in args]
         known = [node for node in nodes if node is not None]
-        return (applied(op, known) if len(known) == len(nodes) else None), None
+        return (apply_operation(op, known) if len(known) == len(nodes) else None), None
 
     def variable(entry: ca.SX) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
         i = place.get(entry.element_hash())
         return entry, None if i is None else {((i, 1),): Fraction(1)}
 
-    (last,) = fold(expr, variable, lambda number: (ca.SX(number), polynomial.constant(number)), apply)
-    result = shown(*last)
-    return result if result is not None and not keys(result) - keys(square) else None
+    (last,) = fold_graph(expr, variable, lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply)
+    result = from_square(*last)
+    return result if result is not None and not symbol_hashes(result) - symbol_hashes(square) else None
 
 
-def offsets(field: Field) -> float:
+def aligned_offset(field: SelectedField) -> float:
     """What the aligned multipliers add to <x, v> at most, beside their nearest elements to 0."""
-    return sum(term.offset for term in field.aligned) * (UP if len(field.aligned) > 1 else 1.0)
+    return sum(term.offset for term in field.aligned) * (NORM_ROUND_UP if len(field.aligned) > 1 else 1.0)
 
 
-def nearest(C: ConvexSet) -> np.ndarray | None:
+def nearest_point_to_zero(C: ConvexSet) -> np.ndarray | None:
     """A point of C, surely in it, as near to 0 as doubles make it."""
     zero = np.zeros(C.n)
-    if holds(C, zero):
+    if is_point_in_set(C, zero):
         return zero
-    clipped = np.clip(zero, *C.hull)
-    if holds(C, clipped):
+    clipped = np.clip(zero, *C.bounding_box)
+    if is_point_in_set(C, clipped):
         return clipped
     inner = has_interior(C, clipped).witness.get("interior point")
     if inner is None:
         return None
-    near, _ = least_value(ca.sumsqr(C.x), C, np.asarray(inner))
+    near, _ = minimise_potential(ca.sumsqr(C.x), C, np.asarray(inner))
     for part in (0.0, 1e-9, 1e-6, 1e-3, 1e-1, 1.0):
         point = near + part * (np.asarray(inner) - near)
-        if holds(C, point):
+        if is_point_in_set(C, point):
             return point
     return None
 
 
-def holds(C: ConvexSet, point: np.ndarray) -> bool:
+def is_point_in_set(C: ConvexSet, point: np.ndarray) -> bool:
     """Whether a point is in C, exactly where the rows are polynomials, else by intervals."""
     x = [Fraction(float(entry)) for entry in point]
     for i, p in enumerate(C.polynomials):
         if p is not None:
-            if polynomial.value(p, x) < 0:
+            if polynomial.evaluate_polynomial(p, x) < 0:
                 return False
         elif not float(np.min(interval.enclose(C.rows[i], C.x, point, point)[0])) >= 0:
             return False

@@ -17,17 +17,17 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.set_valued import constraints, selection
+from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
 from nsmodel.laws import complementarity
-from nsmodel.scheme.problem import OneStepProblem, Prediction, carrying
+from nsmodel.scheme.problem import OneStepProblem, Prediction, with_carried_inputs
 
 
 def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the exact projection of the predictor (here the ``state``) on C: z - y_k - grad c(z)' n = 0, 0 <= n ⟂ c(z) >= 0."""
     h, predictor, z = ca.SX.sym("h"), ca.SX.sym("predictor", model.x.numel()), ca.SX.sym("x_next", model.x.numel())
-    c, names = constraints(model)
+    c, names = set_constraints(model)
     u_end = ca.SX.sym("u_next", model.u.numel())
-    n, chosen = ca.SX.sym("n", c.numel()), selection(model)
+    n, chosen = ca.SX.sym("n", c.numel()), velocity_selection(model)
     at_end = c, ca.jacobian(c, model.x)
     Y, J = ca.substitute(at_end, [model.t, model.x, model.u], [model.t + h, z, u_end]) if n.numel() else at_end
     problem = OneStepProblem(
@@ -44,7 +44,7 @@ def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
             None if model.constraints else (model.lower, model.upper), model.u, model.tolerances,
         ),
     )  # fmt: skip
-    return carrying(problem, model.u, u_end)
+    return with_carried_inputs(problem, model.u, u_end)
 
 
 def initial_rows(model: MonotoneInclusion, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
@@ -54,4 +54,4 @@ def initial_rows(model: MonotoneInclusion, h: float) -> list[tuple[np.ndarray, d
 
 def kept_within(model: MonotoneInclusion) -> ca.SX:
     """All that bounds C, boxes and the domain of phi included."""
-    return constraints(model)[0]
+    return set_constraints(model)[0]

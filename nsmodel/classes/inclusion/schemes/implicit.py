@@ -17,23 +17,23 @@ import casadi as ca
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.schemes.catching_up import initial_rows, kept_within
-from nsmodel.classes.inclusion.set_valued import Selection, constraints, selection
+from nsmodel.classes.inclusion.set_valued import Selection, set_constraints, velocity_selection
 from nsmodel.laws import complementarity, product, relay
 from nsmodel.proof import polynomial
-from nsmodel.proof.graph import column
-from nsmodel.scheme.problem import OneStepProblem, carrying
+from nsmodel.proof.graph import stack_column
+from nsmodel.scheme.problem import OneStepProblem, with_carried_inputs
 
 __all__ = ["initial_rows", "kept_within", "one_step_problem"]
 
 
 def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the resolvent as (z, l, n): the velocity v = F - S and the reaction grad c' n make x_{k+1} = x_k + h (v + ...)."""
-    h, z, chosen = ca.SX.sym("h"), ca.SX.sym("x_next", model.x.numel()), selection(model)
+    h, z, chosen = ca.SX.sym("h"), ca.SX.sym("x_next", model.x.numel()), velocity_selection(model)
     u_end = ca.SX.sym("u_next", model.u.numel())
-    (c, names), l = constraints(model), chosen.l
+    (c, names), l = set_constraints(model), chosen.l
     n, S, law, scale = ca.SX.sym("n", c.numel()), chosen.S, chosen.law, ca.SX.ones(l.numel())
     if model.sign_symbols.numel():
-        scale = ca.vertcat(*(_share(model, chosen, i) for i in range(l.numel())))
+        scale = ca.vertcat(*(_sign_scale(model, chosen, i) for i in range(l.numel())))
         S, law = ca.substitute(S, l, l / scale), relay(l.numel(), -scale, scale)
     at_end = S, chosen.u, c, ca.jacobian(c, model.x)
     S, u, c, J = ca.substitute(at_end, [model.t, model.x, model.u], [model.t + h, z, u_end])
@@ -50,17 +50,17 @@ def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
         records={"v": v, "selection": l / scale},
         assumed=ca.vertcat(ca.SX(0, 1), *(own for own in ca.vertsplit(scale) if not own.is_constant())),
     )  # fmt: skip
-    return carrying(problem, model.u, u_end)
+    return with_carried_inputs(problem, model.u, u_end)
 
 
-def _share(model: MonotoneInclusion, chosen: Selection, i: int) -> ca.SX:
+def _sign_scale(model: MonotoneInclusion, chosen: Selection, i: int) -> ca.SX:
     """beta > 0, a number or an expression of the parameters, where row i of S's signs has the direction beta grad u_i; else 1."""
     B, slope = ca.jacobian(chosen.S, chosen.l[i]), ca.jacobian(chosen.u[i], model.x)
-    if ca.depends_on(ca.vertcat(B, slope.T), column([model.t, model.x, chosen.l])) or not slope.nnz():
+    if ca.depends_on(ca.vertcat(B, slope.T), stack_column([model.t, model.x, chosen.l])) or not slope.nnz():
         return ca.SX(1)
     j = slope.sparsity().get_triplet()[1][0]
     beta = -B[j] / slope[j]
     cross = B * slope[j] - slope.T * B[j]
-    if any(p != {} for p in polynomial.read(cross, model.p)) or (beta.is_constant() and not float(beta) > 0):
+    if any(p != {} for p in polynomial.read_polynomials(cross, model.p)) or (beta.is_constant() and not float(beta) > 0):
         return ca.SX(1)
     return beta

@@ -9,25 +9,46 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.hypotheses import large, range_condition
-from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, Growth, hypomonotone
-from nsmodel.classes.lure.hypotheses.pairing import root
-from nsmodel.classes.lure.hypotheses.passivity import D_PSD, PAPER, STORAGE, input_output, storage
+from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, HypomonotoneBound, hypomonotone
+from nsmodel.classes.lure.hypotheses.pairing import rational_cholesky
+from nsmodel.classes.lure.hypotheses.passivity import (
+    D_PSD_HYPOTHESIS,
+    LURE_PAPER,
+    STORAGE_HYPOTHESIS,
+    decide_input_output,
+    decide_storage,
+)
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
+from nsmodel.hypotheses.findings import (
+    HOLDS,
+    SAMPLED,
+    UNKNOWN,
+    VIOLATED,
+    Consequence,
+    Finding,
+    Hypothesis,
+    make_consequence,
+    make_finding,
+)
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import meet
+from nsmodel.hypotheses.scope import intersect_scopes
 from nsmodel.proof import exact, interval
-from nsmodel.proof.absolutely_continuous import absolutely_continuous
-from nsmodel.proof.defined import Defined, in_time
-from nsmodel.proof.exact import EPS
+from nsmodel.proof.absolutely_continuous import is_absolutely_continuous
+from nsmodel.proof.defined import DefinednessResult, check_defined_in_time
+from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.trajectory import Trajectory
 
-_OWN = {hypothesis.id: hypothesis for hypothesis in (D_PSD, STORAGE, HYPOMONOTONE, *range_condition.HYPOTHESES)}
-ORDER = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c", "5.x0", "7.1")
-HYPOTHESES = tuple(_OWN[id] for id in ORDER)
+_HYPOTHESES_BY_ID = {
+    hypothesis.id: hypothesis
+    for hypothesis in (D_PSD_HYPOTHESIS, STORAGE_HYPOTHESIS, HYPOMONOTONE, *range_condition.RANGE_HYPOTHESES)
+}
+REPORT_ORDER = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c", "5.x0", "7.1")
+HYPOTHESES = tuple(_HYPOTHESES_BY_ID[id] for id in REPORT_ORDER)
 TWIN = True  # Two solutions are compared: a check makes a second run, from another start.
-CONTRACTION = Hypothesis("run-contraction", "|x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P for two runs", f"{PAPER}, (40)")
-MONOTONE = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c")
+CONTRACTION_HYPOTHESIS = Hypothesis(
+    "run-contraction", "|x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P for two runs", f"{LURE_PAPER}, (40)"
+)
+MONOTONE_PREMISES = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c")
 
 
 def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: bool) -> tuple[list[Finding], list[Consequence]]:
@@ -40,75 +61,77 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
         quick: no searches, no semidefinite programs.
     """
     if large.is_large(model):
-        growth, ordered = large.findings(model)
-        return list(ordered), consequences_of(model, region, growth, ordered)
+        growth, ordered = large.structural_findings(model)
+        return list(ordered), lure_consequences(model, region, growth, ordered)
     B, C, D = (np.array(ca.DM(matrix)).reshape(matrix.shape) for matrix in (model.B, model.C, model.D))
-    passivity = storage(B, C)
+    passivity = decide_storage(B, C)
     growth = hypomonotone(model, passivity, region, quick)
-    own = [input_output(D), passivity.finding, growth.finding]
+    own = [decide_input_output(D), passivity.finding, growth.finding]
     others = range_condition.range_findings(model, quick)
     findings = {finding.id: finding for finding in [*own, *others]}
-    ordered = [findings[id] for id in ORDER]
-    made = consequences_of(model, region, growth, ordered)
+    ordered = [findings[id] for id in REPORT_ORDER]
+    made = lure_consequences(model, region, growth, ordered)
     if len(runs) > 1 and growth.P is not None and np.isfinite(growth.omega):
-        ordered.append(contraction(model, growth.P, growth.omega, *runs[:2]))
+        ordered.append(compare_contraction(model, growth.P, growth.omega, *runs[:2]))
     return ordered, made
 
 
-def consequences_of(
-    model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]
+def lure_consequences(
+    model: LureSystem, region: Region, growth: HypomonotoneBound, findings: Sequence[Finding]
 ) -> list[Consequence]:  # fmt: skip
     """What follows from the findings, the growth that of 5.2."""
     here = "" if growth.everywhere else " while both stay inside the box"
     norm = ", P the P_omega of 5.2" if growth.P is not None else ", P that of 5.1"
-    texts = _one_solution(model, region)
-    well = follows(
+    texts = _forcing_regularity_reason(model, region)
+    well = make_consequence(
         "well posed",
         f"one and only one solution starts at x0{texts}",
         findings,
-        (*MONOTONE, "5.x0"),
-        f"{PAPER}, Corollary 5.7",
+        (*MONOTONE_PREMISES, "5.x0"),
+        f"{LURE_PAPER}, Corollary 5.7",
     )
-    contraction = follows(
-        "contraction", f"|x(t) - y(t)|_P <= e^(omega t) |x_0 - y_0|_P for any two solutions{here}{norm}", findings, MONOTONE,
-        f"{PAPER}, (40)", {"omega": growth.omega} if np.isfinite(growth.omega) else {},
+    contraction = make_consequence(
+        "contraction", f"|x(t) - y(t)|_P <= e^(omega t) |x_0 - y_0|_P for any two solutions{here}{norm}", findings,
+        MONOTONE_PREMISES, f"{LURE_PAPER}, (40)", {"omega": growth.omega} if np.isfinite(growth.omega) else {},
     )  # fmt: skip
     timed = region.scope(timed=bool(ca.depends_on(ca.vertcat(model.f, model.e), model.t)))
-    well, contraction = (replace(item, scope=meet(item.scope, timed)) for item in (well, contraction))
+    well, contraction = (replace(item, scope=intersect_scopes(item.scope, timed)) for item in (well, contraction))
     if ca.depends_on(model.e, ca.vertcat(model.t, model.u)):
         well, contraction = (
-            replace(item, statement=f"{item.statement}; {range_condition.MOVING}") for item in (well, contraction)
+            replace(item, statement=f"{item.statement}; {range_condition.MOVING_OFFSET_NOTE}") for item in (well, contraction)
         )
-        texts = range_condition.MOVING
+        texts = range_condition.MOVING_OFFSET_NOTE
     if texts:
         well, contraction = replace(well, verdict=UNKNOWN), replace(contraction, verdict=UNKNOWN)
-    return [well, contraction, *_stability(model, region, growth, findings)]
+    return [well, contraction, *_stability_consequences(model, region, growth, findings)]
 
 
-def _one_solution(model: LureSystem, region: Region) -> str:
+def _forcing_regularity_reason(model: LureSystem, region: Region) -> str:
     """What Theorem 5.6 asks of f beside its assumptions: continuous, f' locally integrable; '' where that is proved."""
     f, t = model.f, model.t
     if not ca.depends_on(f, t):
         return ""
     last = max(region.t1, float(model.t_end or 0.0))  # a run may have stopped before
-    z, (low, high) = ca.vertcat(t, model.p), region.of_parameters()
+    z, (low, high) = ca.vertcat(t, model.p), region.parameter_bounds()
     ends = np.append(region.t0, low), np.append(last, high)
     if interval.is_continuous(f, z, *ends) and np.isfinite(interval.enclose(ca.jacobian(f, t), z, *ends)).all():
         return ""
-    defined = Defined(UNKNOWN, "") if model.p.numel() else in_time(f, t, region.t0, last)
+    defined = DefinednessResult(UNKNOWN, "") if model.p.numel() else check_defined_in_time(f, t, region.t0, last)
     if defined.verdict == VIOLATED:
         return f"; f has no finite value for all times: {defined.how}"
-    if defined.verdict == HOLDS and absolutely_continuous(f, t, region.t0, last):
+    if defined.verdict == HOLDS and is_absolutely_continuous(f, t, region.t0, last):
         return ""
     return f"; f is not seen to be absolutely continuous on [{region.t0:g}, {last:g}], which the theorem asks for"
 
 
-def _stability(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
+def _stability_consequences(
+    model: LureSystem, region: Region, growth: HypomonotoneBound, findings: Sequence[Finding]
+) -> list[Consequence]:
     """Proposition 7.3: it needs omega <= 0, or omega < 0, and f = 0 beside its assumptions; without a box, for all states."""
     made, omega = [], growth.omega
     known = {"omega": omega} if np.isfinite(omega) else {}
     size = f"omega = {omega:.4g}" if known else "no omega is known"
-    radius = np.inf if growth.everywhere or growth.P is None else _radius(growth.P, region)
+    radius = np.inf if growth.everywhere or growth.P is None else _ball_radius_in_box(growth.P, region)
     for name, premise, met in (
         ("Lyapunov stable", "omega <= 0", omega <= 0),
         ("globally asymptotically stable", "omega < 0", omega < 0),
@@ -123,8 +146,8 @@ def _stability(model: LureSystem, region: Region, growth: Growth, findings: Sequ
             reasons.append(f"omega is known on the box alone: solutions from |x|_P < {radius:.4g} tend to 0")
         statement = f"the solution 0 is {name}" + (f"; {size} is zero up to the accuracy of the search for P" if rounded else "")
         value = known if not np.isfinite(radius) else {**known, "radius": radius}
-        consequence = follows(
-            name, "; ".join([statement, *reasons]), findings, (*MONOTONE, "7.1"), f"{PAPER}, Proposition 7.3", value
+        consequence = make_consequence(
+            name, "; ".join([statement, *reasons]), findings, (*MONOTONE_PREMISES, "7.1"), f"{LURE_PAPER}, Proposition 7.3", value
         )
         if reasons:
             consequence = replace(consequence, verdict=UNKNOWN)
@@ -134,16 +157,16 @@ def _stability(model: LureSystem, region: Region, growth: Growth, findings: Sequ
     return made
 
 
-def _radius(P: np.ndarray, region: Region) -> float:
+def _ball_radius_in_box(P: np.ndarray, region: Region) -> float:
     """The largest r with {|x|_P < r} inside the box."""
-    inverse = exact.inverse(P)
+    inverse = exact.inverse_matrix(P)
     if inverse is None:
         return 0.0
     reach = np.sqrt(exact.doubles(np.diagonal(inverse)))  # max of x_i over |x|_P <= 1
-    return float(max(0.0, (np.minimum(-region.lower, region.upper) / reach).min()) * (1 - 8 * EPS))
+    return float(max(0.0, (np.minimum(-region.lower, region.upper) / reach).min()) * (1 - 8 * MACHINE_EPSILON))
 
 
-def contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajectory, run_b: Trajectory) -> Finding:
+def compare_contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajectory, run_b: Trajectory) -> Finding:
     """Compare the distance of two runs on the same grid with (40), row by row.
 
     With d_k = x_k - y_k, gamma = 1 and l monotone in y, a step obeys |d_{k+1}|_P^2 (1 - 2 h omega - h^2 (1-theta)^2 kappa^2)
@@ -155,33 +178,37 @@ def contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajector
         run_a, run_b: runs from different starts.
     """
     if run_a.t.shape != run_b.t.shape or not np.array_equal(run_a.t, run_b.t):
-        return found(CONTRACTION, UNKNOWN, "the two runs have different times")
+        return make_finding(CONTRACTION_HYPOTHESIS, UNKNOWN, "the two runs have different times")
     h = np.diff(run_a.t)
     if any(run.metadata["save_every"] != 1 for run in (run_a, run_b)) or not len(h):
-        return found(CONTRACTION, UNKNOWN, "the runs do not hold every row (save_every)")
-    L, d = root(exact.rational(P)), run_a.x - run_b.x
+        return make_finding(CONTRACTION_HYPOTHESIS, UNKNOWN, "the runs do not hold every row (save_every)")
+    L, d = rational_cholesky(exact.rational(P)), run_a.x - run_b.x
     size = np.linalg.norm(d @ L, axis=1)
     if not size[0] > 0:
-        return found(CONTRACTION, UNKNOWN, "the two runs have the same start")
+        return make_finding(CONTRACTION_HYPOTHESIS, UNKNOWN, "the two runs have the same start")
     t, bound = run_a.t - run_a.t[0], size[0] * np.exp(np.minimum(omega * (run_a.t - run_a.t[0]), 700.0))
-    discrete = size[0] * np.exp(np.concatenate([[0.0], np.cumsum(_growth_of_steps(model, L, omega, run_a, run_b, h))]))
+    discrete = size[0] * np.exp(np.concatenate([[0.0], np.cumsum(_log_step_growth(model, L, omega, run_a, run_b, h))]))
     tolerance = max(float(run.metadata["tolerance"]) for run in (run_a, run_b))
-    rounding = (64 * EPS + tolerance) * np.arange(1, len(t) + 1) * np.linalg.norm(run_a.x @ L, axis=1).max(initial=1.0)
+    rounding = (
+        (64 * MACHINE_EPSILON + tolerance) * np.arange(1, len(t) + 1) * np.linalg.norm(run_a.x @ L, axis=1).max(initial=1.0)
+    )
     k = int(np.argmax(size / bound))
     value = {"largest ratio to the bound": size[k] / bound[k], "omega": omega}
     witness = {"t": t[k], "distance": size[k], "bound": bound[k]}
     how = f"measured at {len(t)} rows, against (40) with the growth that the step size adds"
     if model.gamma != 1:
-        return found(CONTRACTION, SAMPLED, "measured beside (40); for gamma < 1 the scheme promises no bound", value, witness)
+        return make_finding(
+            CONTRACTION_HYPOTHESIS, SAMPLED, "measured beside (40); for gamma < 1 the scheme promises no bound", value, witness
+        )
     over = size > discrete * (1 + 1e-9) + rounding
     if over.any():
         k = int(np.argmax(over))
         witness = {"t": t[k], "distance": size[k], "bound of the scheme": discrete[k]}
-        return found(CONTRACTION, VIOLATED, how, value, witness)
-    return found(CONTRACTION, HOLDS, how, value, witness)
+        return make_finding(CONTRACTION_HYPOTHESIS, VIOLATED, how, value, witness)
+    return make_finding(CONTRACTION_HYPOTHESIS, HOLDS, how, value, witness)
 
 
-def _growth_of_steps(
+def _log_step_growth(
     model: LureSystem, L: np.ndarray, omega: float, run_a: Trajectory, run_b: Trajectory, h: np.ndarray
 ) -> np.ndarray:
     """log |d_{k+1}|_P / |d_k|_P at most, (N,), for the scheme with gamma = 1; inf where the step is too long for a bound."""

@@ -17,28 +17,28 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.hypotheses import for_all
-from nsmodel.classes.lure.hypotheses.passivity import PAPER
-from nsmodel.classes.lure.hypotheses.range_condition import MOVING
+from nsmodel.classes.lure.hypotheses.passivity import LURE_PAPER
+from nsmodel.classes.lure.hypotheses.range_condition import MOVING_OFFSET_NOTE
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import Consequence, Finding
-from nsmodel.hypotheses.inputs import Motion, unsettled
-from nsmodel.hypotheses.moving_law import timed_law
+from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
+from nsmodel.hypotheses.moving_law import law_time_as_input
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import interval
 from nsmodel.trajectory import Trajectory
 
 PARTS = {"f": ("f",), "e": ("e",), "law": ("law",)}
-INTEGRABLE = f"{PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
-BOUNDED = f"{PAPER}, Section 5, at each time; for K(t) bounded and measurable Filippov 1988, Section 7"
-AT_REST = ("Lyapunov stable", "globally asymptotically stable")
-WORDS = {
+INTEGRABLE_SOURCE = f"{LURE_PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
+BOUNDED_SOURCE = f"{LURE_PAPER}, Section 5, at each time; for K(t) bounded and measurable Filippov 1988, Section 7"
+STABILITY_NAMES = ("Lyapunov stable", "globally asymptotically stable")
+SIGNAL_PHRASES = {
     "one and only one solution starts": "for each signal one and only one absolutely continuous solution starts",
     "any two solutions": "any two solutions of one signal",
 }
 
 
 def findings(
-    model: LureSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+    model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those for constant inputs: none asks how f moves; see the inclusions' module of this name."""
     del model, region, motion, runs, quick
@@ -46,30 +46,30 @@ def findings(
 
 
 def consequences(
-    model: LureSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
+    model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal; nothing is at rest that a signal drives."""
     del runs
-    made = [item for item in for_all.consequences(model, region, own) if item.name not in AT_REST]
-    for few, whole in WORDS.items():
+    made = [item for item in for_all.consequences(model, region, own) if item.name not in STABILITY_NAMES]
+    for few, whole in SIGNAL_PHRASES.items():
         made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]
-    made = [replace(item, source=INTEGRABLE) if item.name == "well posed" else item for item in made]
-    if motion.read_by(model.e) or _moves_without_end(model, motion):
-        return [unsettled(item, MOVING) for item in made]
-    if motion.read_by(model.law):
-        made = [replace(item, source=BOUNDED) if item.name == "well posed" else item for item in made]
-    low, high = region.of_parameters()
+    made = [replace(item, source=INTEGRABLE_SOURCE) if item.name == "well posed" else item for item in made]
+    if motion.indices_read_by(model.e) or _has_moving_half_line(model, motion):
+        return [unknown_consequence(item, MOVING_OFFSET_NOTE) for item in made]
+    if motion.indices_read_by(model.law):
+        made = [replace(item, source=BOUNDED_SOURCE) if item.name == "well posed" else item for item in made]
+    low, high = region.parameter_bounds()
     last = max(region.t1, float(model.t_end or 0.0))
     bounded = interval.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))
-    return made if np.isfinite(bounded).all() else [unsettled(item, "f is not seen to be bounded") for item in made]
+    return made if np.isfinite(bounded).all() else [unknown_consequence(item, "f is not seen to be bounded") for item in made]
 
 
-def standing(model: LureSystem) -> LureSystem:
+def freeze_law(model: LureSystem) -> LureSystem:
     """The system with time in its law as an input: at each time K has numbers."""
-    return timed_law(model)
+    return law_time_as_input(model)
 
 
-def _moves_without_end(model: LureSystem, motion: Motion) -> bool:
+def _has_moving_half_line(model: LureSystem, motion: InputBounds) -> bool:
     """Whether the finite end of an interval without end moves, and D hands it on to y."""
     if model.law is None:
         return False

@@ -11,32 +11,32 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.lure.hypotheses.dissipation import Rate, least_rate
-from nsmodel.classes.lure.hypotheses.jacobian_hull import bounded_hull, sampled_hull, tidy
-from nsmodel.classes.lure.hypotheses.pairing import condition, root, shown, well_conditioned
-from nsmodel.classes.lure.hypotheses.passivity import PAPER, Passivity
+from nsmodel.classes.lure.hypotheses.dissipation import ProvedRate, least_rate
+from nsmodel.classes.lure.hypotheses.jacobian_hull import bounded_hull, sampled_hull, simplify_factors
+from nsmodel.classes.lure.hypotheses.pairing import condition_number, matrix_witness, rational_cholesky, well_conditioned_block
+from nsmodel.classes.lure.hypotheses.passivity import LURE_PAPER, Passivity
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import exact, extremum, interval
-from nsmodel.proof.exact import EPS
-from nsmodel.proof.graph import operations
-from nsmodel.proof.jumps import find_jump, jumps_in
-from nsmodel.proof.sure import sure
+from nsmodel.proof.exact import MACHINE_EPSILON
+from nsmodel.proof.graph import operation_codes
+from nsmodel.proof.jumps import find_jump, jump_nodes
+from nsmodel.proof.sure import not_none
 
 HYPOMONOTONE = Hypothesis(
-    "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{PAPER}, Assumption 5.2"
+    "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{LURE_PAPER}, Assumption 5.2"
 )
-NAME = "P_omega"  # of the P of this assumption; 5.1 has another one
+P_OMEGA = "P_omega"  # of the P of this assumption; 5.1 has another one
 # Operations that are defined and continuous everywhere.
-CONTINUOUS = {
+CONTINUOUS_OPERATIONS = {
     ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
     ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
     ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
 }  # fmt: skip
 
 
-class Growth(NamedTuple):
+class HypomonotoneBound(NamedTuple):
     """What 5.2 gives.
 
     Attributes:
@@ -54,7 +54,7 @@ class Growth(NamedTuple):
     accuracy: float = 0.0
 
 
-def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> Growth:
+def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> HypomonotoneBound:
     """Decide 5.2 with an omega as small as can be found.
 
     Args:
@@ -68,45 +68,53 @@ def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick:
     if passivity.pairing is None:
         numbers = {}
         if not ca.depends_on(J, x):
-            M = _numbers(J)
+            M = _dense_numbers(J)
             numbers = {"omega for P = I": np.linalg.eigvalsh((M + M.T) / 2)[-1]}
         why = "no P > 0 with P B = C' exists" if passivity.finding.verdict == VIOLATED else "no P with P B = C' is known"
-        return Growth(found(HYPOMONOTONE, UNKNOWN, f"{why} (5.1), and R is the square root of such a P", numbers))
-    if not ca.depends_on(J, x) and not np.isfinite(_numbers(J)).all():
-        return Growth(found(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
-    if not ca.depends_on(J, x) and not jumps_in(A, x):
-        rate = least_rate(sure(passivity.pairing), [_numbers(J)], quick=quick)
-        return _growth(passivity, rate, quick, "A is linear; proved in rational arithmetic", linear=True)
-    return _nonlinear(J, model, passivity, region, quick)
+        return HypomonotoneBound(
+            make_finding(HYPOMONOTONE, UNKNOWN, f"{why} (5.1), and R is the square root of such a P", numbers)
+        )
+    if not ca.depends_on(J, x) and not np.isfinite(_dense_numbers(J)).all():
+        return HypomonotoneBound(make_finding(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
+    if not ca.depends_on(J, x) and not jump_nodes(A, x):
+        rate = least_rate(not_none(passivity.pairing), [_dense_numbers(J)], quick=quick)
+        return _growth_finding(passivity, rate, quick, "A is linear; proved in rational arithmetic", linear=True)
+    return _nonlinear_growth(J, model, passivity, region, quick)
 
 
-def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> Growth:
+def _nonlinear_growth(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> HypomonotoneBound:
     A, x, n = model.A, model.x, model.x.numel()
-    J = ca.reshape(ca.vertcat(*(tidy(entry, x) for entry in ca.vertsplit(ca.vec(J)))), n, n)
+    J = ca.reshape(ca.vertcat(*(simplify_factors(entry, x) for entry in ca.vertsplit(ca.vec(J)))), n, n)
     infinite = np.full(n, np.inf)
-    jump = _jump(A, x)
+    jump = _jump_finding(A, x)
     if jump is not None:
-        return Growth(jump)
-    if is_continuous(A, x, -infinite, infinite):
+        return HypomonotoneBound(jump)
+    if is_drift_continuous(A, x, -infinite, infinite):
         hull = bounded_hull(J, x, -infinite, infinite)
-        rate = least_rate(sure(passivity.pairing), hull.vertices, hull.cones, quick=quick) if hull is not None else None
+        rate = least_rate(not_none(passivity.pairing), hull.vertices, hull.cones, quick=quick) if hull is not None else None
         if rate is not None:
-            return _growth(passivity, rate, quick, "proved in rational arithmetic, from bounds of the entries of A'")
-    if not is_continuous(A, x, region.lower, region.upper):
+            return _growth_finding(passivity, rate, quick, "proved in rational arithmetic, from bounds of the entries of A'")
+    if not is_drift_continuous(A, x, region.lower, region.upper):
         how = "A is not seen to be continuous on the box, though no jump was found"
-        return Growth(found(HYPOMONOTONE, UNKNOWN, how))
+        return HypomonotoneBound(make_finding(HYPOMONOTONE, UNKNOWN, how))
     hull = bounded_hull(J, x, region.lower, region.upper) or sampled_hull(J, x, region.lower, region.upper)
-    rate = least_rate(sure(passivity.pairing), hull.vertices, hull.cones, quick=quick)
+    rate = least_rate(not_none(passivity.pairing), hull.vertices, hull.cones, quick=quick)
     if rate is None:
-        return Growth(found(HYPOMONOTONE, UNKNOWN, "A' is not bounded on the box, and no P is found that allows for it"))
-    if not hull.sure or not quick:
-        rate = _on_box(J, x, sure(passivity.pairing).storage(rate.Y), region, rate, hull.sure, quick)
+        return HypomonotoneBound(
+            make_finding(HYPOMONOTONE, UNKNOWN, "A' is not bounded on the box, and no P is found that allows for it")
+        )
+    if not hull.proved or not quick:
+        rate = _rate_on_box(J, x, not_none(passivity.pairing).storage_matrix(rate.Y), region, rate, hull.proved, quick)
     if rate is None:
-        return Growth(found(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found"))
-    return _growth(passivity, rate, quick, "proved by bounds over the whole box", region)
+        return HypomonotoneBound(
+            make_finding(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found")
+        )
+    return _growth_finding(passivity, rate, quick, "proved by bounds over the whole box", region)
 
 
-def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure: bool, quick: bool) -> Rate | None:
+def _rate_on_box(
+    J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: ProvedRate, certain: bool, quick: bool
+) -> ProvedRate | None:
     """The rate of the same P from the largest eigenvalue over the box, where that is known to be smaller.
 
     With doubles S for which S'P S = I + E, |E| <= e < 1, and sym(S'P J S) <= mu I: omega P - sym(P J) is psd as soon as
@@ -115,43 +123,45 @@ def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure:
     """
     n = len(P)
     try:
-        S = np.linalg.inv(root(P)).T
+        S = np.linalg.inv(rational_cholesky(P)).T
     except np.linalg.LinAlgError:
-        return rate if sure else None
-    exactly = exact.product(exact.rational(S).T, P)
-    left, E = exact.doubles(exactly), exact.product(exactly, S) - exact.eye(n)
-    e = _above(sum(abs(entry) for entry in E.ravel()))
+        return rate if certain else None
+    exactly = exact.matrix_product(exact.rational(S).T, P)
+    left, E = exact.doubles(exactly), exact.matrix_product(exactly, S) - exact.eye(n)
+    e = _slightly_above(sum(abs(entry) for entry in E.ravel()))
     size = np.abs(interval.enclose(J, x, region.lower, region.upper)).max(axis=0).reshape(n, n)
     if not (e < 0.5 and np.isfinite(size).all()):
-        return rate if sure else None
+        return rate if certain else None
     top = extremum.largest_eigenvalue(ca.DM(left) @ J @ ca.DM(S), x, region.lower, region.upper, quick=quick, bound_to=None)
-    unseen = 8 * n * EPS * float((np.abs(left) @ size @ np.abs(S)).sum())
+    unseen = 8 * n * MACHINE_EPSILON * float((np.abs(left) @ size @ np.abs(S)).sum())
     mu = top.bound + unseen
-    bound = _above(mu / (1 + e) if mu < 0 else mu / (1 - e))
-    if sure and rate.omega <= bound:
+    bound = _slightly_above(mu / (1 + e) if mu < 0 else mu / (1 - e))
+    if certain and rate.omega <= bound:
         return rate
     return rate._replace(omega=bound) if np.isfinite(bound) else None
 
 
-def _above(number: Any) -> float:
+def _slightly_above(number: Any) -> float:
     """A double a little above."""
     near = float(number)
-    return near + 4 * EPS * abs(near)
+    return near + 4 * MACHINE_EPSILON * abs(near)
 
 
-def _growth(
-    passivity: Passivity, rate: Rate | None, quick: bool, proof: str, region: Region | None = None, linear: bool = False
-) -> Growth:
+def _growth_finding(
+    passivity: Passivity, rate: ProvedRate | None, quick: bool, proof: str, region: Region | None = None, linear: bool = False
+) -> HypomonotoneBound:
     """The finding for a rate, on a region or everywhere; the verdict is no better than that on 5.1, whose P it needs."""
     verdict = HOLDS if passivity.finding.verdict == HOLDS else SAMPLED
     if rate is None:  # A linear, ill conditioned beyond the last rounding: Remark 5.3 iii).
-        P = sure(passivity.pairing).storage(well_conditioned(sure(passivity.pairing)))
+        P = not_none(passivity.pairing).storage_matrix(well_conditioned_block(not_none(passivity.pairing)))
         how = "A is linear, and Lipschitz (Remark 5.3); no useful omega is found"
-        witness = shown(NAME, P)
-        return Growth(found(HYPOMONOTONE, verdict, how, {"cond P": condition(witness[NAME])}, witness), P)
-    P = sure(passivity.pairing).storage(rate.Y)
-    witness = shown(NAME, P)
-    texts = [f"{proof} for {NAME}" + ("" if len(witness) == 1 else " as fractions, which are in the data; doubles are shown")]
+        witness = matrix_witness(P_OMEGA, P)
+        return HypomonotoneBound(
+            make_finding(HYPOMONOTONE, verdict, how, {"cond P": condition_number(witness[P_OMEGA])}, witness), P
+        )
+    P = not_none(passivity.pairing).storage_matrix(rate.Y)
+    witness = matrix_witness(P_OMEGA, P)
+    texts = [f"{proof} for {P_OMEGA}" + ("" if len(witness) == 1 else " as fractions, which are in the data; doubles are shown")]
     if verdict == SAMPLED:
         texts.append("which solves P B = C' up to rounding")
     if abs(rate.omega) <= rate.rounding and rate.omega:
@@ -159,18 +169,18 @@ def _growth(
     elif 0 < rate.omega <= rate.accuracy:
         texts.append("omega is zero up to the accuracy of the search for P")
     elif linear and rate.omega <= rate.least + 1e-6 * abs(rate.least):
-        texts.append(f"no P gives less (floating point): {NAME} attains the infimum")
+        texts.append(f"no P gives less (floating point): {P_OMEGA} attains the infimum")
     elif linear:
-        texts.append(f"no P gives less than {rate.least:.4g} (floating point), which {NAME} does not attain")
+        texts.append(f"no P gives less than {rate.least:.4g} (floating point), which {P_OMEGA} does not attain")
         texts.append("a smaller omega was not looked for" if quick else "a smaller omega may need a worse conditioned P")
-    texts.append(f"cond P, in floating point, is that of {NAME}")
-    value = {"omega": rate.omega, "cond P": condition(witness[NAME])}
+    texts.append(f"cond P, in floating point, is that of {P_OMEGA}")
+    value = {"omega": rate.omega, "cond P": condition_number(witness[P_OMEGA])}
     scope = None if region is None else region.scope(True)
-    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, witness, scope)
-    return Growth(finding, P, rate.omega, region is None, rate.accuracy)
+    finding = make_finding(HYPOMONOTONE, verdict, "; ".join(texts), value, witness, scope)
+    return HypomonotoneBound(finding, P, rate.omega, region is None, rate.accuracy)
 
 
-def _jump(A: ca.SX, x: ca.SX) -> Finding | None:
+def _jump_finding(A: ca.SX, x: ca.SX) -> Finding | None:
     """A jump of A: a single-valued maximal monotone operator on all of R^n is continuous."""
     infinite = np.full(x.numel(), np.inf)
     jump = find_jump(A, x, -infinite, infinite, lambda points: np.full(len(points), True))
@@ -179,13 +189,13 @@ def _jump(A: ca.SX, x: ca.SX) -> Finding | None:
         return None
     how = "A jumps, and no single-valued operator that jumps is maximal monotone; write the jump as a relay law"
     witness = {"x": jump.at, "A on one side": jump.below, "A on the other": jump.above}
-    return found(HYPOMONOTONE, VIOLATED, how, {"jump": jump.size}, witness)
+    return make_finding(HYPOMONOTONE, VIOLATED, how, {"jump": jump.size}, witness)
 
 
-def is_continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
+def is_drift_continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether A is proved continuous: read off its operations, or by interval bounds."""
-    return operations(A) <= CONTINUOUS or interval.is_continuous(A, x, lower, upper)
+    return operation_codes(A) <= CONTINUOUS_OPERATIONS or interval.is_continuous(A, x, lower, upper)
 
 
-def _numbers(matrix: ca.SX) -> np.ndarray:
+def _dense_numbers(matrix: ca.SX) -> np.ndarray:
     return np.array(ca.DM(matrix)).reshape(matrix.shape)

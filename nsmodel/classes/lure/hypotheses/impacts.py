@@ -5,13 +5,13 @@ from __future__ import annotations
 import casadi as ca
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.impacts import System, system_of
+from nsmodel.hypotheses.impacts import ImpactStructure, impact_structure
 
 
-def system(model: LureSystem) -> System | None:
+def system(model: LureSystem) -> ImpactStructure | None:
     """The model as a system; None where phi stands in for a law."""
     if model.law is None or not model.law.size:
         return None
     l = ca.SX.sym("l", model.law.size)
     F, Y = model.A + model.f + model.B @ l, model.output(model.x, l)
-    return system_of(model, model.law, l, F, Y, (model.B, model.C, model.D), "y' (C B = 0)")
+    return impact_structure(model, model.law, l, F, Y, (model.B, model.C, model.D), "y' (C B = 0)")

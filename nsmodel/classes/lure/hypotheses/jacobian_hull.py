@@ -9,20 +9,20 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import extremum, interval, polynomial
-from nsmodel.proof.graph import replay
+from nsmodel.proof.graph import rewrite_nodes
 
-VARYING, STATES = 6, 12  # Up to so many different varying entries, and so many states.
+MAX_VARYING_ENTRIES, MAX_HULL_STATES = 6, 12  # Up to so many different varying entries, and so many states.
 
 
-class Hull(NamedTuple):
+class JacobianHull(NamedTuple):
     """All J(x) lie in conv(vertices) + cone(cones); ``sure``: proved, not a sample."""
 
     vertices: list[np.ndarray]
     cones: list[np.ndarray]
-    sure: bool
+    proved: bool
 
 
-def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Hull | None:
+def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> JacobianHull | None:
     """Return the hull from interval bounds over a box of x of the varying entries of J (n, n), +-equal entries together.
 
     None where there are more than VARYING of them, or more than STATES states.
@@ -43,7 +43,7 @@ def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Hu
             pattern = np.zeros((n, n))
             pattern[i, j] = 1
             groups.append((entry, pattern))
-    if len(groups) > VARYING or n > STATES:
+    if len(groups) > MAX_VARYING_ENTRIES or n > MAX_HULL_STATES:
         return None
     ends, cones = [], []
     for entry, pattern in groups:
@@ -51,21 +51,21 @@ def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Hu
         finite = sorted({end for end in (low, high) if np.isfinite(end)}) or [0.0]
         ends.append([end * pattern for end in finite])
         cones += [sign * pattern for sign, end in ((-1, low), (1, high)) if not np.isfinite(end)]
-    return Hull([constant + sum(choice, start=np.zeros((n, n))) for choice in product(*ends)], cones, True)
+    return JacobianHull([constant + sum(choice, start=np.zeros((n, n))) for choice in product(*ends)], cones, True)
 
 
-def sampled_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Hull:
+def sampled_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> JacobianHull:
     """Return a few values of J in the box: enough to choose a P from."""
     values = ca.Function("J", [x], [J])
     matrices = [np.array(values(point)) for point in extremum.samples(lower, upper, 5)]
-    return Hull([M for M in matrices if np.isfinite(M).all()] or [np.zeros(J.shape)], [], False)
+    return JacobianHull([M for M in matrices if np.isfinite(M).all()] or [np.zeros(J.shape)], [], False)
 
 
-def tidy(expr: ca.SX, x: ca.SX) -> ca.SX:
+def simplify_factors(expr: ca.SX, x: ca.SX) -> ca.SX:
     """Return a scalar expression with fewer repeated factors: x (x + x) as 2 x^2, x sign(x) as |x|; exactly equal to it."""
     if not ca.depends_on(expr, x):
         return expr
-    (terms,) = polynomial.read(expr, x)
+    (terms,) = polynomial.read_polynomials(expr, x)
     if terms is not None and all(float(factor) == factor for factor in terms.values()):
         return sum((float(factor) * _monomial(powers, x) for powers, factor in terms.items()), start=ca.SX(0))
 
@@ -77,7 +77,7 @@ def tidy(expr: ca.SX, x: ca.SX) -> ca.SX:
                 return ca.fabs(a)
         return None
 
-    return replay(expr, rule, (ca.OP_MUL, ca.OP_DIV), x, "A")
+    return rewrite_nodes(expr, rule, (ca.OP_MUL, ca.OP_DIV), x, "A")
 
 
 def _half_sign(top: ca.SX, bottom: ca.SX) -> ca.SX | None:

@@ -11,12 +11,12 @@ import numpy as np
 
 from nsmodel.proof import conic_program
 
-SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
-TINY = 1e-9  # of balanced numbers, which are about 1
+MAX_STORAGE_SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
+RANK_TOLERANCE = 1e-9  # of balanced numbers, which are about 1
 
 
 @dataclass(frozen=True)
-class Balanced:
+class BalancedCoordinates:
     """Coordinates z_hat = left z, z = back z_hat, in which G = I and J has rows and columns of like size.
 
     Attributes:
@@ -65,7 +65,9 @@ class Balanced:
         return (Y + Y.T) / 2
 
 
-def balanced(G: np.ndarray, Y: np.ndarray, J: Sequence[np.ndarray], cones: Sequence[np.ndarray]) -> Balanced:
+def balance_coordinates(
+    G: np.ndarray, Y: np.ndarray, J: Sequence[np.ndarray], cones: Sequence[np.ndarray]
+) -> BalancedCoordinates:
     """Return the coordinates for G (r, r) and matrices (n, n) of doubles; units of the last n - r are powers of two.
 
     Where nothing couples such a coordinate to the others, its unit is that of Y.
@@ -89,10 +91,10 @@ def balanced(G: np.ndarray, Y: np.ndarray, J: Sequence[np.ndarray], cones: Seque
         if (before == units).all():
             break
     left, back = left / units[:, None], back * units
-    return Balanced([left @ matrix @ back for matrix in J], [left @ matrix @ back for matrix in cones], left, back, r)
+    return BalancedCoordinates([left @ matrix @ back for matrix in J], [left @ matrix @ back for matrix in cones], left, back, r)
 
 
-def rate(P: np.ndarray, J: np.ndarray) -> float:
+def growth_rate(P: np.ndarray, J: np.ndarray) -> float:
     """Largest eigenvalue of sym(R J R^{-1}), R^2 = P; inf where P is not positive definite in doubles."""
     try:
         L = np.linalg.cholesky(P)
@@ -102,7 +104,7 @@ def rate(P: np.ndarray, J: np.ndarray) -> float:
     return float(np.linalg.eigvalsh((M + M.T) / 2)[-1])
 
 
-def lower_bound(near: Balanced) -> float:
+def omega_lower_bound(near: BalancedCoordinates) -> float:
     """What no Y can beat: the block of G, and the growth of the zero dynamics (where y stays 0)."""
     r, bounds = near.r, []
     for J in near.J:
@@ -112,17 +114,17 @@ def lower_bound(near: Balanced) -> float:
     return float(max(bounds))
 
 
-def search(near: Balanced, least: float) -> tuple[float, np.ndarray]:
+def search_omega(near: BalancedCoordinates, least: float) -> tuple[float, np.ndarray]:
     """Return the least omega and its Y_hat, by bisection between what no Y can beat and the best one so far."""
     best, count = np.eye(near.free), 24 if len(near.left) <= 8 else 14 if len(near.left) <= 14 else 9
-    omega = min(max(rate(near.middle(best), J) for J in near.J), SPREAD * near.scale)
+    omega = min(max(growth_rate(near.middle(best), J) for J in near.J), MAX_STORAGE_SPREAD * near.scale)
     low = least
     for k in range(count):
         if omega - low <= 1e-8 * near.scale:
             break
         middle = low if k == 0 else (low + omega) / 2
-        answer = program(near, middle + 1e-9 * near.scale)
-        value = np.inf if answer is None else max(rate(near.middle(answer), J) for J in near.J)
+        answer = solve_sdp(near, middle + 1e-9 * near.scale)
+        value = np.inf if answer is None else max(growth_rate(near.middle(answer), J) for J in near.J)
         if answer is not None and value < omega:
             omega, best = value, answer
         if value > middle + 1e-8 * near.scale:
@@ -130,13 +132,13 @@ def search(near: Balanced, least: float) -> tuple[float, np.ndarray]:
     return omega, best
 
 
-def program(near: Balanced, omega: float, kernels: Sequence[np.ndarray] | None = None) -> np.ndarray | None:
+def solve_sdp(near: BalancedCoordinates, omega: float, kernels: Sequence[np.ndarray] | None = None) -> np.ndarray | None:
     """Return the Y_hat that maximises t <= 1 with slack(Y, J, omega) >= t for each J.
 
     With ``kernels``, one basis (n, k) for each J: slack(Y, J, omega) v = 0 on them, and >= t on their complements.
     """
     s, n = near.free, len(near.left)
-    parts, zero = units(s), np.zeros((s, s))
+    parts, zero = symmetric_units(s), np.zeros((s, s))
     blocks, offsets, cones = [], [], []
     held = [np.zeros((n, 0))] * len(near.J) if kernels is None else list(kernels)
     for k, (J, rate_of) in enumerate([*((J, omega) for J in near.J), *((K, 0.0) for K in near.cones)]):
@@ -150,34 +152,42 @@ def program(near: Balanced, omega: float, kernels: Sequence[np.ndarray] | None =
             if N.size:
                 rows = np.array([(column @ N).ravel() for column in columns]).T
                 left, sizes, right = np.linalg.svd(rows, full_matrices=False)
-                rank = int((sizes > TINY).sum())  # dependent equations would trouble the solver
+                rank = int((sizes > RANK_TOLERANCE).sum())  # dependent equations would trouble the solver
                 blocks.append(np.column_stack([np.zeros(rank), sizes[:rank, None] * right[:rank]]))
                 offsets.append(-left[:, :rank].T @ (constant @ N).ravel())
-                cones.append(conic_program.zero(rank))
-        blocks.append(np.column_stack([_stacked(Q.T @ level @ Q), *(-_stacked(Q.T @ column @ Q) for column in columns)]))
-        offsets.append(_stacked(Q.T @ constant @ Q))
-        cones.append(conic_program.semidefinite(Q.shape[1]))
-    for sign, constant in ((1, -np.eye(s) / SPREAD), (-1, np.eye(s) * SPREAD)):
-        blocks.append(np.column_stack([0 * _stacked(zero), *(-sign * _stacked(part) for part in parts)]))
-        offsets.append(_stacked(constant))
-        cones.append(conic_program.semidefinite(s))
+                cones.append(conic_program.zero_cone(rank))
+        blocks.append(
+            np.column_stack(
+                [_stack_upper_triangle(Q.T @ level @ Q), *(-_stack_upper_triangle(Q.T @ column @ Q) for column in columns)]
+            )
+        )
+        offsets.append(_stack_upper_triangle(Q.T @ constant @ Q))
+        cones.append(conic_program.semidefinite_cone(Q.shape[1]))
+    for sign, constant in ((1, -np.eye(s) / MAX_STORAGE_SPREAD), (-1, np.eye(s) * MAX_STORAGE_SPREAD)):
+        blocks.append(
+            np.column_stack([0 * _stack_upper_triangle(zero), *(-sign * _stack_upper_triangle(part) for part in parts)])
+        )
+        offsets.append(_stack_upper_triangle(constant))
+        cones.append(conic_program.semidefinite_cone(s))
     blocks.append(np.eye(1, 1 + len(parts)))
     offsets.append(np.array([1.0]))
-    cones.append(conic_program.nonnegative(1))
-    solution = conic_program.minimise(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
+    cones.append(conic_program.nonnegative_cone(1))
+    solution = conic_program.solve_conic_program(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
     return np.tensordot(solution.x[1:], parts, 1)
 
 
-def forced(near: Balanced, candidates: Sequence[np.ndarray], sure: Sequence[Collection[int]]) -> list[list[int]] | None:
+def forced_kernels(
+    near: BalancedCoordinates, candidates: Sequence[np.ndarray], certain: Sequence[Collection[int]]
+) -> list[list[int]] | None:
     """Return for each J the candidates v (n,) on which slack(Y, J, 0) v = 0 follows from slack(Y, J, 0) >= 0.
 
     That is so for the indices ``sure``, and where v'slack v = 0 for all Y that are left; then fewer Y are left. None where
     none are.
     """
     s = near.free
-    parts, zero = units(s), np.zeros((s, s))
+    parts, zero = symmetric_units(s), np.zeros((s, s))
     constants = [near.slack(zero, J, 0.0) for J in near.J]
     changes = [np.array([near.slack(part, J, 0.0) for part in parts]) - c for J, c in zip(near.J, constants, strict=True)]
     y, N = np.zeros(len(parts)), np.eye(len(parts))
@@ -185,38 +195,40 @@ def forced(near: Balanced, candidates: Sequence[np.ndarray], sure: Sequence[Coll
     fresh = True
     while fresh:
         fresh = False
-        for own, constant, change, known in zip(chosen, constants, changes, sure, strict=True):
+        for own, constant, change, known in zip(chosen, constants, changes, certain, strict=True):
             for k in sorted(set(range(len(candidates))) - set(own)):
                 v = candidates[k]
                 form, size = change @ v @ v, 1 + np.abs(y).max(initial=0.0)
-                varies = np.abs(form @ N).max(initial=0.0) > TINY or abs(v @ constant @ v + form @ y) > TINY * size
+                varies = (
+                    np.abs(form @ N).max(initial=0.0) > RANK_TOLERANCE or abs(v @ constant @ v + form @ y) > RANK_TOLERANCE * size
+                )
                 if varies and k not in known:
                     continue
                 rows, right = (change @ v).T, -(constant @ v)
-                step, *_ = np.linalg.lstsq(rows @ N, right - rows @ y, rcond=TINY)
+                step, *_ = np.linalg.lstsq(rows @ N, right - rows @ y, rcond=RANK_TOLERANCE)
                 y = y + N @ step
-                if np.abs(rows @ y - right).max() > 1e3 * TINY * size:
+                if np.abs(rows @ y - right).max() > 1e3 * RANK_TOLERANCE * size:
                     return None
                 sizes, V = np.linalg.svd(rows @ N, full_matrices=True)[1:]
-                N = N @ V[int((sizes > TINY).sum()) :].T
+                N = N @ V[int((sizes > RANK_TOLERANCE).sum()) :].T
                 own.append(k)
                 fresh = True
     return chosen
 
 
-def units(s: int) -> np.ndarray:
+def symmetric_units(s: int) -> np.ndarray:
     """Symmetric matrices (p, s, s) with a 1 in (i, j) and (j, i), i <= j."""
-    return np.array([unit(s, i, j) for i, j in combinations_with_replacement(range(s), 2)]).reshape(-1, s, s)
+    return np.array([symmetric_unit(s, i, j) for i, j in combinations_with_replacement(range(s), 2)]).reshape(-1, s, s)
 
 
-def unit(s: int, i: int, j: int) -> np.ndarray:
+def symmetric_unit(s: int, i: int, j: int) -> np.ndarray:
     """The symmetric matrix with a 1 in (i, j) and (j, i)."""
     matrix = np.zeros((s, s))
     matrix[i, j] = matrix[j, i] = 1.0
     return matrix
 
 
-def _stacked(S: np.ndarray) -> np.ndarray:
+def _stack_upper_triangle(S: np.ndarray) -> np.ndarray:
     """Upper triangle by columns, off-diagonal entries times sqrt 2."""
     weighted = np.sqrt(2) * S - (np.sqrt(2) - 1) * np.diag(np.diagonal(S))
     j, i = np.tril_indices(len(S))

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.proof import exact
-from nsmodel.proof.exact import EPS
+from nsmodel.proof.exact import MACHINE_EPSILON
 
-SMALL = 1e-10  # Least eigenvalue of P, scaled to a unit diagonal, that doubles show with some digits.
-LARGE = 40  # From this size on the condition number is minimised on a coarser grid.
+MIN_SCALED_EIGENVALUE = 1e-10  # Least eigenvalue of P, scaled to a unit diagonal, that doubles show with some digits.
+LARGE_STATE_COUNT = 40  # From this size on the condition number is minimised on a coarser grid.
 
 
 class Pairing(NamedTuple):
@@ -33,9 +33,9 @@ class Pairing(NamedTuple):
         """Size of Y."""
         return len(self.T) - len(self.G)
 
-    def storage(self, Y: np.ndarray) -> np.ndarray:
+    def storage_matrix(self, Y: np.ndarray) -> np.ndarray:
         """P (n, n) for a rational Y."""
-        return exact.product(self.T_inverse.T, self.middle(Y), self.T_inverse)
+        return exact.matrix_product(self.T_inverse.T, self.middle(Y), self.T_inverse)
 
     def middle(self, Y: np.ndarray) -> np.ndarray:
         """diag(G, Y)."""
@@ -45,21 +45,21 @@ class Pairing(NamedTuple):
         return middle
 
 
-def pairing_of(B: np.ndarray, C: np.ndarray) -> Pairing:
+def make_pairing(B: np.ndarray, C: np.ndarray) -> Pairing:
     """The coordinates for independent columns of B and their rows of C."""
     n, r = B.shape
-    G = exact.product(C, B) if r else exact.zeros(0, 0)
+    G = exact.matrix_product(C, B) if r else exact.zeros(0, 0)
     W = exact.nullspace(C) if r else exact.eye(n)
-    left = exact.solve(G, C) if r else exact.zeros(0, n)
+    left = exact.solve_linear_system(G, C) if r else exact.zeros(0, n)
     if left is None:
         raise ArithmeticError("C B is singular on independent columns of B")
     free = [int(np.flatnonzero(column == 1)[-1]) for column in W.T]  # W has a unit matrix in the free rows
-    pivots = _unit_rows(W, free)
-    lower = exact.eye(n)[pivots] - exact.product(B[pivots], left) if r else exact.eye(n)
+    pivots = _identity_rows(W, free)
+    lower = exact.eye(n)[pivots] - exact.matrix_product(B[pivots], left) if r else exact.eye(n)
     return Pairing(np.hstack([B, W]), np.vstack([left, lower]), G)
 
 
-def _unit_rows(W: np.ndarray, guess: list[int]) -> list[int]:
+def _identity_rows(W: np.ndarray, guess: list[int]) -> list[int]:
     """Rows of a null space basis that form its unit matrix."""
     if len(set(guess)) == len(guess) and (W[guess] == exact.eye(W.shape[1])).all():
         return guess
@@ -70,7 +70,7 @@ def _unit_rows(W: np.ndarray, guess: list[int]) -> list[int]:
     ]
 
 
-def units(B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def power_of_two_scales(B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Powers of two d (n,) and e (m,) for which d B e and e C / d have rows and columns of size about 1."""
 
     def largest(M: np.ndarray) -> np.ndarray:
@@ -99,33 +99,33 @@ def units(B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return d, e
 
 
-def residual(P: np.ndarray, B: np.ndarray, C: np.ndarray) -> float:
+def pairing_residual(P: np.ndarray, B: np.ndarray, C: np.ndarray) -> float:
     """max |P B - C'| / max |C| of doubles, taken as the rational numbers that they are, rounded up."""
-    off = exact.product(P, B) - exact.rational(C).T
+    off = exact.matrix_product(P, B) - exact.rational(C).T
     largest = max((abs(entry) for entry in exact.rational(C).ravel()), default=Fraction(0))
     worst = max((abs(entry) for entry in off.ravel()), default=Fraction(0)) / (largest or 1)
     return float(np.nextafter(float(worst), np.inf)) if worst else 0.0
 
 
-def shown(name: str, P: np.ndarray) -> dict[str, Any]:
+def matrix_witness(name: str, P: np.ndarray) -> dict[str, Any]:
     """A rational P as a witness: its doubles, and beside them its fractions where they are not the same numbers."""
     near = exact.doubles(P)
     fractions = {} if (exact.rational(near) == P).all() else {f"{name} exactly": [[str(entry) for entry in row] for row in P]}
     return {name: near, **fractions}
 
 
-def root(P: np.ndarray) -> np.ndarray:
+def rational_cholesky(P: np.ndarray) -> np.ndarray:
     """L (n, n) in doubles with L L' = P, of a rational P > 0 of which the doubles need not be definite."""
     d = np.array([Fraction(2) ** round((log2(p.numerator) - log2(p.denominator)) / 2) for p in np.diagonal(P)], dtype=object)
     S = P / d[:, None] / d
     try:
         factor = np.linalg.cholesky(exact.doubles(S))
     except np.linalg.LinAlgError:
-        factor = _by_pivots(S)
+        factor = _cholesky_by_pivots(S)
     return exact.doubles(d)[:, None] * factor
 
 
-def _by_pivots(S: np.ndarray) -> np.ndarray:
+def _cholesky_by_pivots(S: np.ndarray) -> np.ndarray:
     """The Cholesky factor from exact pivots."""
     S, n = S.copy(), len(S)
     factor = np.zeros((n, n))
@@ -136,15 +136,15 @@ def _by_pivots(S: np.ndarray) -> np.ndarray:
     return factor
 
 
-def condition(P: np.ndarray) -> float:
+def condition_number(P: np.ndarray) -> float:
     """Condition number of a positive definite matrix, in floating point; inf where doubles cannot tell."""
     spectrum = np.linalg.eigvalsh(P)
-    if spectrum[0] <= EPS * spectrum[-1]:
+    if spectrum[0] <= MACHINE_EPSILON * spectrum[-1]:
         return np.inf
     return float(spectrum[-1] / spectrum[0])
 
 
-def well_conditioned(pairing: Pairing) -> np.ndarray:
+def well_conditioned_block(pairing: Pairing) -> np.ndarray:
     """A rational Y with a condition number of P near the least possible one, if P in doubles is then definite.
 
     Where states are of very different size that may fail; the condition number is then minimised in balanced units.
@@ -153,22 +153,22 @@ def well_conditioned(pairing: Pairing) -> np.ndarray:
     if r in (0, n):
         return exact.eye(n - r)
     T, inverse, G = (exact.doubles(M) for M in (pairing.T, pairing.T_inverse, pairing.G))
-    d, _ = units(T[:, :r], G @ inverse[:r])
+    d, _ = power_of_two_scales(T[:, :r], G @ inverse[:r])
     choices = []
     for scale in (np.ones(n), d):
-        for Y in map(exact.rational, _conditioned(T * scale[:, None], inverse / scale, G)):
-            if not exact.psd(Y).definite:
+        for Y in map(exact.rational, _well_conditioned_candidates(T * scale[:, None], inverse / scale, G)):
+            if not exact.definiteness(Y).definite:
                 continue
-            P = exact.doubles(pairing.storage(Y))
+            P = exact.doubles(pairing.storage_matrix(Y))
             unit = 1 / np.sqrt(np.diagonal(P))
             choices.append((np.linalg.eigvalsh(P * np.outer(unit, unit))[0], Y))
-            if choices[-1][0] > SMALL:
+            if choices[-1][0] > MIN_SCALED_EIGENVALUE:
                 return Y
             break
     return max(choices, key=lambda choice: choice[0])[1] if choices else exact.eye(n - r)
 
 
-def _conditioned(T: np.ndarray, inverse: np.ndarray, G: np.ndarray) -> list[np.ndarray]:
+def _well_conditioned_candidates(T: np.ndarray, inverse: np.ndarray, G: np.ndarray) -> list[np.ndarray]:
     """Candidates for Y with the best conditioned P first.
 
     In an orthonormal basis [U, N] of range B and its complement, P = [[a, b'], [b, X]] with a, b given. alpha <= P <= beta
@@ -178,48 +178,48 @@ def _conditioned(T: np.ndarray, inverse: np.ndarray, G: np.ndarray) -> list[np.n
     Q = np.linalg.qr(T[:, :r], mode="complete")[0]
     U, N = Q[:, :r], Q[:, r:]
     image = inverse[:r].T @ (G @ (inverse[:r] @ U))  # P U
-    a, b = _symmetric(U.T @ image), N.T @ image
+    a, b = _symmetrise(U.T @ image), N.T @ image
     W = T[:, r:].T @ N
     low, high = np.linalg.eigvalsh(a)[[0, -1]]
     if not low > 0:
         return []
     if not b.any():
-        return [_symmetric(W @ W.T) * (np.sqrt(low) * np.sqrt(high))]
+        return [_symmetrise(W @ W.T) * (np.sqrt(low) * np.sqrt(high))]
 
     def bounds(position: float) -> tuple[float, np.ndarray, np.ndarray]:
         alpha = low / (1 + np.exp(position))
         floor = alpha * np.eye(n - r) + b @ np.linalg.solve(a - alpha * np.eye(r), b.T)
-        beta = _least_ceiling(floor, a, b, high)
-        return beta / alpha, floor, (floor + _ceiling(beta, a, b)) / 2
+        beta = _least_upper_scale(floor, a, b, high)
+        return beta / alpha, floor, (floor + _upper_bound_matrix(beta, a, b)) / 2
 
-    grid = np.linspace(-6, 8, 9 if n > LARGE else 15)
+    grid = np.linspace(-6, 8, 9 if n > LARGE_STATE_COUNT else 15)
     tries = [(position, bounds(position)) for position in grid]
-    for step in (0.5, 0.25, 0.12) if n <= LARGE else ():
+    for step in (0.5, 0.25, 0.12) if n <= LARGE_STATE_COUNT else ():
         best = min(tries, key=lambda part: part[1][0])[0]
         tries += [(position, bounds(position)) for position in (best - step, best + step)]
     _, floor, middle = min(tries, key=lambda part: part[1][0])[1]
     rest = b @ np.linalg.solve(a, b.T)  # N'P N where Y = 0
-    return [_symmetric(W @ (X - rest) @ W.T) for X in (middle, floor)]
+    return [_symmetrise(W @ (X - rest) @ W.T) for X in (middle, floor)]
 
 
-def _ceiling(beta: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _upper_bound_matrix(beta: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return beta * np.eye(len(b)) - b @ np.linalg.solve(beta * np.eye(len(a)) - a, b.T)
 
 
-def _least_ceiling(floor: np.ndarray, a: np.ndarray, b: np.ndarray, high: float) -> float:
+def _least_upper_scale(floor: np.ndarray, a: np.ndarray, b: np.ndarray, high: float) -> float:
     """The least beta with floor <= ceiling(beta), within two hundredths."""
     above = max(high, np.linalg.eigvalsh(floor)[-1]) * (1 + 1e-6)
     below = above
-    while np.linalg.eigvalsh(_ceiling(above, a, b) - floor)[0] < 0:
+    while np.linalg.eigvalsh(_upper_bound_matrix(above, a, b) - floor)[0] < 0:
         below, above = above, 2 * above
     while above > 1.02 * below:
         middle = np.sqrt(above * below)
-        if np.linalg.eigvalsh(_ceiling(middle, a, b) - floor)[0] < 0:
+        if np.linalg.eigvalsh(_upper_bound_matrix(middle, a, b) - floor)[0] < 0:
             below = middle
         else:
             above = middle
     return float(above)
 
 
-def _symmetric(M: np.ndarray) -> np.ndarray:
+def _symmetrise(M: np.ndarray) -> np.ndarray:
     return (M + M.T) / 2

@@ -6,25 +6,25 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.quick import concave, not_psd, refuse_law, refuse_weights, weights
+from nsmodel.hypotheses.quick import check_law_sets, check_term_weights, convexity_warning, psd_warning, symbolic_term_weights
 
 
-def refuse_start(model: LureSystem) -> None:
+def check_start(model: LureSystem) -> None:
     """Refuse weights < 0 of Phi, and a law that the parameters made empty."""
     if model.law is None:
-        refuse_weights(model.phi_split, "phi", model)
+        check_term_weights(model.phi_split, "phi", model)
     else:
-        refuse_law(model.law, model)
+        check_law_sets(model.law, model)
 
 
 def admitted(model: LureSystem) -> list[ca.SX]:
     """The weights, of all values of the parameters; the law says itself whether it is empty."""
-    return [weights(model.phi_split)] if model.law is None else []
+    return [symbolic_term_weights(model.phi_split)] if model.law is None else []
 
 
 def warnings(model: LureSystem) -> list[str]:
     """Where D is not psd, or Phi not convex."""
-    found = not_psd("D", model.D) if model.D.numel() else []
+    found = psd_warning("D", model.D) if model.D.numel() else []
     if model.law is None:
-        found += concave(model.phi_split.smooth, model.y, np.zeros(model.y.numel()), "phi is not convex at y = 0")
+        found += convexity_warning(model.phi_split.smooth, model.y, np.zeros(model.y.numel()), "phi is not convex at y = 0")
     return found

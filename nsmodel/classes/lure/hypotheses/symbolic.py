@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.lure.hypotheses.passivity import D_PSD, STORAGE
+from nsmodel.classes.lure.hypotheses.passivity import D_PSD_HYPOTHESIS, STORAGE_HYPOTHESIS
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.report.typeset import to_sympy
-from nsmodel.proof.components import components
+from nsmodel.proof.components import connected_components
 
 if TYPE_CHECKING:
     import sympy as sp
 
-MINORS = 6  # Blocks of more rows are not written out as minors.
+MAX_SYMBOLIC_MINOR = 6  # Blocks of more rows are not written out as minors.
 
 
-class _Conditions(NamedTuple):
+class _ParameterConditions(NamedTuple):
     """Expressions that must be 0, those that must be > 0 (or >= 0), and remarks."""
 
     zero: list[sp.Expr]
@@ -40,45 +40,48 @@ def findings(model: LureSystem) -> list[Finding]:
     named = [model.p[i] for i, value in enumerate(values) if value is not None]
     numbers = [ca.SX(value) for value in values if value is not None]
     B, C, D = (to_sympy(ca.substitute([matrix], named, numbers)[0]) for matrix in (model.B, model.C, model.D))
-    return [_finding(D_PSD, _semidefinite(D), "D"), _finding(STORAGE, _pairing(B, C), "C B")]
+    return [
+        _condition_finding(D_PSD_HYPOTHESIS, _psd_conditions(D), "D"),
+        _condition_finding(STORAGE_HYPOTHESIS, _pairing_conditions(B, C), "C B"),
+    ]
 
 
-def _finding(hypothesis: Hypothesis, conditions: _Conditions | str, name: str) -> Finding:
+def _condition_finding(hypothesis: Hypothesis, conditions: _ParameterConditions | str, name: str) -> Finding:
     if isinstance(conditions, str):
-        return found(hypothesis, UNKNOWN, conditions)
+        return make_finding(hypothesis, UNKNOWN, conditions)
     relation = "> 0" if conditions.strict else ">= 0"
     texts = [f"{expr} = 0" for expr in conditions.zero]
-    texts += [f"{expr} {relation}" for expr in conditions.positive if not getattr(expr, _always(conditions))]
+    texts += [f"{expr} {relation}" for expr in conditions.positive if not getattr(expr, _sign_property(conditions))]
     witness = {"conditions": texts}
     count = {"conditions": len(texts)}
     never = [expr for expr in conditions.zero if expr.is_zero is False]
     if never:
         text = f"for no values of the parameters: {never[0]} = 0 fails"
-        return found(hypothesis, VIOLATED, text + conditions.remark, count, witness)
+        return make_finding(hypothesis, VIOLATED, text + conditions.remark, count, witness)
     opposite = "is_nonpositive" if conditions.strict else "is_negative"
     bad = [expr for expr in conditions.positive if getattr(expr, opposite)]
     if bad:
         text = f"for no values of the parameters: {bad[0]} {relation} fails"
-        return found(hypothesis, VIOLATED, text + conditions.remark, count, witness)
-    always = _always(conditions)
+        return make_finding(hypothesis, VIOLATED, text + conditions.remark, count, witness)
+    always = _sign_property(conditions)
     if not conditions.zero and all(getattr(expr, always) for expr in conditions.positive):
         how = "for all values of the parameters, by SymPy over the rationals"
         how += f": {conditions.remark}" if conditions.remark and not conditions.positive else ""
-        return found(hypothesis, HOLDS, how, count, witness)
+        return make_finding(hypothesis, HOLDS, how, count, witness)
     how = f"holds if and only if {' and '.join(texts)}{conditions.remark}"
-    if not conditions.zero and all(getattr(_for_positive(expr), always) for expr in conditions.positive):
+    if not conditions.zero and all(getattr(_with_positive_parameters(expr), always) for expr in conditions.positive):
         symbols = sorted({str(symbol) for expr in conditions.positive for symbol in expr.free_symbols})
-        return found(hypothesis, UNKNOWN, f"{how}; so for all values > 0 of {', '.join(symbols)}", count, witness)
-    solved, numbers = _solved(conditions)
-    return found(hypothesis, UNKNOWN, how + solved, {**count, **numbers}, witness)
+        return make_finding(hypothesis, UNKNOWN, f"{how}; so for all values > 0 of {', '.join(symbols)}", count, witness)
+    solved, numbers = _solve_for_parameter(conditions)
+    return make_finding(hypothesis, UNKNOWN, how + solved, {**count, **numbers}, witness)
 
 
-def _always(conditions: _Conditions) -> str:
+def _sign_property(conditions: _ParameterConditions) -> str:
     """SymPy's name of the property that is wanted."""
     return "is_positive" if conditions.strict else "is_nonnegative"
 
 
-def _for_positive(expr: sp.Expr) -> sp.Expr:
+def _with_positive_parameters(expr: sp.Expr) -> sp.Expr:
     """The expression with all its parameters > 0."""
     import sympy as sp
 
@@ -86,42 +89,44 @@ def _for_positive(expr: sp.Expr) -> sp.Expr:
     return cast("sp.Expr", sp.factor(expr.subs(put, simultaneous=True)))
 
 
-def _semidefinite(M: sp.Matrix) -> _Conditions | str:
+def _psd_conditions(M: sp.Matrix) -> _ParameterConditions | str:
     """M psd: all principal minors of the blocks of its symmetric part >= 0."""
     positive = []
-    for block in components(_nonzero(S := _simple((M + M.T) / 2))):
-        if len(block) > MINORS:
+    for block in connected_components(_coupling_pattern(S := _simplify_matrix((M + M.T) / 2))):
+        if len(block) > MAX_SYMBOLIC_MINOR:
             return f"a block of {len(block)} rows: its minors are not written out; give the parameters values"
         sets = [rows for size in range(1, len(block) + 1) for rows in combinations(block, size)]
-        positive += [_short(S.extract(list(rows), list(rows)).det()) for rows in sets]
-    return _Conditions([], _distinct(positive, keep_zero=False), False)
+        positive += [_factor_if_short(S.extract(list(rows), list(rows)).det()) for rows in sets]
+    return _ParameterConditions([], _distinct_expressions(positive, keep_zero=False), False)
 
 
-def _pairing(B: sp.Matrix, C: sp.Matrix) -> _Conditions | str:
+def _pairing_conditions(B: sp.Matrix, C: sp.Matrix) -> _ParameterConditions | str:
     """5.1 on columns of B that are independent for almost all parameters; the others' rows of C must follow."""
-    if _simple(C - B.T).is_zero_matrix:
-        return _Conditions([], [], True, "C = B': P = I")
+    if _simplify_matrix(C - B.T).is_zero_matrix:
+        return _ParameterConditions([], [], True, "C = B': P = I")
     columns, echelon = list(B.rref(simplify=True)[1]), B.rref(simplify=True)[0]
-    G = _simple(C.extract(columns, list(range(C.cols))) * B.extract(list(range(B.rows)), columns))
+    G = _simplify_matrix(C.extract(columns, list(range(C.cols))) * B.extract(list(range(B.rows)), columns))
     skew = G - G.T
-    zero = [_short(skew[i, j]) for i in range(G.rows) for j in range(i)]
+    zero = [_factor_if_short(skew[i, j]) for i in range(G.rows) for j in range(i)]
     for j in sorted(set(range(B.cols)) - set(columns)):
         row = echelon[: len(columns), j].T * C.extract(columns, list(range(C.cols)))
-        zero += [_short(entry) for entry in (C.row(j) - row).flat()]
+        zero += [_factor_if_short(entry) for entry in (C.row(j) - row).flat()]
     positive = []
-    for block in components(_nonzero(G)):
-        if len(block) > MINORS:
+    for block in connected_components(_coupling_pattern(G)):
+        if len(block) > MAX_SYMBOLIC_MINOR:
             return f"a block of {len(block)} rows of C B: its minors are not written out; give the parameters values"
-        positive += [_short(G.extract(block[:size], block[:size]).det()) for size in range(1, len(block) + 1)]
+        positive += [_factor_if_short(G.extract(block[:size], block[:size]).det()) for size in range(1, len(block) + 1)]
     remark = f" (where rank B = {len(columns)})" if B.free_symbols else ""
-    return _Conditions(_distinct(zero, keep_zero=False), _distinct(positive, keep_zero=True), True, remark)
+    return _ParameterConditions(
+        _distinct_expressions(zero, keep_zero=False), _distinct_expressions(positive, keep_zero=True), True, remark
+    )
 
 
-def _simple(M: sp.Matrix) -> sp.Matrix:
-    return M.applyfunc(_short)
+def _simplify_matrix(M: sp.Matrix) -> sp.Matrix:
+    return M.applyfunc(_factor_if_short)
 
 
-def _short(expr: Any) -> sp.Expr:
+def _factor_if_short(expr: Any) -> sp.Expr:
     """Factored where that is no longer, so that signs of factors can be read off."""
     import sympy as sp
 
@@ -130,7 +135,7 @@ def _short(expr: Any) -> sp.Expr:
     return factored if sp.count_ops(factored) <= sp.count_ops(plain) + 2 else plain
 
 
-def _distinct(expressions: Sequence[sp.Expr], *, keep_zero: bool) -> list[sp.Expr]:
+def _distinct_expressions(expressions: Sequence[sp.Expr], *, keep_zero: bool) -> list[sp.Expr]:
     """Each expression once, without those that are 0."""
     kept: list[sp.Expr] = []
     for expr in expressions:
@@ -139,13 +144,13 @@ def _distinct(expressions: Sequence[sp.Expr], *, keep_zero: bool) -> list[sp.Exp
     return kept
 
 
-def _nonzero(S: sp.Matrix) -> np.ndarray:
+def _coupling_pattern(S: sp.Matrix) -> np.ndarray:
     """Where S or S' is not 0."""
     pattern = np.array([[S[i, j] != 0 for j in range(S.cols)] for i in range(S.rows)], bool).reshape(S.shape)
     return pattern | pattern.T
 
 
-def _solved(conditions: _Conditions) -> tuple[str, dict[str, float]]:
+def _solve_for_parameter(conditions: _ParameterConditions) -> tuple[str, dict[str, float]]:
     """The conditions solved for a parameter that enters linearly; of one other parameter, the extreme of that boundary."""
     import sympy as sp
 
@@ -162,12 +167,12 @@ def _solved(conditions: _Conditions) -> tuple[str, dict[str, float]]:
         expr = conditions.positive[0]
         for symbol, other in (free, free[::-1]):
             if sp.degree(expr, symbol) == 1 if expr.is_polynomial(symbol) else False:
-                boundary = _short(sp.solve(expr, symbol)[0])
-                return _extreme(symbol, other, boundary)
+                boundary = _factor_if_short(sp.solve(expr, symbol)[0])
+                return _boundary_extreme(symbol, other, boundary)
     return "", {}
 
 
-def _extreme(symbol: sp.Symbol, other: sp.Symbol, boundary: sp.Expr) -> tuple[str, dict[str, float]]:
+def _boundary_extreme(symbol: sp.Symbol, other: sp.Symbol, boundary: sp.Expr) -> tuple[str, dict[str, float]]:
     """The boundary symbol = f(other), and its least absolute value: below that, the other parameter is free."""
     import sympy as sp
     from scipy.optimize import minimize_scalar

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nsmodel.classes.lure.hypotheses.check import contraction
-from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, NAME
+from nsmodel.classes.lure.hypotheses.check import compare_contraction
+from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, P_OMEGA
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, Finding
 from nsmodel.trajectory import Trajectory
 
 
-def compared(model: LureSystem, findings: Sequence[Finding], runs: Sequence[Trajectory]) -> list[Finding]:
+def compare_runs(model: LureSystem, findings: Sequence[Finding], runs: Sequence[Trajectory]) -> list[Finding]:
     """(40), with the P and omega of the findings, for two runs from different starts."""
     rate = next(finding for finding in findings if finding.id == HYPOMONOTONE.id)
-    if len(runs) < 2 or rate.verdict != HOLDS or NAME not in rate.witness:
+    if len(runs) < 2 or rate.verdict != HOLDS or P_OMEGA not in rate.witness:
         return []
-    return [contraction(model, np.array(rate.witness[NAME]), rate.value["omega"], *runs[:2])]
+    return [compare_contraction(model, np.array(rate.witness[P_OMEGA]), rate.value["omega"], *runs[:2])]

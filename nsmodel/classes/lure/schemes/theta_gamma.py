@@ -13,8 +13,15 @@ import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.laws import Law
-from nsmodel.laws.moving import Ends
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying, shown, subdifferential
+from nsmodel.laws.moving import LawEnds
+from nsmodel.scheme.problem import (
+    OneStepProblem,
+    SchemeOrder,
+    moving_law_outputs,
+    rewrite_as_basic_law,
+    subdifferential,
+    with_carried_inputs,
+)
 
 
 def one_step_problem(model: LureSystem) -> OneStepProblem:
@@ -23,7 +30,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
     x_k, r_k, x, u = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n), ca.SX.sym("u_next", model.u.numel())
     rate_k = model.A + model.f
     rate, e = ca.substitute([rate_k, model.e], [t, x_k, model.u], [t + h, x, u])
-    law = rows_of_law(model, x, e, ca.vertcat(t + h, u))
+    law = law_rows(model, x, e, ca.vertcat(t + h, u))
     r, y = ca.densify(model.B @ law.multipliers), ca.SX.sym("y", law.l.numel())
     E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     problem = OneStepProblem(
@@ -37,15 +44,15 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         next_state=ca.vertcat(x, r) if ga < 1 else x,
         multipliers=law.multipliers if law.rewritten else None,
         declared=model.multiplier_names,
-        outputs=shown(law.outputs, y, law.ends) if law.rewritten else None,
+        outputs=moving_law_outputs(law.outputs, y, law.ends) if law.rewritten else None,
         ends=law.ends, scale=law.scale,
-        start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
-        order=SchemeOrder.of_weights(th, ga, r, ca.vertcat(t, h, u, x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
+        start=_initial_multiplier_problem(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        order=SchemeOrder.from_weights(th, ga, r, ca.vertcat(t, h, u, x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
     )  # fmt: skip
-    return carrying(problem, model.u, u)
+    return with_carried_inputs(problem, model.u, u)
 
 
-class _Rows(NamedTuple):
+class _LawRows(NamedTuple):
     """The law of a Lur'e system on (x, l): l in K with rows Y, the user's multipliers and outputs, and y as an unknown."""
 
     law: Law
@@ -55,35 +62,35 @@ class _Rows(NamedTuple):
     multipliers: ca.SX
     outputs: ca.SX
     rewritten: bool
-    ends: tuple[Ends, ...] = ()
+    ends: tuple[LawEnds, ...] = ()
     scale: ca.SX | None = None
     z: ca.SX = ca.SX(0, 1)
     E: ca.SX = ca.SX(0, 1)
     guess: ca.SX = ca.SX(0, 1)
 
 
-def rows_of_law(model: LureSystem, x: ca.SX, e: ca.SX, at: ca.SX | None = None) -> _Rows:
+def law_rows(model: LureSystem, x: ca.SX, e: ca.SX, at: ca.SX | None = None) -> _LawRows:
     """y = C x + D l + e with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0.
 
     ``at``: what stands in place of the time and the inputs in the law.
     """
     y = ca.SX.sym("y_next", model.B.shape[1])
     if model.law is not None:
-        basic = basic_law(model.law, model.multiplier_names, y, ca.vertcat(model.t, model.u), at)
+        basic = rewrite_as_basic_law(model.law, model.multiplier_names, y, ca.vertcat(model.t, model.u), at)
         output = ca.densify(model.C @ x + model.D @ basic.multipliers + e)
         Y = ca.substitute(basic.y, y, output)
-        return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.differs, basic.ends, basic.scale)
+        return _LawRows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.differs, basic.ends, basic.scale)
     part = subdifferential(model.phi_split, model.y, "phi")
     implicit, free = not model.D.is_zero(), ca.densify(model.C @ x + e)
     output = y if implicit else free
     l, Y = ca.substitute([part.force, part.u], [model.y], [output])
-    rows = _Rows(part.law, part.l, part.rows, Y, l, output, True)
+    rows = _LawRows(part.law, part.l, part.rows, Y, l, output, True)
     return rows._replace(z=y, E=y - free - model.D @ l, guess=free) if implicit else rows
 
 
-def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
+def _initial_multiplier_problem(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     """l_0 solves the law at x_0: the first B l_k where gamma < 1."""
-    law = rows_of_law(model, model.x, model.e)
+    law = law_rows(model, model.x, model.e)
     return OneStepProblem(
         scheme="multiplier at the start",
         t=model.t, h=h, state=state, p=model.p,

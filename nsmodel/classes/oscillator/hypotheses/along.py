@@ -8,22 +8,24 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.oscillator.hypotheses.check import FORCED
+from nsmodel.classes.oscillator.hypotheses.check import FORCED_TEXT
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.classes.oscillator.schemes.inertial_proximal import energy
-from nsmodel.columns import extrapolated
-from nsmodel.hypotheses.along import SLACK, feasible, has_every_row, rows_missing
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.classes.oscillator.schemes.inertial_proximal import energy_function
+from nsmodel.columns import extrapolated_rows
+from nsmodel.hypotheses.along import SUM_ROUNDING, constraint_findings, has_every_row, missing_rows_findings
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.trajectory import Trajectory
 
-ENERGY = Hypothesis("run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1")
-DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
-BOUND = Hypothesis(
+RUN_ENERGY = Hypothesis(
+    "run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1"
+)
+RUN_DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
+RUN_BOUND = Hypothesis(
     "run-bound",
     "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
     "catching-up 2026, Lemma 4.4",
 )
-HYPOTHESES = (ENERGY, DISSIPATED)
+HYPOTHESES = (RUN_ENERGY, RUN_DISSIPATED)
 
 
 def along(
@@ -32,13 +34,15 @@ def along(
     """dom g, and Proposition 4.1."""
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     if model.is_forced:
-        energies = [found(hypothesis, UNKNOWN, FORCED) for hypothesis in HYPOTHESES]
+        energies = [make_finding(hypothesis, UNKNOWN, FORCED_TEXT) for hypothesis in HYPOTHESES]
     else:
-        energies = _energies(model, run, numbers) if has_every_row(run) else rows_missing(ENERGY, DISSIPATED)
-    return [*feasible(model, run, c, model.constraint_names), *energies]
+        energies = (
+            _energy_findings(model, run, numbers) if has_every_row(run) else missing_rows_findings(RUN_ENERGY, RUN_DISSIPATED)
+        )
+    return [*constraint_findings(model, run, c, model.constraint_names), *energies]
 
 
-class _Balance(NamedTuple):
+class _EnergyBalance(NamedTuple):
     """From the first row that has a difference: E, what friction takes, how much more than that E rises in each step.
 
     ``moved``: the steps beside which something was extrapolated.
@@ -52,34 +56,34 @@ class _Balance(NamedTuple):
 
     @property
     def rounding(self) -> float:
-        return SLACK * max(np.nanmax(np.abs(self.E)), np.finfo(float).tiny)
+        return SUM_ROUNDING * max(np.nanmax(np.abs(self.E)), np.finfo(float).tiny)
 
 
-def _energies(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
+def _energy_findings(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
     """Proposition 4.1 from x and v alone."""
-    balance = _balance(model, run)
-    grows = _taken_away(balance, numbers)
-    return [grows] if balance.moved.any() else [grows, _dissipated(balance, numbers["O-g"].value)]
+    balance = _energy_balance(model, run)
+    grows = _energy_decay(balance, numbers)
+    return [grows] if balance.moved.any() else [grows, _dissipation_finding(balance, numbers["O-g"].value)]
 
 
-def _balance(model: FrictionOscillator, run: Trajectory) -> _Balance:
+def _energy_balance(model: FrictionOscillator, run: Trajectory) -> _EnergyBalance:
     """E at a row has the last difference over the step that comes next."""
     first = 1 if model.x1 is not None else 0
     l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
     nominal = np.append(l[0], l) / np.append(l, l[-1])
-    moved = extrapolated(run)[1:]  # the inequality is about steps of the scheme
+    moved = extrapolated_rows(run)[1:]  # the inequality is about steps of the scheme
     if "correction" in run.arrays or model.keeps_velocity:
         nominal[:] = 1.0
     elif model.steps is None and len(l) > 1 and l[-1] < l[-2]:
         nominal[-2] = 1.0  # a last step that only the end of the run shortens keeps the velocity
     v = run.arrays["v"]
-    E = np.array(energy(model).map(len(run.t))(run.x.T, (v * nominal[:, None]).T)).ravel()
+    E = np.array(energy_function(model).map(len(run.t))(run.x.T, (v * nominal[:, None]).T)).ravel()
     taken = l[first:] * _friction_power(model, v)[first + 1 :]
     rise = np.where(moved[first:], -np.inf, np.diff(E[first:]) + taken)
-    return _Balance(run.t[first:], E[first:], taken, rise, moved)
+    return _EnergyBalance(run.t[first:], E[first:], taken, rise, moved)
 
 
-def _taken_away(balance: _Balance, numbers: Mapping[str, Finding]) -> Finding:
+def _energy_decay(balance: _EnergyBalance, numbers: Mapping[str, Finding]) -> Finding:
     t, E, _, rise, moved = balance
     k = int(np.argmax(rise))
     witness = {"t": t[k + 1], "E before": E[k], "E after": E[k + 1]}
@@ -87,14 +91,14 @@ def _taken_away(balance: _Balance, numbers: Mapping[str, Finding]) -> Finding:
     evaluated = f"evaluated at {rise.size - moved[-rise.size :].sum()} steps"
     evaluated += ", where nothing was extrapolated" if moved.any() else ""
     if rise[k] <= balance.rounding:
-        return found(ENERGY, HOLDS, evaluated, values, witness)
+        return make_finding(RUN_ENERGY, HOLDS, evaluated, values, witness)
     if numbers["O-steps"].verdict == HOLDS and numbers["O-g"].verdict != VIOLATED:
-        return found(ENERGY, VIOLATED, evaluated, values, witness)
+        return make_finding(RUN_ENERGY, VIOLATED, evaluated, values, witness)
     how = "the energy grows, and the proposition does not apply: O-steps or O-g does not hold"
-    return found(ENERGY, VIOLATED, how, values, witness)
+    return make_finding(RUN_ENERGY, VIOLATED, how, values, witness)
 
 
-def _dissipated(balance: _Balance, known: Mapping[str, float]) -> Finding:
+def _dissipation_finding(balance: _EnergyBalance, known: Mapping[str, float]) -> Finding:
     """``known``: what is known of inf g."""
     E_0, total = balance.E[0], float(np.sum(balance.taken))
     below, met = known.get("inf g", known.get("lower bound of g", -np.inf)), known.get("inf g", known.get("least g met", np.inf))
@@ -107,9 +111,9 @@ def _dissipated(balance: _Balance, known: Mapping[str, float]) -> Finding:
     elif np.isfinite(below) and total > E_0 - below + rest:
         verdict = VIOLATED
     else:
-        return found(DISSIPATED, UNKNOWN, "inf g is not known closely enough", values)
+        return make_finding(RUN_DISSIPATED, UNKNOWN, "inf g is not known closely enough", values)
     values |= {"E_0 - inf g": E_0 - known["inf g"]} if "inf g" in known else {}
-    return found(DISSIPATED, verdict, f"summed over {balance.rise.size} steps", values, {"t": balance.t[-1]})
+    return make_finding(RUN_DISSIPATED, verdict, f"summed over {balance.rise.size} steps", values, {"t": balance.t[-1]})
 
 
 def _friction_power(model: FrictionOscillator, v: np.ndarray) -> np.ndarray:

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.hypotheses.impacts import System
+from nsmodel.hypotheses.impacts import ImpactStructure
 
 
-def system(model: FrictionOscillator) -> System | None:
+def system(model: FrictionOscillator) -> ImpactStructure | None:
     """s = (x, v): what moves an oscillator against its constraints; other forces are bounded, and do not enter y'."""
     if not model.constraint_names:
         return None
@@ -20,7 +20,7 @@ def system(model: FrictionOscillator) -> System | None:
     start = ca.vertcat(model.x0 if model.x1 is None else model.x1, ca.SX.zeros(v.numel()) if model.v0 is None else model.v0)
     names = tuple(model.names or ())
     states = [*names, *(f"v of {name}" for name in names)]
-    return System(
+    return ImpactStructure(
         model.t, s, n, ca.vertcat(v, slopes.T @ n), c, F_l, ca.jacobian(c, s), ca.SX(n.numel(), n.numel()), start,
         np.zeros(n.numel()), np.full(n.numel(), np.inf), states, model.constraint_names, -n.numel(),
     )  # fmt: skip

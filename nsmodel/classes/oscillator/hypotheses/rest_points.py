@@ -13,24 +13,24 @@ import numpy as np
 
 from nsmodel.classes.oscillator.hypotheses import friction_law
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.hypotheses.domain import without_domain
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, follows
+from nsmodel.hypotheses.domain import potential_without_domain
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, make_consequence
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.uniform import middle_of, reads
+from nsmodel.hypotheses.uniform import box_middle, depends_on_symbol
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof import interval as proof
 from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.least_value import least_value
-from nsmodel.proof.convex.lower_bound import Below
-from nsmodel.proof.graph import column
-from nsmodel.proof.mixtures import mixture
+from nsmodel.proof.convex.least_value import minimise_potential
+from nsmodel.proof.convex.lower_bound import LowerBoundResult
+from nsmodel.proof.graph import stack_column
+from nsmodel.proof.mixtures import mixture_corners
 
-FAR = 1e12  # Beyond this, from the minimum, no end is looked for.
-THIN = 1e-13  # Relative width of the intervals on which a slope is bounded.
-MARGIN = 1e-9
+MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
+THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.
+SLOPE_MARGIN = 1e-9
 
 
-class Interval(NamedTuple):
+class RestInterval(NamedTuple):
     """A set around the rest points of one state; ``strict``: 0 is interior to A(0) + dg at each of them, seen in doubles."""
 
     low: float
@@ -38,65 +38,67 @@ class Interval(NamedTuple):
     strict: bool
 
 
-def consequences(
-    model: FrictionOscillator, findings: Sequence[Finding], every: Sequence[str], g: ca.SX, domain: ConvexSet, below: Below,
-    source: str,
+def rest_point_consequences(
+    model: FrictionOscillator, findings: Sequence[Finding], every: Sequence[str], g: ca.SX, domain: ConvexSet,
+    below: LowerBoundResult, source: str,
 ) -> list[Consequence]:  # fmt: skip
     """Sets that hold the limits: an interval for one state, an ellipsoid for a quadratic potential and isotropic friction."""
     radius = outer_radius(model)
     if domain.n == 1 and np.isfinite(radius):
         name = next(iter(model.names or ()))
-        found = interval(g, domain, below.at, radius)
+        found = rest_interval(g, domain, below.at, radius)
         where = f"where d(0, dg({name})) <= {radius:.6g}"
-        statement = f"every limit {name}_inf lies in [{_outwards(found.low, -1)}, {_outwards(found.high, 1)}], {where}"
+        statement = (
+            f"every limit {name}_inf lies in [{_round_outwards(found.low, -1)}, {_round_outwards(found.high, 1)}], {where}"
+        )
         values = {f"least {name}_inf": found.low, f"largest {name}_inf": found.high}
-        out = [follows("rest points", statement, findings, every, source, values)]
+        out = [make_consequence("rest points", statement, findings, every, source, values)]
         if found.strict:
-            base = follows("finite from every start", "", findings, every, source)
+            base = make_consequence("finite from every start", "", findings, every, source)
             statement = "0 is interior to A(0) + dg(x) at every rest point: each sequence stops in finitely many steps"
             verdict = SAMPLED if base.verdict == HOLDS else base.verdict
             out.append(replace(base, statement=statement, verdict=verdict, source=f"{source.split(' (')[0]} (iii)"))
         return out
-    P = polynomial.quadratic(polynomial.read(g, domain.x)[0], domain.n)
+    P = polynomial.as_quadratic(polynomial.read_polynomials(g, domain.x)[0], domain.n)
     ball = len(model.elements) == 1 and np.array_equal(np.array(ca.DM(model.elements[0].H)), np.eye(domain.n))
     if P is None or domain.rows.numel() or not ball or not np.isfinite(radius):
         return []
-    values = _from_below(exact.doubles(P.H))
+    values = _eigenvalue_lower_bounds(exact.doubles(P.H))
     axes = {
         f"semi-axis {i + 1}": float(np.nextafter(radius / value, np.inf)) if value > 0 else np.inf
         for i, value in enumerate(values[:6])
     }
     statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue"
-    return [follows("rest points", statement, findings, every, source, axes)]
+    return [make_consequence("rest points", statement, findings, every, source, axes)]
 
 
-def for_all(
+def rest_points_for_all(
     model: FrictionOscillator, region: Region, findings: Sequence[Finding], every: Sequence[str], domain: ConvexSet, source: str
 ) -> list[Consequence]:
     """An interval that holds the limits of one state for all values of parameters, on which the domain does not depend.
 
     Beyond the ends of all g_k, of which g is a convex combination, each |g_k'| exceeds its radius, and so do the sums.
     """
-    found, x0 = [], np.array(ca.DM(model.bind(middle_of(region.parameters)).x0)).ravel()
-    for one in _mixed(model, region):
-        g, radius = without_domain(one.potential, model.x, "potential"), outer_radius(one)
+    found, x0 = [], np.array(ca.DM(model.bind(box_middle(region.parameters)).x0)).ravel()
+    for one in _mixture_models(model, region):
+        g, radius = potential_without_domain(one.potential, model.x, "potential"), outer_radius(one)
         if not np.isfinite(radius):
             return []
-        found.append(interval(g, domain, least_value(g, domain, x0)[0], radius))
+        found.append(rest_interval(g, domain, minimise_potential(g, domain, x0)[0], radius))
     if not found:
         return []
     low, high = min(part.low for part in found), max(part.high for part in found)
     name = next(iter(model.names))
-    statement = f"every limit {name}_inf lies in [{_outwards(low, -1)}, {_outwards(high, 1)}]"
+    statement = f"every limit {name}_inf lies in [{_round_outwards(low, -1)}, {_round_outwards(high, 1)}]"
     values = {f"least {name}_inf": low, f"largest {name}_inf": high}
-    return [follows("rest points", statement, findings, every, source, values)]
+    return [make_consequence("rest points", statement, findings, every, source, values)]
 
 
-def _mixed(model: FrictionOscillator, region: Region) -> list[FrictionOscillator]:
+def _mixture_models(model: FrictionOscillator, region: Region) -> list[FrictionOscillator]:
     """Models of whose laws and potential those of all values are convex combinations; none where H depends on the parameters."""
-    g = without_domain(model.potential, model.x, "potential")
-    at = mixture(column([*(e.theta for e in model.elements), g]), model.p, *region.of_parameters())
-    if at is None or any(reads(element.H, model.p) for element in model.elements):
+    g = potential_without_domain(model.potential, model.x, "potential")
+    at = mixture_corners(stack_column([*(e.theta for e in model.elements), g]), model.p, *region.parameter_bounds())
+    if at is None or any(depends_on_symbol(element.H, model.p) for element in model.elements):
         return []
     made = [copy(model) for _ in at]
     for one, rows in zip(made, at, strict=True):
@@ -109,19 +111,19 @@ def outer_radius(model: FrictionOscillator) -> float:
     """A number that no |f| with f in A(0) exceeds: sum theta_j'(0) |H_j|, from upper bounds."""
     total = Fraction(0)
     for element in model.elements:
-        high, H = friction_law.slope_at_zero(element, model.s)[1], exact.rational(np.array(ca.DM(element.H)))
+        high, H = friction_law.slope_at_zero_bounds(element, model.s)[1], exact.rational(np.array(ca.DM(element.H)))
         if not np.isfinite(high):
             return np.inf
-        G = exact.product(H.T, H)
+        G = exact.matrix_product(H.T, H)
         square = G[0, 0] if (G == G[0, 0] * exact.eye(len(G))).all() else sum((entry * entry for entry in H.ravel()), Fraction(0))
         root = float(np.sqrt(float(square)))
         while Fraction(root) ** 2 < square:
             root = float(np.nextafter(root, np.inf))
         total += Fraction(max(high, 0.0)) * Fraction(root)
-    return exact.up(total)
+    return exact.round_up(total)
 
 
-def _from_below(H: np.ndarray) -> np.ndarray:
+def _eigenvalue_lower_bounds(H: np.ndarray) -> np.ndarray:
     """Lower bounds of the eigenvalues, the largest first; those of a diagonal matrix are its entries."""
     if not np.any(H - np.diag(np.diag(H))):
         return np.sort(np.diag(H))[::-1]
@@ -129,7 +131,7 @@ def _from_below(H: np.ndarray) -> np.ndarray:
     return values - 16 * len(H) * np.finfo(float).eps * np.abs(values).max(initial=0.0)
 
 
-def _outwards(end: float, sign: int) -> str:
+def _round_outwards(end: float, sign: int) -> str:
     """Six digits, rounded outwards."""
     text = f"{end:.6g}"
     if np.isfinite(end) and (float(text) - end) * sign < 0:
@@ -137,46 +139,46 @@ def _outwards(end: float, sign: int) -> str:
     return text
 
 
-def interval(g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float) -> Interval:
+def rest_interval(g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float) -> RestInterval:
     """A set that holds the rest points of one state: {x in dom g : g'(x-) <= radius, g'(x+) >= -radius}, around a minimum of g.
 
     It is exact for a quadratic. Else an end is a point before which the slope is proved to exceed the radius, somewhere: being
     monotone, it does so from there on. Without such a point the end is infinite, or that of the domain.
     """
-    P = polynomial.quadratic(polynomial.read(g, domain.x)[0], 1)
-    low, high = (float(end[0]) for end in domain.hull)
+    P = polynomial.as_quadratic(polynomial.read_polynomials(g, domain.x)[0], 1)
+    low, high = (float(end[0]) for end in domain.bounding_box)
     if P is not None and P.H[0, 0] > 0 and len(domain.affine) == domain.rows.numel():
         ends = [(-P.q[0, 0] + sign * Fraction(radius)) / P.H[0, 0] for sign in (-1, 1)]
-        left, right = max(low, exact.down(ends[0])), min(high, exact.up(ends[1]))
-        return Interval(left, right, left > float(ends[0]) and right < float(ends[1]))
+        left, right = max(low, exact.round_down(ends[0])), min(high, exact.round_up(ends[1]))
+        return RestInterval(left, right, left > float(ends[0]) and right < float(ends[1]))
     slope = ca.gradient(g, domain.x)
     centre = float(minimum[0])
     ends, strict = [], True
     for sign, hull in ((-1.0, low), (1.0, high)):
-        end = _end(lambda d, sign=sign: _beyond(slope, domain, centre, sign, d, radius), sign, centre)
+        end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
         ends.append(max(end, hull) if sign < 0 else min(end, hull))
-        strict = strict and _slack(slope, domain, centre, sign, ends[-1], radius)
-    return Interval(ends[0], ends[1], strict)
+        strict = strict and _has_slack(slope, domain, centre, sign, ends[-1], radius)
+    return RestInterval(ends[0], ends[1], strict)
 
 
-def _beyond(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, d: float, radius: float) -> float | None:
+def _proved_end(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, d: float, radius: float) -> float | None:
     """An end proved close to centre + sign d: the slope exceeds the radius there, or the domain has ended; else None."""
     near = centre + sign * d
-    far = near + sign * max(THIN * abs(near), np.finfo(float).tiny)
+    far = near + sign * max(THIN_WIDTH * abs(near), np.finfo(float).tiny)
     box = np.array([min(near, far)]), np.array([max(near, far)])
     low, high = (float(np.ravel(end)[0]) for end in proof.enclose(slope, domain.x, *box))
     outside = domain.rows.numel() and float(np.min(proof.enclose(domain.rows, domain.x, *box)[1])) < 0
     return far if (low > radius if sign > 0 else high < -radius) or outside else None
 
 
-def _end(proved: Callable[[float], float | None], sign: float, centre: float) -> float:
+def _bisect_end(proved: Callable[[float], float | None], sign: float, centre: float) -> float:
     """The nearest end that is proved, by bisection."""
     if (end := proved(0.0)) is not None:
         return end
     low, high = 0.0, 1e-12 * (1 + abs(centre))
     while (end := proved(high)) is None:
         low, high = high, 2 * high
-        if high > FAR * (1 + abs(centre)):
+        if high > MAX_REST_DISTANCE * (1 + abs(centre)):
             return sign * np.inf
     for _ in range(100):
         middle = (low + high) / 2
@@ -187,17 +189,17 @@ def _end(proved: Callable[[float], float | None], sign: float, centre: float) ->
     return end
 
 
-def _slack(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, end: float, radius: float) -> bool:
+def _has_slack(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, end: float, radius: float) -> bool:
     """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there."""
     if not np.isfinite(end):
-        return _far_slope(slope, domain, sign, centre) < radius - MARGIN * (1 + radius)
+        return _far_slope(slope, domain, sign, centre) < radius - SLOPE_MARGIN * (1 + radius)
     inside = end - sign * 1e-9 * (1 + abs(end))
     if (inside - centre) * sign <= 0:
         return True
     value = float(ca.Function("slope", [domain.x], [slope])(inside)) * sign
-    return bool(value < radius - MARGIN * (1 + radius))
+    return bool(value < radius - SLOPE_MARGIN * (1 + radius))
 
 
 def _far_slope(slope: ca.SX, domain: ConvexSet, sign: float, centre: float) -> float:
-    value = float(ca.Function("slope", [domain.x], [slope])(centre + sign * FAR)) * sign
+    value = float(ca.Function("slope", [domain.x], [slope])(centre + sign * MAX_REST_DISTANCE)) * sign
     return value if np.isfinite(value) else np.inf

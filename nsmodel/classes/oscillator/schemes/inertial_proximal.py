@@ -25,11 +25,11 @@ import numpy as np
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.errors import UsageError
 from nsmodel.laws import ball, complementarity, product
-from nsmodel.model.arguments import rows_called
-from nsmodel.once import once
-from nsmodel.scheme.problem import OneStepProblem, at_rest, carrying, subdifferential
+from nsmodel.model.arguments import numbered_row_names
+from nsmodel.once import cached_per_object
+from nsmodel.scheme.problem import OneStepProblem, stationary_parts, subdifferential, with_carried_inputs
 
-LEAST = 1e-150
+SMALLEST_SPEED = 1e-150
 
 
 def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
@@ -39,24 +39,24 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     old, d = ca.SX.sym("v_old" if keeps else "d_old", n), ca.SX.sym("d", n)
     v, x_next, d_old = d / h, x + d, h * old if keeps else old
 
-    elements, moved = at_end(model, model.t + h, u), ca.vertcat(model.t, u)
+    elements, moved = elements_at_end(model, model.t + h, u), ca.vertcat(model.t, u)
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in elements]
     smooth = -ca.substitute([model.force], [model.t, model.u], [model.t + h, u])[0]
     smooth += 0 if model.damping is None else model.damping @ v
     for element, l in zip(elements, xi, strict=True):
-        smooth += element.H.T @ (rest(element, model.s, element.H @ v) - l)
+        smooth += element.H.T @ (smooth_friction(element, model.s, element.H @ v) - l)
 
     g = subdifferential(model.potential_split, x, "potential")
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     n_c = ca.SX.sym("n", c.numel())
-    force = at(g.force, x, x_next) + at(ca.jacobian(c, x), x, x_next).T @ n_c
+    force = substitute_state(g.force, x, x_next) + substitute_state(ca.jacobian(c, x), x, x_next).T @ n_c
 
     balls = (ball(e.H.shape[0], slope_at_zero(e, model.s, moved)) for e in elements)
     l = ca.vertcat(ca.SX(0, 1), *xi, g.l, n_c)
-    rows = tuple(name for e in elements for name in rows_called(e.name, e.H.shape[0])) + g.rows + model.constraint_names
+    rows = tuple(name for e in elements for name in numbered_row_names(e.name, e.H.shape[0])) + g.rows + model.constraint_names
     y, law = ca.SX.sym("y", l.numel()), product(*balls, g.law, complementarity(n_c.numel()))
-    Y = ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), at(g.u, x, x_next), at(c, x, x_next))
-    own = at_rest(law, rows, l, moved, [d - d_old + h**2 * (smooth - force), Y])
+    Y = ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), substitute_state(g.u, x, x_next), substitute_state(c, x, x_next))
+    own = stationary_parts(law, rows, l, moved, [d - d_old + h**2 * (smooth - force), Y])
     E, Y = own.parts
     problem = OneStepProblem(
         scheme="inertial proximal (A)",
@@ -69,14 +69,15 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
         records={"v": v},
         velocity="v", difference=not keeps,
     )  # fmt: skip
-    return carrying(problem, model.u, u)
+    return with_carried_inputs(problem, model.u, u)
 
 
-def at_end(model: FrictionOscillator, t: ca.SX, u: ca.SX) -> tuple[Friction, ...]:
+def elements_at_end(model: FrictionOscillator, t: ca.SX, u: ca.SX) -> tuple[Friction, ...]:
     """The friction elements at a time and inputs; those that stay as they are."""
     old = ca.vertcat(model.t, model.u)
     return tuple(
-        e._replace(theta=ca.substitute(e.theta, old, ca.vertcat(t, u))) if model.rubs_anew(e) else e for e in model.elements
+        e._replace(theta=ca.substitute(e.theta, old, ca.vertcat(t, u))) if model.is_friction_moving(e) else e
+        for e in model.elements
     )
 
 
@@ -88,11 +89,13 @@ def slope_at_zero(element: Friction, s: ca.SX, moved: ca.SX | None = None) -> ca
     """
     if moved is not None and ca.depends_on(element.theta, moved) and not ca.depends_on(slope := ca.gradient(element.theta, s), s):
         return slope
-    at_zero, beside, further = (ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, LEAST, 1e10 * LEAST))
-    return ca.if_else(ca.fabs(further - beside) <= 1e-9 * ca.fabs(beside), beside, at_zero)
+    at_zero, near_zero, further = (
+        ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, SMALLEST_SPEED, 1e10 * SMALLEST_SPEED)
+    )
+    return ca.if_else(ca.fabs(further - near_zero) <= 1e-9 * ca.fabs(near_zero), near_zero, at_zero)
 
 
-def rest(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
+def smooth_friction(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
     """(theta'(|u|) - theta'(0)) u/|u|, the smooth part of the friction at u = H v: 0 at u = 0, linear for a quadratic theta."""
     slope = ca.gradient(element.theta, s)
     curvature = ca.gradient(slope, s)
@@ -100,13 +103,13 @@ def rest(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
         return curvature * u
     # The least size keeps derivatives finite at u = 0, in any unit of length.
     scalar = u.numel() == 1
-    size = ca.fmax(ca.fabs(u), LEAST) if scalar else ca.sqrt(ca.sumsqr(u) + LEAST**2)
+    size = ca.fmax(ca.fabs(u), SMALLEST_SPEED) if scalar else ca.sqrt(ca.sumsqr(u) + SMALLEST_SPEED**2)
     direction = ca.sign(u) if scalar else u / size
     return (ca.substitute(slope, s, size) - slope_at_zero(element, s)) * direction
 
 
-@once
-def energy(model: FrictionOscillator) -> ca.Function:
+@cached_per_object
+def energy_function(model: FrictionOscillator) -> ca.Function:
     """E_n = |x_{n+1} - x_n|^2 / (2 l_n^2) + g(x_{n+1}) (14), as a function of (x_{n+1}, (x_{n+1} - x_n)/l_n)."""
     w = ca.SX.sym("w", model.x.numel())
     return ca.Function("energy", [model.x, w], [ca.sumsqr(w) / 2 + model.potential])
@@ -122,7 +125,7 @@ def shortened(model: FrictionOscillator, state: np.ndarray, ratio: float) -> np.
     return np.concatenate([state[:n], state[n:] * ratio])
 
 
-def at(expression: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
+def substitute_state(expression: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
     """The expression with x replaced."""
     return ca.substitute(expression, x, value) if expression.numel() else expression
 
@@ -162,11 +165,11 @@ def start_of(model: FrictionOscillator, h: ca.SX) -> ca.SX:
 def derived_columns(model: FrictionOscillator, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """The energy E_n: the last difference over the step that comes next; with a force, of the velocity."""
     if model.keeps_velocity:
-        return {"energy": np.array(energy(model).map(len(arrays["v"]))(arrays["x"].T, arrays["v"].T)).ravel()}
+        return {"energy": np.array(energy_function(model).map(len(arrays["v"]))(arrays["x"].T, arrays["v"].T)).ravel()}
     d = arrays["v"] * arrays["step"][:, None]
     if not np.isfinite(arrays["step"][0]):
         d[0] = arrays["v"][0] * h_next[0]
         known = np.flatnonzero(~np.isfinite(arrays["step"]) & np.isfinite(arrays["v"]).all(axis=1))
         d[known] = arrays["v"][known] * h_next[known, None]
     w = d / h_next[:, None]
-    return {"energy": np.array(energy(model).map(len(w))(arrays["x"].T, w.T)).ravel()}
+    return {"energy": np.array(energy_function(model).map(len(w))(arrays["x"].T, w.T)).ravel()}

@@ -11,17 +11,17 @@ import numpy as np
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import extremum
-from nsmodel.proof.buffered import attached
+from nsmodel.proof.buffered import attach_buffers
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.trajectory import Trajectory
 
-ROUNDS = 12  # Linearisations before a projection counts as not found.
-MOST_NAMED = 12
-FEASIBLE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.
+MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found.
+MAX_NAMED_STATES = 12
+FEASIBILITY_TOLERANCE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.
 
 
-class Process(NamedTuple):
+class PartialSweepingProcess(NamedTuple):
     """A sweeping process, or a part of one whose states no other constraint touches.
 
     Attributes:
@@ -61,33 +61,35 @@ class Process(NamedTuple):
 
     def admits(self, g: np.ndarray, G: np.ndarray) -> bool:
         """Whether a point with these values and gradients is in Q(t), to rounding."""
-        return bool(np.isfinite(G).all() and (g >= -FEASIBLE * self.size * np.linalg.norm(G, axis=1)).all())
+        return bool(np.isfinite(G).all() and (g >= -FEASIBILITY_TOLERANCE * self.size * np.linalg.norm(G, axis=1)).all())
 
-    def part(self, rows: Sequence[int], columns: Sequence[int]) -> Process:
+    def part(self, rows: Sequence[int], columns: Sequence[int]) -> PartialSweepingProcess:
         """Return the process of some constraints and states, given by their places in this one."""
         ends = [0, *(1 + j for j in columns)]
         known = tuple((t, q[list(columns)]) for t, q in self.known)
         names = tuple(self.rows[i] for i in rows), tuple(self.columns[j] for j in columns)
-        return _process(self.g[list(rows)], self.q[list(columns)], self.t, *names, self.lower[ends], self.upper[ends], known)
+        return _make_process(self.g[list(rows)], self.q[list(columns)], self.t, *names, self.lower[ends], self.upper[ends], known)
 
 
-def process_of(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], count: int) -> Process:
+def build_process(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], count: int) -> PartialSweepingProcess:
     """Return the process of a model, with up to ``count`` rows of each run."""
     known = [(0.0, np.array(ca.DM(model.q0)).ravel())]
     known += [(float(run.t[k]), run.x[k]) for run in runs for k in np.unique(np.linspace(0, len(run.t) - 1, count, dtype=int))]
     finite = tuple((t, q) for t, q in known if np.isfinite(q).all())
     names = tuple(range(model.g.numel())), tuple(range(len(model.names)))
-    return _process(model.g, model.q, model.t, *names, *region.with_time(), finite)
+    return _make_process(model.g, model.q, model.t, *names, *region.bounds_with_time(), finite)
 
 
-def part_without_constraints(q: ca.SX, t: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Process:
+def unconstrained_process(q: ca.SX, t: ca.SX, lower: np.ndarray, upper: np.ndarray) -> PartialSweepingProcess:
     """Return the process of some states alone, on the box (1 + n,) of (t, q)."""
-    return _process(ca.SX(0, 1), q, t, (), tuple(range(q.numel())), lower, upper, ())
+    return _make_process(ca.SX(0, 1), q, t, (), tuple(range(q.numel())), lower, upper, ())
 
 
-def _process(g, q, t, rows, columns, lower, upper, known) -> Process:
+def _make_process(g, q, t, rows, columns, lower, upper, known) -> PartialSweepingProcess:
     function = ca.Function("g", [t, q], [ca.densify(g), ca.densify(ca.jacobian(g, q))])
-    return Process(g, q, t, rows, columns, lower, upper, known, function, _evaluator(function, len(rows), len(columns)))
+    return PartialSweepingProcess(
+        g, q, t, rows, columns, lower, upper, known, function, _evaluator(function, len(rows), len(columns))
+    )
 
 
 def _evaluator(function: ca.Function, p: int, n: int) -> Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -95,7 +97,7 @@ def _evaluator(function: ca.Function, p: int, n: int) -> Callable[[float, np.nda
     if not p or not n:
         return lambda t, q: (np.array(function(t, q)[0]).ravel(), np.zeros((p, n)))
     time, state, g, G = np.zeros(1), np.zeros(n), np.zeros(p), np.zeros(n * p)
-    buffer, call = attached(function, (time, state), (g, G))
+    buffer, call = attach_buffers(function, (time, state), (g, G))
 
     def evaluate(t: float, q: np.ndarray, keep: object = buffer) -> tuple[np.ndarray, np.ndarray]:
         time[0], state[:] = t, q  # ``keep``: the call lives as long as its buffer.
@@ -105,38 +107,38 @@ def _evaluator(function: ca.Function, p: int, n: int) -> Callable[[float, np.nda
     return evaluate
 
 
-def named(names: Sequence[str], q: np.ndarray) -> dict[str, Any]:
+def named_state(names: Sequence[str], q: np.ndarray) -> dict[str, Any]:
     """A state in a witness: by name where there are few, else as the list q."""
-    return dict(zip(names, q.tolist(), strict=True)) if len(names) <= MOST_NAMED else {"q": q.tolist()}
+    return dict(zip(names, q.tolist(), strict=True)) if len(names) <= MAX_NAMED_STATES else {"q": q.tolist()}
 
 
-def admissible_points(process: Process, count: int) -> list[tuple[float, np.ndarray]]:
+def admissible_points(process: PartialSweepingProcess, count: int) -> list[tuple[float, np.ndarray]]:
     """Return points (t, q) of Q(t): those known, ``count`` of the box, and of each known one a point pushed on from it."""
     rows = [(t, q) for t, q in process.known if process.admits(*process.at(t, q))]
     found = list(rows)
     for k, goal in enumerate(extremum.samples(process.lower, process.upper, count)):
         t, y = float(goal[0]), goal[1:]
-        point = projected(process, t, y, y)
+        point = project_to_admissible(process, t, y, y)
         if point is None and rows:
             t, start = rows[k % len(rows)]
-            point = projected(process, t, start, start + 0.5 * (y - start))
+            point = project_to_admissible(process, t, start, start + 0.5 * (y - start))
         if point is not None:
             found.append((t, point))
     for (t, start), y in zip(rows, extremum.samples(process.lower, process.upper, len(rows) + 1)[1:, 1:], strict=True):
-        point = projected(process, t, start, start + 0.3 * (y - start))
+        point = project_to_admissible(process, t, start, start + 0.3 * (y - start))
         if point is not None:
             found.append((t, point))
     return found
 
 
-def projected(process: Process, t: float, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+def project_to_admissible(process: PartialSweepingProcess, t: float, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
     """Return a point of Q(t) near ``goal``: projections on the linearised constraints, from ``start``, until they agree."""
     q, best = start, None
-    for _ in range(ROUNDS):
+    for _ in range(MAX_LINEARISATIONS):
         g, G = process.at(t, q)
         if not (np.isfinite(g).all() and np.isfinite(G).all()):
             return best
-        new = _linearised(g, G, q, goal)
+        new = _project_on_linearisation(g, G, q, goal)
         if new is None:
             return best
         value, slope = process.at(t, new)
@@ -148,7 +150,7 @@ def projected(process: Process, t: float, start: np.ndarray, goal: np.ndarray) -
     return best
 
 
-def _linearised(g: np.ndarray, G: np.ndarray, q: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+def _project_on_linearisation(g: np.ndarray, G: np.ndarray, q: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
     """The point nearest to ``goal`` where g + G (x - q) >= 0; rows join as they are violated."""
     b = g + G @ (goal - q)
     size = np.linalg.norm(G, axis=1)
@@ -161,7 +163,7 @@ def _linearised(g: np.ndarray, G: np.ndarray, q: np.ndarray, goal: np.ndarray) -
         part = G[rows]
         law = NumericLaw(np.zeros(rows.size), np.full(rows.size, np.inf), ())
         start = np.zeros(rows.size), np.full(rows.size, -1, np.int8)
-        found = mlcp.solve(part @ part.T, b[rows], law, *start, (mlcp.INDEX_SET, mlcp.LEMKE), True, 1e-9)
+        found = mlcp.solve_mlcp(part @ part.T, b[rows], law, *start, (mlcp.INDEX_SET, mlcp.LEMKE), True, 1e-9)
         if not found.residual <= 1e-9:
             return None
         x = goal + part.T @ found.l

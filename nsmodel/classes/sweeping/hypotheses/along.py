@@ -9,22 +9,22 @@ import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.hypotheses.along import QUALIFIED, feasible, inputs_of
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Finding, found
+from nsmodel.hypotheses.along import QUALIFICATION_HYPOTHESIS, constraint_findings, inputs_at_rows
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Finding, make_finding
 from nsmodel.trajectory import Trajectory
 
 HYPOTHESES = ()
-MOST_ROWS = 2000  # of a run, where gamma is evaluated
+MAX_GAMMA_ROWS = 2000  # of a run, where gamma is evaluated
 
 
 def along(
     model: SweepingProcess, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Q(t), and (A5)."""
-    return [*feasible(model, run, model.g, model.multiplier_names), *_qualified(model, run)]
+    return [*constraint_findings(model, run, model.g, model.multiplier_names), *_qualification_along(model, run)]
 
 
-def _qualified(model: SweepingProcess, run: Trajectory) -> list[Finding]:
+def _qualification_along(model: SweepingProcess, run: Trajectory) -> list[Finding]:
     """gamma(rho) of (A5) along the run, rho the most that a constraint closed from one row to the next."""
     gap = run.arrays.get("gap", np.zeros((1, 0)))
     if gap.shape[1] < 2 or len(gap) < 2:
@@ -32,9 +32,9 @@ def _qualified(model: SweepingProcess, run: Trajectory) -> list[Finding]:
     rho = max(float(np.max(gap[:-1] - gap[1:])), 0.0)
     near = gap <= rho
     crowded = np.flatnonzero(near.sum(axis=1) > 1)
-    rows = crowded[np.unique(np.linspace(0, crowded.size - 1, min(crowded.size, MOST_ROWS), dtype=int))]
+    rows = crowded[np.unique(np.linspace(0, crowded.size - 1, min(crowded.size, MAX_GAMMA_ROWS), dtype=int))]
     slopes = ca.Function("slopes", [model.t, model.q, model.u], [ca.densify(ca.jacobian(model.g, model.q))])
-    u = inputs_of(model, run)
+    u = inputs_at_rows(model, run)
     worst, witness = 1.0, {}
     for k in rows:
         at = np.flatnonzero(near[k])
@@ -47,4 +47,4 @@ def _qualified(model: SweepingProcess, run: Trajectory) -> list[Finding]:
                 break
     verdict = VIOLATED if np.isinf(worst) else HOLDS if rows.size == crowded.size else SAMPLED
     how = f"evaluated at {rows.size} of {crowded.size} rows with several constraints within rho, the most that one closes"
-    return [found(QUALIFIED, verdict, how, {"gamma": worst, "rho": rho}, witness)]
+    return [make_finding(QUALIFICATION_HYPOTHESIS, verdict, how, {"gamma": worst, "rho": rho}, witness)]

@@ -8,18 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, follows, scope_of
-from nsmodel.hypotheses.scope import Scope, meet
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, common_scope, make_consequence
+from nsmodel.hypotheses.scope import Scope, intersect_scopes
 from nsmodel.model.base import Model
 from nsmodel.trajectory import Trajectory
 
-PAPER = "Bernicot and Venel 2010"
-REGULAR = ("S-convex", "A1", "A4", "A5'")
-MOVING = ("S-convex", "A0", "A1", "A2", "A5")
-SOLVABLE = ("S-convex", "A0", "A1", "A2", "A4", "A5", "S-f", "S-start")
+BERNICOT_VENEL_2010 = "Bernicot and Venel 2010"
+REGULARITY_HYPOTHESES = ("S-convex", "A1", "A4", "A5'")
+MOTION_HYPOTHESES = ("S-convex", "A0", "A1", "A2", "A5")
+SOLVABILITY_HYPOTHESES = ("S-convex", "A0", "A1", "A2", "A4", "A5", "S-f", "S-start")
 
 
-class _Constants(NamedTuple):
+class _TheoryConstants(NamedTuple):
     """The constants of the theory; ``bend`` is M/(2a), ``eta_on_U`` that with the M of all of U_i."""
 
     K_L: float
@@ -33,7 +33,7 @@ class _Constants(NamedTuple):
     eta_on_U: float
 
 
-def _constants(number: dict[tuple[str, str], float], moves_in_all: bool, p: int) -> _Constants:
+def _theory_constants(number: dict[tuple[str, str], float], moves_in_all: bool, p: int) -> _TheoryConstants:
     """``moves_in_all``: A0 may be proved without a number, for U_i is all of space."""
     nothing = (np.inf, 0.0) if not p else (0.0, np.inf)
     a, b = number.get(("A1", "a"), nothing[0]), number.get(("A1", "b"), nothing[1])
@@ -43,68 +43,77 @@ def _constants(number: dict[tuple[str, str], float], moves_in_all: bool, p: int)
     if not M and np.isfinite(c):  # U_i is not all: beyond c nothing is as straight as there, and |q - q_k| <= |q - q_k|^2 / c.
         M = M_contact = 2 * a / c
     gamma, gamma_0, rho = number[("A5", "gamma")], number[("A5'", "gamma")], number.get(("A5", "rho"), np.inf)
-    Theta = _times(2 * gamma, _over(b, a))
-    return _Constants(
-        K_L=_times(gamma, _over(speed, a)), K_L_paper=_times(gamma, _over(max(speed, b), a)), c=c,
-        r=min(_over(rho, 6 * b), _over(a, _times(4 * gamma, M))), Theta=Theta, kappa=_times(Theta * p, _over(M, 2 * a)),
-        bend=_over(M, 2 * a), eta=_over(a, _times(M_contact, gamma_0)), eta_on_U=_over(a, _times(M, gamma_0)),
+    Theta = _product_or_zero(2 * gamma, _quotient_or_inf(b, a))
+    return _TheoryConstants(
+        K_L=_product_or_zero(gamma, _quotient_or_inf(speed, a)),
+        K_L_paper=_product_or_zero(gamma, _quotient_or_inf(max(speed, b), a)), c=c,
+        r=min(_quotient_or_inf(rho, 6 * b), _quotient_or_inf(a, _product_or_zero(4 * gamma, M))), Theta=Theta,
+        kappa=_product_or_zero(Theta * p, _quotient_or_inf(M, 2 * a)),
+        bend=_quotient_or_inf(M, 2 * a), eta=_quotient_or_inf(a, _product_or_zero(M_contact, gamma_0)),
+        eta_on_U=_quotient_or_inf(a, _product_or_zero(M, gamma_0)),
     )  # fmt: skip
 
 
-def consequences_of(model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
+def sweeping_consequences(model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
     """Return what follows, with the constants of the theory; ``p`` is the number of constraints."""
     number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
     verdicts = {finding.id: finding.verdict for finding in findings}
-    known = _constants(number, verdicts["A0"] in (HOLDS, SAMPLED), p)
-    bound = _over(known.c, known.K_L)
+    known = _theory_constants(number, verdicts["A0"] in (HOLDS, SAMPLED), p)
+    bound = _quotient_or_inf(known.c, known.K_L)
     h = float(np.max(model.steps)) if model.steps is not None else float(model.step or np.nan)
     met = "" if np.isnan(h) else f"; the model's own step {h:.4g} " + ("meets it" if h < bound else "does not meet it")
-    steps = {"h": bound, "h with b": _over(known.c, known.K_L_paper)} | ({} if np.isnan(h) else {"step": h})
+    steps = {"h": bound, "h with b": _quotient_or_inf(known.c, known.K_L_paper)} | ({} if np.isnan(h) else {"step": h})
     found = [
-        follows("well posed", "one and only one absolutely continuous solution", findings, SOLVABLE, f"{PAPER}, Theorem 2.5"),
-        *_of_the_set(findings, known),
-        follows(
+        make_consequence(
+            "well posed", "one and only one absolutely continuous solution", findings, SOLVABILITY_HYPOTHESES,
+            f"{BERNICOT_VENEL_2010}, Theorem 2.5",
+        ),
+        *_set_consequences(findings, known),
+        make_consequence(
             "step bound", f"the scheme is well defined for {'every h' if np.isinf(bound) else 'h < c / K_L'}{met}", findings,
-            MOVING, f"{PAPER}, section 3", steps,
+            MOTION_HYPOTHESES, f"{BERNICOT_VENEL_2010}, section 3", steps,
         ),
-        *_of_its_linearisation(findings, known, p),
+        *_linearisation_consequences(findings, known, p),
     ]  # fmt: skip
-    return [*found, _order(model, findings, runs, number, known.K_L, known.kappa, known.r)]
+    return [*found, _order_consequence(model, findings, runs, number, known.K_L, known.kappa, known.r)]
 
 
-def _of_the_set(findings: Sequence[Finding], known: _Constants) -> list[Consequence]:
+def _set_consequences(findings: Sequence[Finding], known: _TheoryConstants) -> list[Consequence]:
     """Prox-regularity and speed."""
-    local = {name: bool((scope := scope_of(findings, ids)) and scope.states) for name, ids in (("eta", REGULAR), ("K_L", MOVING))}
+    local = {
+        name: bool((scope := common_scope(findings, ids)) and scope.states)
+        for name, ids in (("eta", REGULARITY_HYPOTHESES), ("K_L", MOTION_HYPOTHESES))
+    }
     return [
-        follows(
-            "prox-regular", _regular(known.eta, local["eta"]), findings, REGULAR, f"{PAPER}, Proposition 2.3",
-            {"eta": known.eta, "eta on U": known.eta_on_U}, moving=False,
+        make_consequence(
+            "prox-regular", _regularity_statement(known.eta, local["eta"]), findings, REGULARITY_HYPOTHESES,
+            f"{BERNICOT_VENEL_2010}, Proposition 2.3", {"eta": known.eta, "eta on U": known.eta_on_U}, moving=False,
         ),
-        follows(
-            "K_L", _speed(local["K_L"]), findings, MOVING, f"{PAPER}, Proposition 2.4",
+        make_consequence(
+            "K_L", _speed_statement(local["K_L"]), findings, MOTION_HYPOTHESES, f"{BERNICOT_VENEL_2010}, Proposition 2.4",
             {"K_L": known.K_L, "K_L with b": known.K_L_paper}, moving=False,
         ),
     ]  # fmt: skip
 
 
-def _of_its_linearisation(findings: Sequence[Finding], known: _Constants, p: int) -> list[Consequence]:
+def _linearisation_consequences(findings: Sequence[Finding], known: _TheoryConstants, p: int) -> list[Consequence]:
     """How far it is from the set."""
     return [
-        follows(
+        make_consequence(
             "linearisation error", "the distance from q in Q(t) to the linearised Q_i(t) at q_k is at most M/(2a) |q - q_k|^2",
-            findings, ("S-convex", "A1", "A4"), f"{PAPER}, Proposition 3.6", {"M/(2a)": known.bend}, moving=False,
+            findings, ("S-convex", "A1", "A4"), f"{BERNICOT_VENEL_2010}, Proposition 3.6", {"M/(2a)": known.bend}, moving=False,
         ),
-        follows(
+        make_consequence(
             "metric qualification",
             "d(q, linearised Q) <= Theta sum d(q, linearised Q_i) within r/4, r = min(rho/(6b), a/(4 M gamma)), "
             f"Theta = 2 gamma b/a; kappa = Theta p M/(2a) with p = {p}, the number of all constraints",
-            findings, ("S-convex", "A1", "A4", "A5"), f"{PAPER}, Theorem 4.9",
+            findings, ("S-convex", "A1", "A4", "A5"), f"{BERNICOT_VENEL_2010}, Theorem 4.9",
             {"r": known.r, "Theta": known.Theta, "kappa": known.kappa, "p": p}, moving=False,
         ),
     ]  # fmt: skip
 
 
-def _regular(eta: float, local: bool) -> str:
+def _regularity_statement(eta: float, local: bool) -> str:
     """Prox-regularity in words: of a box it is told of the points there alone, for the set beyond is not known."""
     if local:
         bound = "0" if np.isinf(eta) else "|n| |q' - q|^2 / (2 eta), eta = a/(M gamma(0)) with M at contact,"
@@ -115,7 +124,7 @@ def _regular(eta: float, local: bool) -> str:
     return "Q(t) is convex" if np.isinf(eta) else "Q(t) is eta-prox-regular, eta = a/(M gamma(0)) with M at contact"
 
 
-def _speed(local: bool) -> str:
+def _speed_statement(local: bool) -> str:
     """The speed of the set in words."""
     rate = "K_L = gamma sup|d_t g_i| / a; with the paper's b: gamma b/a"
     if local:
@@ -126,7 +135,7 @@ def _speed(local: bool) -> str:
     return f"d_H(Q(t), Q(s)) <= K_L |t - s|, {rate}"
 
 
-def _order(
+def _order_consequence(
     model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], number: dict[tuple[str, str], float],
     K_L: float, kappa: float, r: float,
 ) -> Consequence:  # fmt: skip
@@ -140,7 +149,7 @@ def _order(
         C = max(float(np.linalg.norm(run.x, axis=1).max()) for run in rows)
         K = max(float((np.linalg.norm(np.diff(run.x, axis=0), axis=1) / np.diff(run.t)).max()) for run in rows)
         value |= {"log10 C_0": log_error_constant(K, C, T, K_f, L_f, L_t, K_L, kappa, r), "K": K, "C": C}
-        h = _over(r, 16 * K), _over(r, 8 * K_L)
+        h = _quotient_or_inf(r, 16 * K), _quotient_or_inf(r, 8 * K_L)
         value["for h up to"] = min(1.0, *h)
         statement += "; C_0 with K and C of the runs"
     elif np.isfinite(L_t):
@@ -148,9 +157,9 @@ def _order(
     if not np.isfinite(L_t):
         statement += "; it needs f to be Lipschitz in t, and no L_t is known"
     rests_on = ("S-convex", "A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-f", "S-start")
-    source = f"{PAPER}, Theorem 3.4, whose proof bounds the square of the error"
-    found = follows("order 1/2", statement, findings, rests_on, source, value)
-    found = replace(found, scope=meet(found.scope, Scope(time=(0.0, T)))) if rows else found  # C_0 grows with T
+    source = f"{BERNICOT_VENEL_2010}, Theorem 3.4, whose proof bounds the square of the error"
+    found = make_consequence("order 1/2", statement, findings, rests_on, source, value)
+    found = replace(found, scope=intersect_scopes(found.scope, Scope(time=(0.0, T)))) if rows else found  # C_0 grows with T
     return found if np.isfinite(L_t) else replace(found, verdict=UNKNOWN)
 
 
@@ -159,10 +168,10 @@ def log_error_constant(
 ) -> float:  # fmt: skip
     """Return log10 of C_0, C_0^2 = C_5 (exp(2 L T) - 1) / L (the proof of Theorem 3.4, its gaps closed); inf if unbounded."""
     C_1 = L_f * (1 + C) + K
-    C_2 = C_1 * (K_L + _times(2 * kappa, (K + K_L) ** 2)) if np.isfinite(K_L) else np.inf
-    C_3 = max(_times(2 * C_1, kappa), _over(32 * C_1, r))
-    C_4 = max(C_2, _over(128 * C_1 * K**2, r))
-    C_5 = 2 * C_4 + 4 * K**2 + _times(8 * K**2, K_f) + _times(L_t, 0.5 + 2 * K)
+    C_2 = C_1 * (K_L + _product_or_zero(2 * kappa, (K + K_L) ** 2)) if np.isfinite(K_L) else np.inf
+    C_3 = max(_product_or_zero(2 * C_1, kappa), _quotient_or_inf(32 * C_1, r))
+    C_4 = max(C_2, _quotient_or_inf(128 * C_1 * K**2, r))
+    C_5 = 2 * C_4 + 4 * K**2 + _product_or_zero(8 * K**2, K_f) + _product_or_zero(L_t, 0.5 + 2 * K)
     L = 2 * C_3 + 2 * K_f + L_t / 2
     if not (np.isfinite(C_5) and np.isfinite(L)):
         return np.inf
@@ -173,11 +182,11 @@ def log_error_constant(
     return float((np.log(C_5) + (grown - np.log(L) if L > 0 else np.log(2 * T))) / (2 * np.log(10)))
 
 
-def _over(x: float, y: float) -> float:
+def _quotient_or_inf(x: float, y: float) -> float:
     """x / y where x/0 and inf/x are inf and 0/0 (a bound on nothing) is inf."""
     return x / y if y and not (np.isinf(x) and np.isinf(y)) else np.inf
 
 
-def _times(x: float, y: float) -> float:
+def _product_or_zero(x: float, y: float) -> float:
     """x y with 0 inf = 0."""
     return x * y if x and y else 0.0

@@ -11,11 +11,11 @@ import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
-from nsmodel.hypotheses.inputs import STILL, Motion
+from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
 from nsmodel.proof import extremum, interval
-from nsmodel.proof.krawczyk import zero_near
+from nsmodel.proof.krawczyk import enclose_zero
 
-UP = 1 + 1e-14  # More than what a root and a few products lose.
+SUP_ROUNDING_FACTOR = 1 + 1e-14  # More than what a root and a few products lose.
 EVERYWHERE, ON_THE_BOX = "everywhere", "on the box"
 
 
@@ -42,7 +42,7 @@ class Constraint:
     names: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
-    motion: Motion = STILL
+    motion: InputBounds = NO_INPUT_BOUNDS
 
     def rate(self, expression: ca.SX) -> ca.SX:
         """The derivative of a column by time, along the inputs."""
@@ -64,7 +64,7 @@ class Constraint:
 
 
 @dataclass(frozen=True)
-class Answer:
+class HypothesisAnswer:
     """What one constraint says to one hypothesis: a verdict, numbers, where they are true, how that was found, a witness."""
 
     verdict: str
@@ -74,11 +74,11 @@ class Answer:
     witness: Mapping[str, Any] = field(default_factory=dict)
 
 
-Answers = dict[str, Answer]
+AnswersById = dict[str, HypothesisAnswer]
 
 
 @dataclass(frozen=True)
-class Top:
+class TimeSupremum:
     """A supremum in the shape of :class:`extremum.Supremum`: a number, or the root of one."""
 
     value: float
@@ -87,39 +87,43 @@ class Top:
     count: int = 1
 
 
-def over_time(c: Constraint, expr: ca.SX) -> Top:
+def supremum_over_time(c: Constraint, expr: ca.SX) -> TimeSupremum:
     """Return the supremum over [t0, t1] of an expression of time alone, or of time and parameters over their box."""
     start, end = c.slow
     if expr.is_constant():
-        return Top(float(expr), float(expr), start)
+        return TimeSupremum(float(expr), float(expr), start)
     if not ca.depends_on(expr, c.t):
         low, high = (float(end.item()) for end in interval.enclose(expr, c.t, start, start))
-        return Top(low, high, start)
+        return TimeSupremum(low, high, start)
     top = extremum.supremum(expr, c.t, start, end)
-    return Top(top.value, top.bound, top.at, top.count)
+    return TimeSupremum(top.value, top.bound, top.at, top.count)
 
 
-def root(top: Any) -> Top:
+def root_of_supremum(top: Any) -> TimeSupremum:
     """Return the supremum of the root."""
-    return Top(np.sqrt(max(top.value, 0.0)), np.sqrt(max(top.bound, 0.0)) * UP, top.at, top.count)
+    return TimeSupremum(np.sqrt(max(top.value, 0.0)), np.sqrt(max(top.bound, 0.0)) * SUP_ROUNDING_FACTOR, top.at, top.count)
 
 
-def bounded(name: str, top: Any, factor: float = 1.0) -> Answer:
+def bound_answer(name: str, top: Any, factor: float = 1.0) -> HypothesisAnswer:
     """Return ``factor`` times a supremum over time as an answer: 0 and proved where the factor is 0."""
     if factor == 0 or top.bound == 0:
-        return steady(name)
+        return time_invariant_answer(name)
     if np.isfinite(top.bound):
-        return Answer(HOLDS, {name: factor * top.bound * UP}, EVERYWHERE, "bounded over the interval of time")
+        return HypothesisAnswer(
+            HOLDS, {name: factor * top.bound * SUP_ROUNDING_FACTOR}, EVERYWHERE, "bounded over the interval of time"
+        )
     t = {"t": float(np.ravel(top.at)[0])} if top.at is not None else {}
-    return Answer(SAMPLED, {name: factor * top.value}, EVERYWHERE, f"no bound over time was found; {top.count} points", t)
+    return HypothesisAnswer(
+        SAMPLED, {name: factor * top.value}, EVERYWHERE, f"no bound over time was found; {top.count} points", t
+    )
 
 
-def steady(name: str) -> Answer:
+def time_invariant_answer(name: str) -> HypothesisAnswer:
     """The answer of what does not change with time."""
-    return Answer(HOLDS, {name: 0.0}, EVERYWHERE, "it does not change with time")
+    return HypothesisAnswer(HOLDS, {name: 0.0}, EVERYWHERE, "it does not change with time")
 
 
-def stationary(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | None:
+def stationary_point(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | None:
     """Return a point (t, q) near z where the gradient by q is 0 and g >= 0, both proved, with how; None where there is none."""
     gradient = ca.gradient(c.g, c.q)
     both = ca.vertcat(c.g, gradient)
@@ -129,7 +133,7 @@ def stationary(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | None:
         if low[0] >= 0 and not (low[1:].any() or high[1:].any()):
             return point, "by interval arithmetic"
     width = np.where(c.upper[1:] > c.lower[1:], (c.upper - c.lower)[1:], 1.0)
-    zero = zero_near(ca.substitute(gradient, c.t, float(z[0])), c.q, np.asarray(z[1:], float), width)
+    zero = enclose_zero(ca.substitute(gradient, c.t, float(z[0])), c.q, np.asarray(z[1:], float), width)
     if zero is None:
         return None
     lower, upper = np.append(z[0], zero.lower), np.append(z[0], zero.upper)
@@ -137,16 +141,16 @@ def stationary(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | None:
     return ((lower + upper) / 2, "an interval Newton step proves it near the one shown") if admissible else None
 
 
-def flat(c: Constraint, z: np.ndarray, how: str) -> Answers:
+def vanishing_gradient_answers(c: Constraint, z: np.ndarray, how: str) -> AnswersById:
     """The answers where the gradient vanishes at an admissible point."""
     witness = c.point(z)
     return {
-        "A0": Answer(VIOLATED, {"c": 0.0}, EVERYWHERE, f"no U_i has A1: {how}", witness),
-        "A1": Answer(VIOLATED, {"a": 0.0}, EVERYWHERE, how, witness),
+        "A0": HypothesisAnswer(VIOLATED, {"c": 0.0}, EVERYWHERE, f"no U_i has A1: {how}", witness),
+        "A1": HypothesisAnswer(VIOLATED, {"a": 0.0}, EVERYWHERE, how, witness),
     }
 
 
-def values(c: Constraint, points: np.ndarray) -> np.ndarray:
+def constraint_values(c: Constraint, points: np.ndarray) -> np.ndarray:
     """Return g at points (count, 1 + k), or at one."""
     rows = np.atleast_2d(points)
     g = np.array(ca.Function("g", [c.z], [c.g])(rows.T)).ravel()

@@ -15,15 +15,15 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.exact import psd
-from nsmodel.proof.sure import sure
+from nsmodel.proof.exact import definiteness
+from nsmodel.proof.sure import not_none
 
 Offset = Fraction | ca.SX  # A number, or an expression of time.
-_ZERO = Fraction(0)
+_ZERO_FRACTION = Fraction(0)
 
 
 @dataclass(frozen=True, eq=False)
-class Affine:
+class AffineForm:
     """row . (q, tau) + offset; ``row`` is {index: coefficient}, indices < 0 are clipped parts."""
 
     row: Mapping[int, Fraction]
@@ -34,20 +34,20 @@ class Affine:
 class Clip:
     """tau = min(max(a(q), low), high); an end may be None."""
 
-    a: Affine
+    a: AffineForm
     low: Fraction | None
     high: Fraction | None
 
 
-Squares = tuple[tuple[Fraction, Affine], ...]  # sum of w a^2
+Squares = tuple[tuple[Fraction, AffineForm], ...]  # sum of w a^2
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class ConstraintForm:
     """sum of squares + affine + norms, with the clipped parts that occur in them."""
 
     squares: Squares
-    affine: Affine
+    affine: AffineForm
     norms: tuple[tuple[Fraction, Squares], ...]
 
 
@@ -70,77 +70,77 @@ class ConstraintShape:
     convex: bool
     own: tuple[int, ...]
     time: bool
-    form: Form | None
+    form: ConstraintForm | None
     clips: Mapping[int, Clip] = field(default_factory=dict)
     rounded: bool = False
 
     @property
-    def written(self) -> Form:
+    def written(self) -> ConstraintForm:
         """The form, of a kind that has one."""
-        return sure(self.form)
+        return not_none(self.form)
 
 
-def plus(a: Offset, b: Offset) -> Offset:
+def add_offsets(a: Offset, b: Offset) -> Offset:
     """a + b."""
-    return a + b if isinstance(a, Fraction) and isinstance(b, Fraction) else expression(a) + expression(b)
+    return a + b if isinstance(a, Fraction) and isinstance(b, Fraction) else offset_expression(a) + offset_expression(b)
 
 
-def times(c: Fraction, a: Offset) -> Offset:
+def scale_offset(c: Fraction, a: Offset) -> Offset:
     """c a."""
     return c * a if isinstance(a, Fraction) else float(c) * a
 
 
-def squared(a: Offset) -> Offset:
+def square_offset(a: Offset) -> Offset:
     """a a."""
     return a * a if isinstance(a, Fraction) else a**2
 
 
-def expression(a: Offset) -> ca.SX:
+def offset_expression(a: Offset) -> ca.SX:
     """The offset as an expression."""
     return ca.SX(float(a)) if isinstance(a, Fraction) else a
 
 
-def combined(a: Affine, c: Fraction, b: Affine) -> Affine:
+def combine_affine(a: AffineForm, c: Fraction, b: AffineForm) -> AffineForm:
     """a + c b."""
     row = dict(a.row)
     for i, value in b.row.items():
-        row[i] = row.get(i, _ZERO) + c * value
-    return Affine({i: value for i, value in row.items() if value}, plus(a.offset, times(c, b.offset)))
+        row[i] = row.get(i, _ZERO_FRACTION) + c * value
+    return AffineForm({i: value for i, value in row.items() if value}, add_offsets(a.offset, scale_offset(c, b.offset)))
 
 
-def scaled(part: Form, c: Fraction) -> Form:
+def scale_form(part: ConstraintForm, c: Fraction) -> ConstraintForm:
     """c times a form."""
     if not c:
-        return Form((), Affine({}, _ZERO), ())
+        return ConstraintForm((), AffineForm({}, _ZERO_FRACTION), ())
     squares = tuple((c * w, item) for w, item in part.squares)
     norms = tuple((c * w, item) for w, item in part.norms)
-    return Form(squares, combined(Affine({}, _ZERO), c, part.affine), norms)
+    return ConstraintForm(squares, combine_affine(AffineForm({}, _ZERO_FRACTION), c, part.affine), norms)
 
 
-def is_zero(a: Affine) -> bool:
+def is_zero_affine(a: AffineForm) -> bool:
     """Whether an affine function is 0."""
     return not a.row and isinstance(a.offset, Fraction) and not a.offset
 
 
-def affines(form: Form) -> list[Affine]:
+def affine_parts(form: ConstraintForm) -> list[AffineForm]:
     """The affine functions in a form."""
     return [form.affine, *(a for _, a in form.squares), *(a for _, squares in form.norms for _, a in squares)]
 
 
-def sums_of_convex(form: Form) -> bool:
+def is_convex_form(form: ConstraintForm) -> bool:
     """Whether a form without clipped parts is convex: norms with weights >= 0, and squares whose Hessian is psd."""
-    if any(i < 0 for a in affines(form) for i in a.row) or any(w < 0 for w, _ in form.norms):
+    if any(i < 0 for a in affine_parts(form) for i in a.row) or any(w < 0 for w, _ in form.norms):
         return False
     if all(w >= 0 for w, _ in form.squares):
         return True
-    return psd(hessian(form)[0]).psd
+    return definiteness(form_hessian(form)[0]).psd
 
 
-def hessian(form: Form) -> tuple[np.ndarray, list[int]]:
+def form_hessian(form: ConstraintForm) -> tuple[np.ndarray, list[int]]:
     """The constant Hessian of a form without norms: Fractions (k, k), and the indices of its rows."""
-    indices = sorted({i for a in affines(form) for i in a.row})
+    indices = sorted({i for a in affine_parts(form) for i in a.row})
     place = {i: k for k, i in enumerate(indices)}
-    H = np.full((len(indices), len(indices)), _ZERO, dtype=object)
+    H = np.full((len(indices), len(indices)), _ZERO_FRACTION, dtype=object)
     for w, a in form.squares:
         for i, x in a.row.items():
             for j, y in a.row.items():

@@ -8,9 +8,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from nsmodel.proof.exact import EPS, rational
+from nsmodel.proof.exact import MACHINE_EPSILON, rational
 
-IN_HULL = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
+HULL_TOLERANCE = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
 
 
 def mfcq_constant(normals: np.ndarray) -> tuple[float, np.ndarray]:
@@ -36,14 +36,14 @@ def mfcq_constant(normals: np.ndarray) -> tuple[float, np.ndarray]:
     if not size.all():
         return np.inf, (size == 0) / np.count_nonzero(size == 0)
     N = normals / size[:, None]
-    corral, u, z = _start(N)
+    corral, u, z = _initial_corral(N)
     for _ in range(20 * k + 100):
         distance = float(np.linalg.norm(z))
-        if distance <= IN_HULL:
+        if distance <= HULL_TOLERANCE:
             break
         products = N @ z
         j = int(np.argmin(products))
-        if products[j] >= distance**2 - 32 * EPS * distance - 1e-14 * distance**2 or j in corral:
+        if products[j] >= distance**2 - 32 * MACHINE_EPSILON * distance - 1e-14 * distance**2 or j in corral:
             break
         before = corral, u, z
         corral, u, z = _minor_cycle(N, [*corral, j], np.append(u, 0.0))
@@ -53,10 +53,10 @@ def mfcq_constant(normals: np.ndarray) -> tuple[float, np.ndarray]:
     weights = np.zeros(k)
     weights[corral] = u
     distance = float(np.linalg.norm(z))
-    return (1 / distance if distance > IN_HULL else np.inf), weights
+    return (1 / distance if distance > HULL_TOLERANCE else np.inf), weights
 
 
-def _start(N: np.ndarray) -> tuple[list[int], np.ndarray, np.ndarray]:
+def _initial_corral(N: np.ndarray) -> tuple[list[int], np.ndarray, np.ndarray]:
     """A corral to start with: the support of a non-negative least-squares solution, which has 0 nearest for small hulls."""
     from scipy.optimize import nnls
 
@@ -96,7 +96,7 @@ def _affine_minimum(N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.append(1 - y.sum(), y), z
 
 
-def discs_in_a_row(k: int) -> float:
+def disc_row_gamma(k: int) -> float:
     """Return gamma of k equal discs in a row, each in contact with the next: sqrt((k^3 - k) / 6), and 1 for k < 2.
 
     The k - 1 unit normals (-e, e) / sqrt(2) have the Gram matrix tridiag(-1/2, 1, -1/2) =: T/2, all weights of the minimiser are
@@ -123,7 +123,7 @@ def gram_bound(G: np.ndarray) -> float:
         exact_y = rational(y * (1 + more))
         product = exact_G @ exact_y
         if all(value >= 1 for value in product):
-            return root_above(sum(map(operator.mul, exact_y, product), Fraction(0)))
+            return sqrt_above(sum(map(operator.mul, exact_y, product), Fraction(0)))
     return np.inf
 
 
@@ -136,7 +136,7 @@ def hull_bound(rows: Sequence[Sequence[Fraction]]) -> float:
         if gain <= 0:
             return np.inf
         worst = max(worst, sum((x * x for x in row), Fraction(0)) / gain**2)
-    return max(root_above(worst * sum((x * x for x in d), Fraction(0))), 1.0)
+    return max(sqrt_above(worst * sum((x * x for x in d), Fraction(0))), 1.0)
 
 
 def mfcq_direction(normals: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ def mfcq_direction(normals: np.ndarray) -> np.ndarray:
     return mfcq_constant(normals)[1] @ N
 
 
-def root_above(x: Fraction) -> float:
+def sqrt_above(x: Fraction) -> float:
     """A double above the root of x >= 0, next to it but for a few units."""
     r = float(x) ** 0.5 if x < 1e300 else np.inf
     while r < np.inf and Fraction(r) ** 2 < x:
@@ -153,7 +153,7 @@ def root_above(x: Fraction) -> float:
     return r
 
 
-def root_below(x: Fraction) -> float:
+def sqrt_below(x: Fraction) -> float:
     """A double below the root of x >= 0, next to it but for a few units."""
     r = float(x) ** 0.5
     while Fraction(r) ** 2 > x:

@@ -15,19 +15,19 @@ import numpy as np
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.stay import UP, Pace
+from nsmodel.hypotheses.stay import ROUND_UP_FACTOR, SpeedBound
 from nsmodel.proof import extremum
 
 
-def pace(
+def speed_bound(
     model: SweepingProcess, region: Region, findings: Sequence[Finding], known: Mapping[str, Consequence], h: float
-) -> Pace | None:  # fmt: skip
+) -> SpeedBound | None:  # fmt: skip
     """The pace on the box; None where it has no bound."""
     z = ca.vertcat(model.t, model.q)
-    return swept(fastest(model.f, z, *region.with_time()), findings, known["K_L"], h)
+    return sweeping_speed_bound(velocity_norm_bound(model.f, z, *region.bounds_with_time()), findings, known["K_L"], h)
 
 
-def swept(f: float, findings: Sequence[Finding], moves: Consequence, h: float) -> Pace | None:
+def sweeping_speed_bound(f: float, findings: Sequence[Finding], moves: Consequence, h: float) -> SpeedBound | None:
     """The pace where |f| is at most ``f``."""
     number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
     holds = {finding.id for finding in findings if finding.verdict == HOLDS}
@@ -35,14 +35,14 @@ def swept(f: float, findings: Sequence[Finding], moves: Consequence, h: float) -
         return None
     rate = number.get(("A2", "b"), 0.0) if "A2" in holds else np.inf
     if not rate:
-        return Pace(f, h * f)
+        return SpeedBound(f, h * f)
     K_L, b, rho = moves.value.get("K_L", np.inf), number.get(("A1", "b"), np.inf), number.get(("A5", "rho"), np.inf)
     if moves.verdict != HOLDS or not h * (rate + b * K_L) <= rho:
         return None
-    return Pace(float(np.hypot(f, K_L)) * UP, h * f * UP)
+    return SpeedBound(float(np.hypot(f, K_L)) * ROUND_UP_FACTOR, h * f * ROUND_UP_FACTOR)
 
 
-def fastest(f: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, count: int = 1) -> float:
+def velocity_norm_bound(f: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, count: int = 1) -> float:
     """A bound of |f| over a box of z, of so many bodies together."""
     top = extremum.supremum(ca.sumsqr(f), z, lower, upper, quick=True).bound
-    return float(np.sqrt(count * max(top, 0.0))) * UP
+    return float(np.sqrt(count * max(top, 0.0))) * ROUND_UP_FACTOR

@@ -14,27 +14,31 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Process, named
+from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess, named_state
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Constraint
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
-from nsmodel.classes.sweeping.hypotheses.qualification_away import UP, Away, away
-from nsmodel.classes.sweeping.hypotheses.qualification_box import over_box
-from nsmodel.classes.sweeping.hypotheses.qualification_proofs import Proof, everywhere
-from nsmodel.classes.sweeping.hypotheses.witness import attained, opposed
+from nsmodel.classes.sweeping.hypotheses.qualification_away import (
+    AWAY_ROUNDING_FACTOR,
+    ForbiddenPointBound,
+    bound_by_forbidden_point,
+)
+from nsmodel.classes.sweeping.hypotheses.qualification_box import bound_gamma_on_box
+from nsmodel.classes.sweeping.hypotheses.qualification_proofs import GammaProof, bound_gamma_everywhere
+from nsmodel.classes.sweeping.hypotheses.witness import attained_gamma_bound, prove_opposition
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.proof.components import sharing
-from nsmodel.proof.quiet import quiet
-from nsmodel.proof.sure import sure
+from nsmodel.proof.components import overlapping_groups
+from nsmodel.proof.quiet import suppress_output
+from nsmodel.proof.sure import not_none
 
-FRACTION, TRIES, FINER = 0.1, 3, (12, 16, 20)
-FEW_STATES = 4
-MOST_STATES = 24  # Beyond, a local search takes too long.
-TOUCHING = 1e-9  # Constraints within this part of the box of 0 are active.
-STARTS, ROUNDS, MOST_PAIRS = 24, 12, 40  # Points, steps and pairs in the search for corners.
-LOST = 1e7  # A local search that ends above this has found opposing normals, to rounding.
+RHO_FRACTION, RHO_TRIES, FINER_RHO_TRIES = 0.1, 3, (12, 16, 20)
+MAX_BOX_STATES = 4
+MAX_SEARCH_STATES = 24  # Beyond, a local search takes too long.
+ACTIVE_TOLERANCE = 1e-9  # Constraints within this part of the box of 0 are active.
+CORNER_STARTS, CORNER_STEPS, MAX_CORNER_PAIRS = 24, 12, 40  # Points, steps and pairs in the search for corners.
+OPPOSING_GAMMA = 1e7  # A local search that ends above this has found opposing normals, to rounding.
 
 
-class Qualified(NamedTuple):
+class QualificationResult(NamedTuple):
     """gamma(rho) with a verdict, where it is true and how it was found; the worst point as a witness."""
 
     verdict: str
@@ -46,7 +50,7 @@ class Qualified(NamedTuple):
     witness: dict[str, Any]
 
 
-class Worst(NamedTuple):
+class WorstGammaPoint(NamedTuple):
     """The largest gamma seen: at (t, q), of constraints ``rows`` with ``weights``; the number of points looked at."""
 
     gamma: float
@@ -57,10 +61,10 @@ class Worst(NamedTuple):
     looked: int
 
 
-def qualification(
-    constraints: Sequence[Constraint], process: Process, slope: np.ndarray, reach: float, points: list[tuple[float, np.ndarray]],
-    names: Sequence[str], quick: bool,
-) -> tuple[Qualified, Qualified]:  # fmt: skip
+def decide_mfcq(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, slope: np.ndarray, reach: float,
+    points: list[tuple[float, np.ndarray]], names: Sequence[str], quick: bool,
+) -> tuple[QualificationResult, QualificationResult]:  # fmt: skip
     """Return A5 (with the rho chosen) and A5'.
 
     Args:
@@ -72,15 +76,15 @@ def qualification(
         names: of the states.
         quick: no bounds over boxes and no local searches.
     """
-    cut = len(process.columns) <= FEW_STATES and not quick  # Else a smaller rho proves no more.
-    near = _decide(constraints, process, slope, FRACTION * reach, points, names, quick)
-    for k in range(1, TRIES):
+    cut = len(process.columns) <= MAX_BOX_STATES and not quick  # Else a smaller rho proves no more.
+    near = _decide_gamma(constraints, process, slope, RHO_FRACTION * reach, points, names, quick)
+    for k in range(1, RHO_TRIES):
         if near.verdict in (HOLDS, VIOLATED) or (np.isfinite(near.gamma) and not cut):
             break
-        near = _decide(constraints, process, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
+        near = _decide_gamma(constraints, process, slope, RHO_FRACTION * reach * 4.0**-k, points, names, quick, k)
     if near.verdict == VIOLATED:  # Opposing normals were proved in contact.
         return near._replace(rho=0.0), near._replace(rho=0.0)
-    active = _decide(constraints, process, slope, 0.0, points, names, quick or near.verdict == HOLDS, 1)
+    active = _decide_gamma(constraints, process, slope, 0.0, points, names, quick or near.verdict == HOLDS, 1)
     if near.verdict == HOLDS:
         if active.verdict != HOLDS or active.gamma > near.gamma:
             how = f"gamma(0) <= gamma(rho): {near.how}"
@@ -88,9 +92,9 @@ def qualification(
         return near, active
     if active.verdict == VIOLATED:
         return active, active
-    finer = (*range(TRIES, 3 * TRIES), *FINER) if active.verdict == HOLDS else range(TRIES, 3 * TRIES)
+    finer = (*range(RHO_TRIES, 3 * RHO_TRIES), *FINER_RHO_TRIES) if active.verdict == HOLDS else range(RHO_TRIES, 3 * RHO_TRIES)
     for k in finer if active.verdict == HOLDS or np.isinf(near.gamma) else ():
-        near = _decide(constraints, process, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
+        near = _decide_gamma(constraints, process, slope, RHO_FRACTION * reach * 4.0**-k, points, names, quick, k)
         if near.verdict == HOLDS or (active.verdict != HOLDS and np.isfinite(near.gamma)):
             return near, active
     if np.isinf(near.gamma):
@@ -100,85 +104,97 @@ def qualification(
     return near, active
 
 
-def _decide(
-    constraints: Sequence[Constraint], process: Process, slope: np.ndarray, rho: float, points: list[tuple[float, np.ndarray]],
-    names: Sequence[str], quick: bool, tries: int = 0,
-) -> Qualified:  # fmt: skip
+def _decide_gamma(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, slope: np.ndarray, rho: float,
+    points: list[tuple[float, np.ndarray]], names: Sequence[str], quick: bool, tries: int = 0,
+) -> QualificationResult:  # fmt: skip
     """gamma(rho): proved, seen to be infinite in contact (then for every rho), or the largest that was seen."""
-    proof = everywhere(constraints, rho)
+    proof = bound_gamma_everywhere(constraints, rho)
     if proof is not None and np.isfinite(proof.gamma):
-        worst = _worst(process, points, rho)
-        return _holds(constraints, process, worst, names, Proof(max(proof.gamma, 1.0), proof.rho, proof.how), EVERYWHERE, rho)
-    if not quick and len(process.columns) <= FEW_STATES:
-        points = [*points, *corners(process, points)]
-    worst = _worst(process, points, rho)
+        worst = _worst_gamma_point(process, points, rho)
+        return _proved_result(
+            constraints, process, worst, names, GammaProof(max(proof.gamma, 1.0), proof.rho, proof.how), EVERYWHERE, rho
+        )
+    if not quick and len(process.columns) <= MAX_BOX_STATES:
+        points = [*points, *constraint_corners(process, points)]
+    worst = _worst_gamma_point(process, points, rho)
     if proof is not None and proof.at is not None and len(proof.at) == 1 + len(process.columns):
         worst = worst._replace(
             gamma=np.inf, t=proof.at[0], q=proof.at[1:], rows=np.array(proof.opposed), weights=np.array(proof.weights)
         )
-    if worst.gamma > LOST and (found := _opposed(constraints, process, worst, names)) is not None:
+    if worst.gamma > OPPOSING_GAMMA and (found := _violated_result(constraints, process, worst, names)) is not None:
         return found
-    if worst.gamma > LOST and rho > 0:
-        return _lost(constraints, process, worst, names, rho)
-    if len(groups := sharing([set(constraint.shape.own) for constraint in constraints])) > 1:
-        return _together(constraints, process, slope, rho, points, names, quick, groups, worst)
-    apart = away(constraints, slope, process.columns, process.lower, process.upper)
-    cut = len(process.columns) <= FEW_STATES and not quick
-    if apart is not None and not cut:
-        return _holds(constraints, process, worst, names, Proof(apart.gamma, np.inf, apart.how), ON_THE_BOX, rho)
+    if worst.gamma > OPPOSING_GAMMA and rho > 0:
+        return _undecided_result(constraints, process, worst, names, rho)
+    if len(groups := overlapping_groups([set(constraint.shape.own) for constraint in constraints])) > 1:
+        return _combined_groups_result(constraints, process, slope, rho, points, names, quick, groups, worst)
+    away_bound = bound_by_forbidden_point(constraints, slope, process.columns, process.lower, process.upper)
+    cut = len(process.columns) <= MAX_BOX_STATES and not quick
+    if away_bound is not None and not cut:
+        return _proved_result(
+            constraints, process, worst, names, GammaProof(away_bound.gamma, np.inf, away_bound.how), ON_THE_BOX, rho
+        )
     if cut:
         at = np.append(worst.t, worst.q) if worst.q is not None and np.isfinite(worst.gamma) else None
         value = worst.gamma if np.isfinite(worst.gamma) else 1.0
-        bound = over_box(process, slope, rho, value, at, _known(constraints, rho, apart), tries)
+        bound = bound_gamma_on_box(process, slope, rho, value, at, _known_gamma_bounds(constraints, rho, away_bound), tries)
         if bound.value > value:
-            at = sure(bound.at)
-            worst = _worst(process, [(at[0], at[1:])], rho)
+            at = not_none(bound.at)
+            worst = _worst_gamma_point(process, [(at[0], at[1:])], rho)
         if np.isfinite(bound.bound):
             how = f"one escape direction on each of {bound.looked} parts of the box"
-            return _holds(constraints, process, worst, names, Proof(bound.bound, rho, how), ON_THE_BOX, rho)
+            return _proved_result(constraints, process, worst, names, GammaProof(bound.bound, rho, how), ON_THE_BOX, rho)
         if bound.left is not None:
-            rows = sure(bound.rows)
-            start = Worst(1.0, bound.left[0], bound.left[1:], rows, np.full(rows.size, 1 / rows.size), 1)
+            rows = not_none(bound.rows)
+            start = WorstGammaPoint(1.0, bound.left[0], bound.left[1:], rows, np.full(rows.size, 1 / rows.size), 1)
             for within in dict.fromkeys((0.0, rho)):
-                further = _worst(process, [_worsened(process, start, within)], within)
-                if further.gamma > LOST and (found := _opposed(constraints, process, further, names)) is not None:
+                further = _worst_gamma_point(process, [_maximise_gamma(process, start, within)], within)
+                if (
+                    further.gamma > OPPOSING_GAMMA
+                    and (found := _violated_result(constraints, process, further, names)) is not None
+                ):
                     return found
                 worst = further._replace(looked=worst.looked) if further.gamma > worst.gamma else worst
-    return _sampled(constraints, process, rho, points, names, quick, worst)
+    return _sampled_result(constraints, process, rho, points, names, quick, worst)
 
 
-def _holds(
-    constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str], proof: Proof, where: str, rho: float
-) -> Qualified:  # fmt: skip
+def _proved_result(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, worst: WorstGammaPoint, names: Sequence[str],
+    proof: GammaProof, where: str, rho: float
+) -> QualificationResult:  # fmt: skip
     """The finding of a bound, with the largest gamma that is proved to be attained, and near where."""
     reached = 1.0
     if worst.q is not None:
-        reached = attained(process, worst.rows, worst.weights, np.append(worst.t, worst.q), min(rho, proof.rho))
-    witness = _witness(constraints, process, worst, names) if reached > 1 else {}
-    return Qualified(HOLDS, proof.gamma, proof.rho, where, proof.how, min(reached, proof.gamma), witness)
+        reached = attained_gamma_bound(process, worst.rows, worst.weights, np.append(worst.t, worst.q), min(rho, proof.rho))
+    witness = _gamma_witness(constraints, process, worst, names) if reached > 1 else {}
+    return QualificationResult(HOLDS, proof.gamma, proof.rho, where, proof.how, min(reached, proof.gamma), witness)
 
 
-def _opposed(constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str]) -> Qualified | None:
+def _violated_result(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, worst: WorstGammaPoint, names: Sequence[str]
+) -> QualificationResult | None:
     """The violation, if an admissible point where these constraints are active and oppose each other is proved to exist."""
-    found = opposed(constraints, process, worst.rows, worst.weights, np.append(worst.t, sure(worst.q)))
+    found = prove_opposition(constraints, process, worst.rows, worst.weights, np.append(worst.t, not_none(worst.q)))
     if found is None:
         return None
-    at = Worst(np.inf, float(found.at[0]), found.at[1:], np.array(found.rows), np.array(found.weights), worst.looked)
+    at = WorstGammaPoint(np.inf, float(found.at[0]), found.at[1:], np.array(found.rows), np.array(found.weights), worst.looked)
     how = f"opposing normals in contact, at an admissible point: {found.how}"
-    return Qualified(VIOLATED, np.inf, 0.0, ON_THE_BOX, how, np.inf, _witness(constraints, process, at, names))
+    return QualificationResult(VIOLATED, np.inf, 0.0, ON_THE_BOX, how, np.inf, _gamma_witness(constraints, process, at, names))
 
 
-def corners(process: Process, points: Sequence[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+def constraint_corners(
+    process: PartialSweepingProcess, points: Sequence[tuple[float, np.ndarray]]
+) -> list[tuple[float, np.ndarray]]:
     """Points of Q(t) where two constraints meet: from each of some points by the steps of Gauss and Newton."""
     n, p = len(process.columns), len(process.rows)
     if n < 2 or p < 2 or not points:
         return []
-    some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, STARTS, dtype=int))]
+    some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, CORNER_STARTS, dtype=int))]
     t, start = np.array([time for time, _ in some]), np.array([q for _, q in some])
     found: list[tuple[float, np.ndarray]] = []
-    for rows in list(combinations(range(p), 2))[:MOST_PAIRS]:
+    for rows in list(combinations(range(p), 2))[:MAX_CORNER_PAIRS]:
         q = start.copy()
-        for _ in range(ROUNDS):
+        for _ in range(CORNER_STEPS):
             g, G = (np.array(part) for part in process.function.map(len(t))(t[None], q.T))
             J = G.reshape(p, len(t), n).transpose(1, 0, 2)[:, list(rows)]
             ok = np.all(np.isfinite(J), axis=(1, 2)) & np.all(np.isfinite(g[list(rows)]), axis=0)
@@ -189,46 +205,52 @@ def corners(process: Process, points: Sequence[tuple[float, np.ndarray]]) -> lis
     return found
 
 
-def _known(constraints: Sequence[Constraint], rho: float, apart: Away | None) -> Callable[[tuple[int, ...]], float]:
+def _known_gamma_bounds(
+    constraints: Sequence[Constraint], rho: float, away_bound: ForbiddenPointBound | None
+) -> Callable[[tuple[int, ...]], float]:
     """Bounds of gamma that hold on the box, for sets of the constraints."""
-    any_set = np.inf if apart is None else apart.gamma
+    any_set = np.inf if away_bound is None else away_bound.gamma
 
     @cache
     def known(rows: tuple[int, ...]) -> float:
-        proof = everywhere([constraints[k] for k in rows], rho)
+        proof = bound_gamma_everywhere([constraints[k] for k in rows], rho)
         return any_set if proof is None else min(proof.gamma, any_set)
 
     return known
 
 
-def _sampled(
-    constraints: Sequence[Constraint], process: Process, rho: float, points: list[tuple[float, np.ndarray]], names: Sequence[str],
-    quick: bool, worst: Worst,
-) -> Qualified:  # fmt: skip
+def _sampled_result(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, rho: float, points: list[tuple[float, np.ndarray]],
+    names: Sequence[str], quick: bool, worst: WorstGammaPoint,
+) -> QualificationResult:  # fmt: skip
     """The worst point, made worse by a local search."""
     how = f"{worst.looked} admissible points"
-    if len(process.columns) > MOST_STATES:
+    if len(process.columns) > MAX_SEARCH_STATES:
         how += f", no local search ({len(process.columns)} states)"
     elif quick:
         how += ", no local search (quick)"
     elif worst.q is not None and 1 < len(worst.rows) <= 12:
-        further = _worst(process, [_worsened(process, worst, rho)], rho)
+        further = _worst_gamma_point(process, [_maximise_gamma(process, worst, rho)], rho)
         how += ", one local search"
         if further.gamma > worst.gamma:
             worst = further._replace(looked=worst.looked)
-    if worst.gamma > LOST:
-        return _opposed(constraints, process, worst, names) or _lost(constraints, process, worst, names, rho)
-    witness = _witness(constraints, process, worst, names)
-    return Qualified(SAMPLED, worst.gamma, rho, ON_THE_BOX, how, worst.gamma, witness)
+    if worst.gamma > OPPOSING_GAMMA:
+        return _violated_result(constraints, process, worst, names) or _undecided_result(constraints, process, worst, names, rho)
+    witness = _gamma_witness(constraints, process, worst, names)
+    return QualificationResult(SAMPLED, worst.gamma, rho, ON_THE_BOX, how, worst.gamma, witness)
 
 
-def _lost(constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str], rho: float) -> Qualified:
+def _undecided_result(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, worst: WorstGammaPoint, names: Sequence[str], rho: float
+) -> QualificationResult:
     """Neither a bound nor a violation: normals oppose each other to rounding at a point that is admissible to rounding."""
     how = "constraints oppose each other, to rounding, near a point that was not proved admissible"
-    return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, worst.gamma, _witness(constraints, process, worst, names))
+    return QualificationResult(
+        UNKNOWN, np.inf, rho, ON_THE_BOX, how, worst.gamma, _gamma_witness(constraints, process, worst, names)
+    )
 
 
-def _together(constraints, process, slope, rho, points, names, quick, groups, worst) -> Qualified:
+def _combined_groups_result(constraints, process, slope, rho, points, names, quick, groups, worst) -> QualificationResult:
     """Groups without common states have orthogonal gradients: gamma^2 is the sum of theirs."""
     own = {j: k for k, j in enumerate(process.columns)}
     found = []
@@ -236,46 +258,50 @@ def _together(constraints, process, slope, rho, points, names, quick, groups, wo
         columns = sorted({own[i] for k in rows for i in constraints[k].shape.own})
         part = process.part(rows, columns)
         some = [(t, q[columns]) for t, q in points]
-        found.append(_decide([constraints[k] for k in rows], part, slope[rows], rho, some, names, quick))
+        found.append(_decide_gamma([constraints[k] for k in rows], part, slope[rows], rho, some, names, quick))
     gamma = float(np.sqrt(sum(item.gamma**2 for item in found)))
     least = min(found, key=lambda item: (VIOLATED, UNKNOWN, SAMPLED, HOLDS).index(item.verdict))
     if least.verdict in (VIOLATED, UNKNOWN):
         return least
-    gamma *= UP
+    gamma *= AWAY_ROUNDING_FACTOR
     where = ON_THE_BOX if any(item.where == ON_THE_BOX for item in found) else EVERYWHERE
     reached = min(item.rho for item in found)
     how = f"{len(groups)} groups of constraints without common states; " + "; ".join(sorted({item.how for item in found}))
     if least.verdict == HOLDS:
-        return _holds(constraints, process, worst, names, Proof(gamma, reached, how), where, rho)
-    return Qualified(least.verdict, gamma, reached, where, how, worst.gamma, _witness(constraints, process, worst, names))
+        return _proved_result(constraints, process, worst, names, GammaProof(gamma, reached, how), where, rho)
+    return QualificationResult(
+        least.verdict, gamma, reached, where, how, worst.gamma, _gamma_witness(constraints, process, worst, names)
+    )
 
 
-def _worst(process: Process, points: Sequence[tuple[float, np.ndarray]], rho: float) -> Worst:
-    worst = Worst(1.0, 0.0, None, np.zeros(0, int), np.zeros(0), len(points))
+def _worst_gamma_point(
+    process: PartialSweepingProcess, points: Sequence[tuple[float, np.ndarray]], rho: float
+) -> WorstGammaPoint:
+    worst = WorstGammaPoint(1.0, 0.0, None, np.zeros(0, int), np.zeros(0), len(points))
     for t, q in points:
         g, G = process.at(t, q)
         if not process.admits(g, G):
             continue
-        rows = np.flatnonzero(g <= rho + TOUCHING * process.size * np.linalg.norm(G, axis=1))
+        rows = np.flatnonzero(g <= rho + ACTIVE_TOLERANCE * process.size * np.linalg.norm(G, axis=1))
         gamma, weights = mfcq_constant(G[rows])
         if gamma > worst.gamma or (worst.q is None and rows.size):
-            worst = Worst(gamma, t, q, rows, weights, len(points))
+            worst = WorstGammaPoint(gamma, t, q, rows, weights, len(points))
     return worst
 
 
-def _worsened(process: Process, worst: Worst, rho: float) -> tuple[float, np.ndarray]:
+def _maximise_gamma(process: PartialSweepingProcess, worst: WorstGammaPoint, rho: float) -> tuple[float, np.ndarray]:
     """Minimise |sum u_i n_i(t, q)|^2 over u, t and q with the same constraints within rho; the end, or the start again."""
-    J, start = [int(i) for i in worst.rows], sure(worst.q)
+    J, start = [int(i) for i in worst.rows], not_none(worst.q)
     u = ca.SX.sym("u", len(J))
     slopes = ca.jacobian(process.g[J], process.q)
     hull = sum((u[k] * slopes[k, :] / ca.norm_2(slopes[k, :]) for k in range(len(J))), ca.SX(0))
-    free = rho + TOUCHING * process.size
+    free = rho + ACTIVE_TOLERANCE * process.size
     nlp = {"x": ca.vertcat(process.z, u), "f": ca.sumsqr(hull), "g": ca.vertcat(process.g, process.g[J], ca.sum1(u) - 1)}
     options = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False,
                "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 100, "tol": 1e-12}}  # fmt: skip
     p, k = len(process.rows), len(J)
     try:
-        with quiet():
+        with suppress_output():
             answer = ca.nlpsol("worsened", "ipopt", nlp, options)(
                 x0=np.concatenate([[worst.t], start, worst.weights]),
                 lbx=np.concatenate([process.lower, np.zeros(k)]), ubx=np.concatenate([process.upper, np.ones(k)]),
@@ -288,10 +314,12 @@ def _worsened(process: Process, worst: Worst, rho: float) -> tuple[float, np.nda
     return (float(end[0]), end[1 : 1 + len(process.columns)]) if np.isfinite(end).all() else (worst.t, start)
 
 
-def _witness(constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str]) -> dict[str, Any]:
+def _gamma_witness(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, worst: WorstGammaPoint, names: Sequence[str]
+) -> dict[str, Any]:
     if worst.q is None:
         return {}
     used = [int(k) for k in np.argsort(-worst.weights, kind="stable") if worst.weights[k] > 0]
     rows = [constraints[worst.rows[k]] for k in used]
     found: dict[str, Any] = {"constraints": [row.name for row in rows], "weights": [float(worst.weights[k]) for k in used]}
-    return found | {"t": worst.t} | named([names[j] for j in process.columns], worst.q)
+    return found | {"t": worst.t} | named_state([names[j] for j in process.columns], worst.q)

@@ -15,63 +15,63 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
-from nsmodel.classes.sweeping.hypotheses.qualification_proofs import pair_of
+from nsmodel.classes.sweeping.hypotheses.qualification_proofs import body_pair_of
 from nsmodel.proof import extremum
 from nsmodel.proof.convex import convexity
 
-SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own.
-UP = 1 + 1e-12
-MOST_STATES = 60
+TIME_SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own.
+AWAY_ROUNDING_FACTOR = 1 + 1e-12
+MAX_AWAY_STATES = 60
 
 
-class Away(NamedTuple):
+class ForbiddenPointBound(NamedTuple):
     """gamma <= ``gamma`` on the box, for every rho."""
 
     gamma: float
     how: str
 
 
-def away(
+def bound_by_forbidden_point(
     constraints: Sequence[Constraint], slope: np.ndarray, columns: Sequence[int], lower: np.ndarray, upper: np.ndarray
-) -> Away | None:
+) -> ForbiddenPointBound | None:
     """Return a bound over the box (1 + n,) of (t, q), q the model's states ``columns``; ``slope`` bounds |grad g_i|."""
-    if not np.isfinite(slope).all() or len(columns) > MOST_STATES or not all(is_convex(c) for c in constraints):
+    if not np.isfinite(slope).all() or len(columns) > MAX_AWAY_STATES or not all(is_convex_in_state(c) for c in constraints):
         return None
-    together = _tied(constraints, columns)
-    for count in SLICES if any(c.shape.time for c in constraints) and lower[0] < upper[0] else (1,):
+    together = _shared_coordinates(constraints, columns)
+    for count in TIME_SLICES if any(c.shape.time for c in constraints) and lower[0] < upper[0] else (1,):
         times = np.linspace(lower[0], upper[0], count + 1)
         worst = 0.0
         for a, b in pairwise(times):
             low, high = lower.copy(), upper.copy()
             low[0], high[0] = a, b
-            worst = max(worst, _at_times(constraints, slope, columns, together, low, high))
+            worst = max(worst, _bound_on_interval(constraints, slope, columns, together, low, high))
             if np.isinf(worst):
                 break
         if np.isfinite(worst):
-            return Away(
-                max(worst * UP, 1.0),
+            return ForbiddenPointBound(
+                max(worst * AWAY_ROUNDING_FACTOR, 1.0),
                 "convex constraints that forbid one and the same point: all of them are left by going away from it",
             )
     return None
 
 
-def is_convex(c: Constraint) -> bool:
+def is_convex_in_state(c: Constraint) -> bool:
     """Whether g is convex in q at each time, for all q."""
-    return c.shape.convex or (not c.shape.time and convexity.everywhere(c.g, c.q)[0].convex)
+    return c.shape.convex or (not c.shape.time and convexity.global_curvatures(c.g, c.q)[0].convex)
 
 
-def _tied(constraints: Sequence[Constraint], columns: Sequence[int]) -> np.ndarray:
+def _shared_coordinates(constraints: Sequence[Constraint], columns: Sequence[int]) -> np.ndarray:
     """(n,) numbers of the coordinates of a point at which all bodies that keep apart are in one place."""
     place = {j: k for k, j in enumerate(columns)}
     name = np.arange(len(columns))
     for c in constraints:
-        pair = pair_of(c)
+        pair = body_pair_of(c)
         for i, j in zip(pair.first, pair.second, strict=True) if pair is not None else ():
             name[name == name[place[j]]] = name[place[i]]
     return np.unique(name, return_inverse=True)[1].ravel()
 
 
-def _at_times(
+def _bound_on_interval(
     constraints: Sequence[Constraint], slope: np.ndarray, columns: Sequence[int], together: np.ndarray, lower: np.ndarray,
     upper: np.ndarray,
 ) -> float:  # fmt: skip
@@ -85,8 +85,8 @@ def _at_times(
     shared = [np.flatnonzero(together == k) for k in range(y.numel())]
     start = np.array([0.5 * (lower[1 + own].mean() + upper[1 + own].mean()) for own in shared])
     width = np.array([max(float((upper - lower)[1 + own].max()), 1e-300) for own in shared])
-    for point in _forbidden(ca.vertcat(*rows), t, y, slope, start, width, (lower[0], (lower[0] + upper[0]) / 2, upper[0])):
-        tops = [_top(ca.substitute(row, y, ca.DM(point)), t, lower[0], upper[0]) for row in rows]
+    for point in _forbidden_points(ca.vertcat(*rows), t, y, slope, start, width, (lower[0], (lower[0] + upper[0]) / 2, upper[0])):
+        tops = [_row_supremum(ca.substitute(row, y, ca.DM(point)), t, lower[0], upper[0]) for row in rows]
         if max(tops) < 0:
             p = point[together]
             far = np.linalg.norm(np.maximum(np.abs(lower[1:] - p), np.abs(upper[1:] - p)))
@@ -94,11 +94,11 @@ def _at_times(
     return np.inf
 
 
-def _top(row: ca.SX, t: ca.SX, a: float, b: float) -> float:
+def _row_supremum(row: ca.SX, t: ca.SX, a: float, b: float) -> float:
     return extremum.supremum(row, t, np.array([a]), np.array([b]), quick=True, bound_to=0.0).bound
 
 
-def _forbidden(
+def _forbidden_points(
     g: ca.SX, t: ca.SX, y: ca.SX, slope: np.ndarray, start: np.ndarray, width: np.ndarray, times: tuple[float, ...]
 ) -> list[np.ndarray]:  # fmt: skip
     """Points at which the largest g_i / b_i is small, the best first: by descent from several places."""

@@ -8,17 +8,20 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Process
+from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
-from nsmodel.proof.interval import halves, mean_value
+from nsmodel.proof.interval import bisect_boxes, mean_value_form
 from nsmodel.proof.straight_line import Program, program
 
-CLOSE = 1.05  # Cutting ends where the bound is this near to what is attained.
-PARTS, ENOUGH = 1_500, 700  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
-INSTRUCTIONS = 250  # With more instructions in the gradients fewer parts are looked at.
-AT_ONCE = 512
-DEEP, DEEPER = 12, 40  # Halvings of each coordinate after which a part without bound is not cut any further.
-HOPELESS = 1e3  # Where so large a constant is attained, a smaller rho is the better question.
+CLOSE_RATIO = 1.05  # Cutting ends where the bound is this near to what is attained.
+MAX_SUB_BOXES, ENOUGH_SUB_BOXES = (
+    1_500,
+    700,
+)  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
+INSTRUCTION_BUDGET = 250  # With more instructions in the gradients fewer parts are looked at.
+SUB_BOXES_PER_ROUND = 512
+MAX_HALVINGS, MAX_HALVINGS_ACTIVE = 12, 40  # Halvings of each coordinate after which a part without bound is not cut any further.
+HOPELESS_GAMMA = 1e3  # Where so large a constant is attained, a smaller rho is the better question.
 
 
 class GammaBound(NamedTuple):
@@ -35,7 +38,7 @@ class GammaBound(NamedTuple):
     rows: np.ndarray | None = None
 
 
-class Parts(NamedTuple):
+class SubBoxes(NamedTuple):
     """Boxes lower, upper (k, 1 + n): the bound on each (k,), what is near active (k, p), where to cut and how often cut (k,)."""
 
     lower: np.ndarray
@@ -45,17 +48,17 @@ class Parts(NamedTuple):
     cut: np.ndarray
     depth: np.ndarray
 
-    def take(self, index: np.ndarray) -> Parts:
+    def take(self, index: np.ndarray) -> SubBoxes:
         """Return some of them."""
-        return Parts(*(column[index] for column in self))
+        return SubBoxes(*(column[index] for column in self))
 
-    def join(self, other: Parts) -> Parts:
+    def join(self, other: SubBoxes) -> SubBoxes:
         """Return these and others."""
-        return Parts(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+        return SubBoxes(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
-def over_box(
-    process: Process, slope: np.ndarray, rho: float, value: float, at: np.ndarray | None,
+def bound_gamma_on_box(
+    process: PartialSweepingProcess, slope: np.ndarray, rho: float, value: float, at: np.ndarray | None,
     known: Callable[[tuple[int, ...]], float], tries: int,
 ) -> GammaBound:  # fmt: skip
     """Bound gamma(rho) over the box of a process, cutting the parts with the largest bound first.
@@ -72,41 +75,41 @@ def over_box(
         tries: how often larger rho were tried before; then fewer parts are looked at.
     """
     codes = program(process.g, process.z), program(ca.jacobian(process.g, process.q), process.z)
-    most = int(PARTS * min(1.0, INSTRUCTIONS / len(codes[1].steps)) / (1 + tries))
-    deep = (DEEP if rho else DEEPER) * int(np.count_nonzero(process.upper > process.lower))
-    parts = _judged(codes, process, process.lower[None], process.upper[None], np.zeros(1, int), slope, rho, known)
+    most = int(MAX_SUB_BOXES * min(1.0, INSTRUCTION_BUDGET / len(codes[1].steps)) / (1 + tries))
+    deep = (MAX_HALVINGS if rho else MAX_HALVINGS_ACTIVE) * int(np.count_nonzero(process.upper > process.lower))
+    parts = _relevant_sub_boxes(codes, process, process.lower[None], process.upper[None], np.zeros(1, int), slope, rho, known)
     retired, count = 1.0, 1
     while len(parts.bound):
         order = np.lexsort((parts.depth, -parts.bound))
         first = order[0]
         open_end = np.isinf(parts.bound[first])
         stuck = open_end and parts.depth[first] >= deep
-        enough = min(ENOUGH, most) if parts.bound[first] <= 2 * value else most
-        if count >= enough or (value > HOPELESS and rho > 0) or stuck:
+        enough = min(ENOUGH_SUB_BOXES, most) if parts.bound[first] <= 2 * value else most
+        if count >= enough or (value > HOPELESS_GAMMA and rho > 0) or stuck:
             middle = (parts.lower[first] + parts.upper[first]) / 2
             return GammaBound(
                 max(retired, float(parts.bound[first])), value, at, count, middle, np.flatnonzero(parts.near[first])
             )
-        chosen, rest = parts.take(order[:AT_ONCE]), parts.take(order[AT_ONCE:])
-        lower, upper = halves(chosen.lower, chosen.upper, chosen.cut)
+        chosen, rest = parts.take(order[:SUB_BOXES_PER_ROUND]), parts.take(order[SUB_BOXES_PER_ROUND:])
+        lower, upper = bisect_boxes(chosen.lower, chosen.upper, chosen.cut)
         count += len(lower)
-        new = _judged(codes, process, lower, upper, np.tile(chosen.depth + 1, 2), slope, rho, known)
-        best, where = _attained(process, (new.lower + new.upper) / 2, rho)
+        new = _relevant_sub_boxes(codes, process, lower, upper, np.tile(chosen.depth + 1, 2), slope, rho, known)
+        best, where = _attained_gamma(process, (new.lower + new.upper) / 2, rho)
         if best > value:
             value, at = best, where
         parts = rest.join(new)
-        open_ = parts.bound > CLOSE * value
+        open_ = parts.bound > CLOSE_RATIO * value
         retired = max(retired, float(parts.bound[~open_].max(initial=1.0)))
         parts = parts.take(open_)
     return GammaBound(retired, value, at, count)
 
 
-def _judged(
-    codes: tuple[Program, Program], process: Process, lower: np.ndarray, upper: np.ndarray, depth: np.ndarray, slope: np.ndarray,
-    rho: float, known: Callable[[tuple[int, ...]], float],
-) -> Parts:  # fmt: skip
+def _relevant_sub_boxes(
+    codes: tuple[Program, Program], process: PartialSweepingProcess, lower: np.ndarray, upper: np.ndarray, depth: np.ndarray,
+    slope: np.ndarray, rho: float, known: Callable[[tuple[int, ...]], float],
+) -> SubBoxes:  # fmt: skip
     """The parts where several constraints may be near active and all may be admissible, with their bounds."""
-    lo, hi, slope_lo, slope_hi = mean_value(codes[0], lower, upper)[:4]
+    lo, hi, slope_lo, slope_hi = mean_value_form(codes[0], lower, upper)[:4]
     near = lo <= rho
     live = (hi >= 0).all(axis=0) & (near.sum(axis=0) > 1)
     lower, upper, near = lower[live], upper[live], near[:, live]
@@ -115,11 +118,11 @@ def _judged(
     width = upper - lower
     reach = np.where(width > 0, np.where(np.isfinite(rate), rate, 1.0), 0.0) * width
     cut = np.argmax(np.where(reach.max(axis=1, keepdims=True) > 0, reach, width), axis=1) if len(lower) else np.zeros(0, int)
-    return Parts(lower, upper, _bounds(codes[1], process, lower, upper, near, slope, known), near.T, cut, depth[live])
+    return SubBoxes(lower, upper, _sub_box_bounds(codes[1], process, lower, upper, near, slope, known), near.T, cut, depth[live])
 
 
-def _bounds(
-    code: Program, process: Process, lower: np.ndarray, upper: np.ndarray, near: np.ndarray, slope: np.ndarray,
+def _sub_box_bounds(
+    code: Program, process: PartialSweepingProcess, lower: np.ndarray, upper: np.ndarray, near: np.ndarray, slope: np.ndarray,
     known: Callable[[tuple[int, ...]], float],
 ) -> np.ndarray:  # fmt: skip
     """Bounds (k,) of gamma(rho) on parts; inf if unknown. Parts with the same J are done together."""
@@ -127,18 +130,18 @@ def _bounds(
     result = np.ones(k)
     if not k:
         return result
-    lo, hi = (end.reshape(n, p, k).transpose(2, 1, 0) for end in mean_value(code, lower, upper)[:2])
+    lo, hi = (end.reshape(n, p, k).transpose(2, 1, 0) for end in mean_value_form(code, lower, upper)[:2])
     middle = (lower + upper) / 2
     G = np.array(process.function.map(k)(middle[:, :1].T, middle[:, 1:].T)[1]).reshape(p, k, n).transpose(1, 0, 2)
     sets, which = np.unique(near, axis=1, return_inverse=True)
     for number in range(sets.shape[1]):
         J, own = np.flatnonzero(sets[:, number]), np.flatnonzero(which.ravel() == number)
         rows = np.ix_(own, J)
-        result[own] = np.minimum(_escape(G[rows], lo[rows], hi[rows], slope[J]), known(tuple(int(j) for j in J)))
+        result[own] = np.minimum(_escape_bounds(G[rows], lo[rows], hi[rows], slope[J]), known(tuple(int(j) for j in J)))
     return result
 
 
-def _escape(middle: np.ndarray, lo: np.ndarray, hi: np.ndarray, slope: np.ndarray) -> np.ndarray:
+def _escape_bounds(middle: np.ndarray, lo: np.ndarray, hi: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """1 / min_j <n_j, d> (k,) over gradients in [lo, hi] (k, j, n), for the best d at the middle; inf where that is not > 0."""
     with np.errstate(all="ignore"):
         normals = middle / np.linalg.norm(middle, axis=2, keepdims=True)
@@ -153,7 +156,7 @@ def _escape(middle: np.ndarray, lo: np.ndarray, hi: np.ndarray, slope: np.ndarra
         return np.where(least > 0, np.maximum(1 / least, 1.0), np.inf)
 
 
-def _attained(process: Process, points: np.ndarray, rho: float) -> tuple[float, np.ndarray | None]:
+def _attained_gamma(process: PartialSweepingProcess, points: np.ndarray, rho: float) -> tuple[float, np.ndarray | None]:
     """The largest gamma(rho) at those of the points (k, 1 + n) that are admissible."""
     best, at = 1.0, None
     if not len(points):

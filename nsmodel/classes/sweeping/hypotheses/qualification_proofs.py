@@ -9,25 +9,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, over_time
-from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape, expression, plus, times
-from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row, gram_bound, hull_bound, mfcq_constant, row_space
-from nsmodel.classes.sweeping.hypotheses.qualification_pairs import pairs
+from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, supremum_over_time
+from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape, add_offsets, offset_expression, scale_offset
+from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma, gram_bound, hull_bound, mfcq_constant, row_space
+from nsmodel.classes.sweeping.hypotheses.qualification_pairs import bound_gamma_by_pairs
 from nsmodel.proof import exact, interval
-from nsmodel.proof.feasibility import System, decide
-from nsmodel.proof.graph import column
+from nsmodel.proof.feasibility import ConicSystem, decide_feasibility
+from nsmodel.proof.graph import stack_column
 from nsmodel.proof.straight_line import program
 
-MOST_PLANES = 12
-MOST_PAIRS = 60
-UP = 1 + 1e-12  # More than what a few operations on doubles lose.
-ROUNDED = 1e-8  # More than what products of orthonormal vectors err by.
-SLICES, MOST_SLICES, SHORT = 8, 200, 1e-9  # Of the interval of time, where planes move.
+MAX_PLANES = 12
+MAX_INDEPENDENT = 60
+GAMMA_ROUNDING_FACTOR = 1 + 1e-12  # More than what a few operations on doubles lose.
+ORTHONORMAL_ROUNDING = 1e-8  # More than what products of orthonormal vectors err by.
+INITIAL_SLICES, MAX_SLICES, MIN_SLICE_FRACTION = 8, 200, 1e-9  # Of the interval of time, where planes move.
 
-Offsets = Callable[[float, float], tuple[np.ndarray, np.ndarray]]
+OffsetBounds = Callable[[float, float], tuple[np.ndarray, np.ndarray]]
 
 
-class Proof(NamedTuple):
+class GammaProof(NamedTuple):
     """gamma(rho) <= gamma for all states and times; ``how`` in words. inf: the constraints ``opposed`` meet at ``at`` (t, q)."""
 
     gamma: float
@@ -38,30 +38,34 @@ class Proof(NamedTuple):
     at: np.ndarray | None = None
 
 
-def everywhere(constraints: Sequence[Constraint], rho: float, moving: bool = False) -> Proof | None:
+def bound_gamma_everywhere(constraints: Sequence[Constraint], rho: float, moving: bool = False) -> GammaProof | None:
     """Return a bound that holds for all states, for the sets of constraints within ``rho`` of active; None if there is none.
 
     ``moving``: they hold parameters too, so that planes are asked for their normals only.
     """
     if not constraints:
-        return Proof(1.0, np.inf, "no constraint")
+        return GammaProof(1.0, np.inf, "no constraint")
     if len(constraints) == 1:
-        return Proof(1.0, np.inf, "one constraint")
-    for rule in (_independent, _pairs, discs) if moving else (_planes, _independent, _pairs, discs):
+        return GammaProof(1.0, np.inf, "one constraint")
+    for rule in (
+        (_independence_proof, _pairs_proof, discs_proof)
+        if moving
+        else (_planes_proof, _independence_proof, _pairs_proof, discs_proof)
+    ):
         proof = rule(constraints, rho)
         if proof is not None:
             return proof
     return None
 
 
-def _pairs(constraints: Sequence[Constraint], rho: float) -> Proof | None:
-    found = pairs(constraints, rho)
-    return None if found is None else Proof(*found)
+def _pairs_proof(constraints: Sequence[Constraint], rho: float) -> GammaProof | None:
+    found = bound_gamma_by_pairs(constraints, rho)
+    return None if found is None else GammaProof(*found)
 
 
-def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+def _independence_proof(constraints: Sequence[Constraint], rho: float) -> GammaProof | None:
     """|<n_i, n_j>| is at most the cosine of the angle between the spaces of the gradients; planes have fixed normals."""
-    if len(constraints) > MOST_PAIRS:
+    if len(constraints) > MAX_INDEPENDENT:
         return None
     states = sorted({i for c in constraints for i in c.shape.own})
     spaces = [space for c in constraints if (space := _gradient_space(c.shape, states)) is not None]
@@ -73,9 +77,11 @@ def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
             continue
         cosine = spaces[i].T @ spaces[j]
         signed = constraints[i].shape.kind == constraints[j].shape.kind == "plane"
-        G[i, j] = G[j, i] = min((float(cosine[0, 0]) if signed else -float(np.linalg.norm(cosine, 2))) - ROUNDED, 0.0)
+        G[i, j] = G[j, i] = min(
+            (float(cosine[0, 0]) if signed else -float(np.linalg.norm(cosine, 2))) - ORTHONORMAL_ROUNDING, 0.0
+        )
     gamma = gram_bound(G)
-    return Proof(gamma, np.inf, "the gradients stay in spaces at bounded angles") if np.isfinite(gamma) else None
+    return GammaProof(gamma, np.inf, "the gradients stay in spaces at bounded angles") if np.isfinite(gamma) else None
 
 
 def _gradient_space(shape: ConstraintShape, states: Sequence[int]) -> np.ndarray | None:
@@ -101,7 +107,7 @@ def _gradient_space(shape: ConstraintShape, states: Sequence[int]) -> np.ndarray
 # -- discs -------------------------------------------------------------------------------------------------------------
 
 
-def discs(constraints: Sequence[Constraint], rho: float, count: int | None = None) -> Proof | None:
+def discs_proof(constraints: Sequence[Constraint], rho: float, count: int | None = None) -> GammaProof | None:
     """Distances between bodies, and planes for single bodies whose normals have an escape direction e: <n, e> >= kappa > 0.
 
     A connected group of k bodies is blown up from its centre and moved along e, v = (q - centre) + s (e, ..., e). With ``l``
@@ -111,7 +117,7 @@ def discs(constraints: Sequence[Constraint], rho: float, count: int | None = Non
 
     ``count``: there are so many bodies, and each constraint is like one of these.
     """
-    pairs = [pair for c in constraints if (pair := pair_of(c)) is not None]
+    pairs = [pair for c in constraints if (pair := body_pair_of(c)) is not None]
     planes = [c.shape.written.affine.row for c in constraints if c.shape.kind == "plane"]
     if not pairs or len(pairs) + len(planes) < len(constraints):
         return None
@@ -128,23 +134,25 @@ def discs(constraints: Sequence[Constraint], rho: float, count: int | None = Non
         normals.append([row.get(i, Fraction(0)) for i in only])
     k, D, l = count or len(bodies), min(pair.low for pair in pairs), max(pair.reach(rho) for pair in pairs)
     if not normals:
-        gamma = l / D * discs_in_a_row(k) * UP
-        return Proof(gamma, rho, f"{k} bodies that touch only each other: blown up from the centre they all part")
+        gamma = l / D * disc_row_gamma(k) * GAMMA_ROUNDING_FACTOR
+        return GammaProof(gamma, rho, f"{k} bodies that touch only each other: blown up from the centre they all part")
     if len({len(normal) for normal in normals}) > 1:
         return None
     away = hull_bound(normals)
     if not np.isfinite(away):
         return None
     s = (l * (k - 1) / 2 + D / np.sqrt(2)) * away
-    gamma = float(np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))) * UP
-    return Proof(gamma, rho, f"{k} bodies and planes with a common escape direction: blown up and moved along it they all part")
+    gamma = float(np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))) * GAMMA_ROUNDING_FACTOR
+    return GammaProof(
+        gamma, rho, f"{k} bodies and planes with a common escape direction: blown up and moved along it they all part"
+    )
 
 
-def tied(constraints: Sequence[Constraint], d: int) -> bool:
+def has_aligned_pairs(constraints: Sequence[Constraint], d: int) -> bool:
     """Whether all distances are between the same states of two bodies, those of the second d after those of the first."""
     known = set()
     for c in constraints:
-        pair = pair_of(c)
+        pair = body_pair_of(c)
         if pair is not None:
             first, second = (tuple(i % d for i in states) for states in (pair.first, pair.second))
             known |= {first, second}
@@ -153,7 +161,7 @@ def tied(constraints: Sequence[Constraint], d: int) -> bool:
     return len(known) <= 1
 
 
-class Pair(NamedTuple):
+class BodyPair(NamedTuple):
     """w (|q_i - q_j| - r(t)), or w (|q_i - q_j|^2 - r(t)^2) where ``power`` is 2.
 
     Attributes:
@@ -173,7 +181,7 @@ class Pair(NamedTuple):
         return self.high + rho / self.w if self.power == 1 else float(np.sqrt(self.high**2 + rho / self.w))
 
 
-def pair_of(c: Constraint) -> Pair | None:
+def body_pair_of(c: Constraint) -> BodyPair | None:
     """Read a constraint between two bodies; None where it is none."""
     form = c.shape.form
     if form is None or c.shape.kind not in ("distance", "quadratic") or c.shape.clips or form.affine.row:
@@ -185,7 +193,7 @@ def pair_of(c: Constraint) -> Pair | None:
         if not isinstance(a.offset, Fraction) or a.offset or len(ends) != 2 or ends[0][0] != -ends[1][0]:
             return None
         scales.add(weight * ends[1][0] ** 2)
-        swap = bool(second) and _turned(first, second, ends)
+        swap = bool(second) and _is_reversed(first, second, ends)
         first.append(ends[1 if swap else 0][1])
         second.append(ends[0 if swap else 1][1])
     if len(scales) != 1 or len({*first, *second}) != 2 * len(first):
@@ -194,15 +202,18 @@ def pair_of(c: Constraint) -> Pair | None:
     if scale <= 0:
         return None
     w = float(scale if power == 2 else w * Fraction(float(scale) ** 0.5))
-    offset = expression(form.affine.offset)
-    low, high = -over_time(c, offset).bound / w / UP, over_time(c, -offset).bound / w * UP
+    offset = offset_expression(form.affine.offset)
+    low, high = (
+        -supremum_over_time(c, offset).bound / w / GAMMA_ROUNDING_FACTOR,
+        supremum_over_time(c, -offset).bound / w * GAMMA_ROUNDING_FACTOR,
+    )
     if not (low > 0 and np.isfinite(high)):
         return None
-    low, high = (low, high) if power == 1 else (low**0.5 / UP, high**0.5 * UP)
-    return Pair(tuple(first), tuple(second), low, high, w / UP, power)
+    low, high = (low, high) if power == 1 else (low**0.5 / GAMMA_ROUNDING_FACTOR, high**0.5 * GAMMA_ROUNDING_FACTOR)
+    return BodyPair(tuple(first), tuple(second), low, high, w / GAMMA_ROUNDING_FACTOR, power)
 
 
-def _turned(first: list[int], second: list[int], ends: list[tuple[Fraction, int]]) -> bool:
+def _is_reversed(first: list[int], second: list[int], ends: list[tuple[Fraction, int]]) -> bool:
     """Whether a difference is written the other way round: bodies have neighbouring states."""
     (_, a), (_, b) = ends
     return abs(a - first[-1]) + abs(b - second[-1]) > abs(b - first[-1]) + abs(a - second[-1])
@@ -211,7 +222,7 @@ def _turned(first: list[int], second: list[int], ends: list[tuple[Fraction, int]
 # -- planes ------------------------------------------------------------------------------------------------------------
 
 
-def _planes(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+def _planes_proof(constraints: Sequence[Constraint], rho: float) -> GammaProof | None:
     """Fixed normals: gamma is the largest over the sets that can be within rho of active together.
 
     By Caratheodory's theorem sets of at most n + 1 normals are enough. Whether a set can be active is decided exactly, with
@@ -224,31 +235,35 @@ def _planes(constraints: Sequence[Constraint], rho: float) -> Proof | None:
     if not all(any(row) for row in rows):
         return None
     N = np.array([[float(x / size) for x in row] for row in rows for size in [max(abs(x) for x in row)]])
-    if len(constraints) > MOST_PLANES:
+    if len(constraints) > MAX_PLANES:
         full = hull_bound(rows)
         if not np.isfinite(full):
             return None
-        return Proof(full, np.inf, "planes: even with all of them active the normals have this constant")
+        return GammaProof(full, np.inf, "planes: even with all of them active the normals have this constant")
     largest = min(len(constraints), len(states) + 1)
     sets = [J for size in range(1, largest + 1) for J in combinations(range(len(constraints)), size)]
     constants = {J: (hull_bound([rows[j] for j in J]) if len(J) > 1 else 1.0, mfcq_constant(N[list(J)])[1]) for J in sets}
     impossible: list[set[int]] = []
-    offsets = _offsets(constraints)
+    offsets = _offset_bounds(constraints)
     for J in sorted(sets, key=lambda J: (-constants[J][0], len(J))):
         if any(bad <= set(J) for bad in impossible):
             continue
-        possible, at = (False, None) if _apart(constraints, J, rho) else _together(constraints, states, J, rho, offsets)
+        possible, at = (
+            (False, None)
+            if _are_planes_separated(constraints, J, rho)
+            else _can_be_active_together(constraints, states, J, rho, offsets)
+        )
         if possible:
             gamma, weights = constants[J]
             if np.isinf(gamma) and at is None:
                 return None
             how = f"planes: the worst of the {len(sets)} sets that can be active together, each decided exactly"
-            return Proof(gamma, rho, how, J, tuple(float(u) for u in weights), at)
+            return GammaProof(gamma, rho, how, J, tuple(float(u) for u in weights), at)
         impossible.append(set(J))
-    return Proof(1.0, rho, "planes: no set of them can be active")
+    return GammaProof(1.0, rho, "planes: no set of them can be active")
 
 
-def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> bool:
+def _are_planes_separated(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> bool:
     """Whether opposing planes are always further apart than rho allows: sum u_i g_i, u > 0, is a function of time alone."""
     rows = [constraints[j].shape.written.affine.row for j in J]
     states = sorted({i for row in rows for i in row})
@@ -264,26 +279,26 @@ def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> b
         return False
     total = Fraction(0)
     for weight, j in zip(u, J, strict=True):
-        total = plus(total, times(weight, constraints[j].shape.written.affine.offset))
+        total = add_offsets(total, scale_offset(weight, constraints[j].shape.written.affine.offset))
     if isinstance(total, Fraction):
         return total > Fraction(rho) * sum(u, Fraction(0))
-    least = -over_time(constraints[J[0]], -expression(total)).bound
+    least = -supremum_over_time(constraints[J[0]], -offset_expression(total)).bound
     return bool(least > rho * float(sum(u)) * (1 + 1e-12) and least > 0)
 
 
-def _offsets(constraints: Sequence[Constraint]) -> Offsets:
+def _offset_bounds(constraints: Sequence[Constraint]) -> OffsetBounds:
     """Return offsets(a, b) -> lower and upper ends (p,) of the planes' offsets over a <= t <= b."""
-    code = program(column(expression(c.shape.written.affine.offset) for c in constraints), constraints[0].t)
+    code = program(stack_column(offset_expression(c.shape.written.affine.offset) for c in constraints), constraints[0].t)
 
     def offsets(a: float, b: float) -> tuple[np.ndarray, np.ndarray]:
-        low, high = interval.natural(code, np.array([[a]]), np.array([[b]]))
+        low, high = interval.natural_extension(code, np.array([[a]]), np.array([[b]]))
         return low[:, 0], high[:, 0]
 
     return offsets
 
 
-def _together(
-    constraints: Sequence[Constraint], states: Sequence[int], J: Sequence[int], rho: float, offsets: Offsets
+def _can_be_active_together(
+    constraints: Sequence[Constraint], states: Sequence[int], J: Sequence[int], rho: float, offsets: OffsetBounds
 ) -> tuple[bool, np.ndarray | None]:
     """Whether {all g_i >= 0, g_j <= rho for j in J} may be met, and a point (t, q) near to which it is, where that was settled.
 
@@ -291,24 +306,30 @@ def _together(
     """
     t0, t1 = float(constraints[0].lower[0]), float(constraints[0].upper[0])
     if not any(c.shape.time for c in constraints) or t1 <= t0:
-        at = _feasible(constraints, states, J, rho, t0, t0, offsets)
+        at = _feasible_point(constraints, states, J, rho, t0, t0, offsets)
         return at is not None, at
-    cuts = np.linspace(t0, t1, SLICES + 1)
+    cuts = np.linspace(t0, t1, INITIAL_SLICES + 1)
     parts = [(float(a), float(b)) for a, b in pairwise(cuts)][::-1]
-    for _ in range(MOST_SLICES):
+    for _ in range(MAX_SLICES):
         if not parts:
             return False, None
         a, b = parts.pop()
-        at = _feasible(constraints, states, J, rho, a, b, offsets)
-        if at is not None and b - a <= SHORT * (t1 - t0):
+        at = _feasible_point(constraints, states, J, rho, a, b, offsets)
+        if at is not None and b - a <= MIN_SLICE_FRACTION * (t1 - t0):
             return True, at
         if at is not None:
             parts += [((a + b) / 2, b), (a, (a + b) / 2)]
     return bool(parts), None
 
 
-def _feasible(
-    constraints: Sequence[Constraint], states: Sequence[int], J: Sequence[int], rho: float, a: float, b: float, offsets: Offsets
+def _feasible_point(
+    constraints: Sequence[Constraint],
+    states: Sequence[int],
+    J: Sequence[int],
+    rho: float,
+    a: float,
+    b: float,
+    offsets: OffsetBounds,
 ) -> np.ndarray | None:
     """A point of the set, loosened by 1e-9 and by what the offsets change over a <= t <= b; None where it is empty (exact)."""
     low, high = offsets(a, b)
@@ -323,7 +344,7 @@ def _feasible(
             A[row, place[state]] = sign * value
         A[row, n] = Fraction(float(high[i] + loose if sign > 0 else rho - low[i] + loose))
         A[row, n + 1 + row] = Fraction(-1)
-    answer = decide(System(A, tuple(range(n, A.shape[1]))))
+    answer = decide_feasibility(ConicSystem(A, tuple(range(n, A.shape[1]))))
     if answer.separator is not None:
         return None
     q = np.zeros(n) if answer.point is None else np.array([float(x / answer.point[n]) for x in answer.point[:n]])

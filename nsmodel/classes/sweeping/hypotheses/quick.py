@@ -6,25 +6,25 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.hypotheses.quick import inside, refuse_outside
+from nsmodel.hypotheses.quick import check_start_inside, start_margin
 
 
-def refuse_start(model: SweepingProcess) -> None:
+def check_start(model: SweepingProcess) -> None:
     """Refuse q0 outside Q(0)."""
-    refuse_outside(model.g, model.multiplier_names, model, "q0")
+    check_start_inside(model.g, model.multiplier_names, model, "q0")
 
 
 def admitted(model: SweepingProcess) -> list[ca.SX]:
     """That, of all values of the parameters."""
-    return [inside(model.g, model, "q0")]
+    return [start_margin(model.g, model, "q0")]
 
 
 def warnings(model: SweepingProcess) -> list[str]:
     """Constraints that act on nothing at q0, and those that are not convex there."""
-    return _flat(model) + _not_convex(model)
+    return _zero_gradient_warnings(model) + _nonconvexity_warnings(model)
 
 
-def _flat(model: SweepingProcess) -> list[str]:
+def _zero_gradient_warnings(model: SweepingProcess) -> list[str]:
     """Constraints without gradient at q0: their linearisation is a number, and the scheme cannot use them."""
     gradient = ca.Function("G", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q))])
     G = np.array(gradient(0, np.array(ca.DM(model.q0)).ravel())).reshape(len(model.multiplier_names), len(model.names))
@@ -32,7 +32,7 @@ def _flat(model: SweepingProcess) -> list[str]:
     return [f"constraint '{name}' has a zero gradient at q0: near there it acts on nothing" for name in flat[:5]]
 
 
-def _not_convex(model: SweepingProcess) -> list[str]:
+def _nonconvexity_warnings(model: SweepingProcess) -> list[str]:
     """Constraints whose Hessian at q0 has a negative eigenvalue: the scheme's feasibility rests on convexity (S-convex)."""
     found, q0 = [], np.array(ca.DM(model.q0)).ravel()
     rows, columns = map(np.array, ca.jacobian_sparsity(model.g, model.q).get_triplet())

@@ -13,31 +13,31 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.forms import (
-    Affine,
+    AffineForm,
     Clip,
+    ConstraintForm,
     ConstraintShape,
-    Form,
     Squares,
-    affines,
-    combined,
-    is_zero,
-    scaled,
-    sums_of_convex,
+    affine_parts,
+    combine_affine,
+    is_convex_form,
+    is_zero_affine,
+    scale_form,
 )  # fmt: skip
-from nsmodel.proof.graph import applied, fold
+from nsmodel.proof.graph import apply_operation, fold_graph
 
-TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.
+ROUNDED_CONSTANT_TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.
 _ZERO, _ONE = Fraction(0), Fraction(1)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class GraphNodeShape:
     """One node: its form (None where it has none), and what is known of it for all q and t.
 
     ``moves``: it depends on q; ``time``: it depends on t; ``value`` is the expression itself where it does not depend on q.
     """
 
-    form: Form | None
+    form: ConstraintForm | None
     convex: bool
     concave: bool
     nonnegative: bool
@@ -46,7 +46,7 @@ class Part:
     value: ca.SX | None = None
 
     @property
-    def affine(self) -> Affine | None:
+    def affine(self) -> AffineForm | None:
         """The affine function that the node is, tau included; None where it is not one."""
         return self.form.affine if self.form is not None and not self.form.squares and not self.form.norms else None
 
@@ -59,14 +59,14 @@ class Part:
 
 def read_shapes(g: ca.SX, q: ca.SX) -> list[ConstraintShape]:
     """Return the shape of each entry of ``g`` (p, 1) in the states q, for all values of its other symbols (time, parameters)."""
-    reader = _Reader(q)
+    reader = _ShapeReader(q)
     return [reader.shape(part) for part in reader.parts(g)]
 
 
-_NOTHING = Part(None, False, False, False)
+_UNKNOWN_SHAPE = GraphNodeShape(None, False, False, False)
 
 
-class _Reader:
+class _ShapeReader:
     """Runs through the instructions of a constraint's graph once, with :class:`Part` in place of numbers."""
 
     def __init__(self, q: ca.SX) -> None:
@@ -80,13 +80,13 @@ class _Reader:
             ca.OP_SQ: lambda a: self._product(a, a),
             ca.OP_SQRT: self._root,
             ca.OP_FABS: self._absolute,
-            ca.OP_EXP: lambda a: Part(None, a.convex, False, True),
+            ca.OP_EXP: lambda a: GraphNodeShape(None, a.convex, False, True),
         }
         self.binary = {
             ca.OP_ADD: lambda a, b: self._sum(a, b, _ONE),
             ca.OP_SUB: lambda a, b: self._sum(a, b, -_ONE),
             ca.OP_MUL: self._product,
-            ca.OP_DIV: lambda a, b: self._scale(a, 1 / b.number) if b.number else _NOTHING,
+            ca.OP_DIV: lambda a, b: self._scale(a, 1 / b.number) if b.number else _UNKNOWN_SHAPE,
             ca.OP_FMAX: lambda a, b: self._extreme(a, b, True),
             ca.OP_FMIN: lambda a, b: self._extreme(a, b, False),
             ca.OP_CONSTPOW: self._power,
@@ -94,18 +94,18 @@ class _Reader:
             ca.OP_HYPOT: lambda a, b: self._root(self._sum(self._product(a, a), self._product(b, b), _ONE)),
         }
 
-    def parts(self, g: ca.SX) -> list[Part]:
+    def parts(self, g: ca.SX) -> list[GraphNodeShape]:
         """Return the part of each entry."""
-        return fold(g, self._symbol, _number, self._apply)
+        return fold_graph(g, self._symbol, _number_shape, self._apply)
 
-    def shape(self, part: Part) -> ConstraintShape:
+    def shape(self, part: GraphNodeShape) -> ConstraintShape:
         """Say what a constraint is."""
         own, form = tuple(sorted(part.own)), part.form
         if form is None:
             return ConstraintShape("other", part.convex, own, part.time, None)
-        used = {i for a in affines(form) for i in a.row if i < 0}
+        used = {i for a in affine_parts(form) for i in a.row if i < 0}
         clips = {i: self.clips[i] for i in used}
-        convex = part.convex or sums_of_convex(form)
+        convex = part.convex or is_convex_form(form)
         if not form.norms and not used:
             kind = "quadratic" if form.squares else "plane"
             return ConstraintShape(kind, convex or kind == "plane", own, part.time, form)
@@ -113,39 +113,39 @@ class _Reader:
             return ConstraintShape("distance", True, own, part.time, form, clips, not self.rounded.isdisjoint(used))
         return ConstraintShape("other", convex, own, part.time, form, clips)
 
-    def _symbol(self, symbol: ca.SX) -> Part:
+    def _symbol(self, symbol: ca.SX) -> GraphNodeShape:
         index = self.place.get(symbol.element_hash())
         if index is None:
-            return _of_time(symbol, False)
-        return Part(Form((), Affine({index: _ONE}, _ZERO), ()), True, True, False, frozenset([index]))
+            return _time_shape(symbol, False)
+        return GraphNodeShape(ConstraintForm((), AffineForm({index: _ONE}, _ZERO), ()), True, True, False, frozenset([index]))
 
-    def _apply(self, op: int, parts: list[Part]) -> Part:
+    def _apply(self, op: int, parts: list[GraphNodeShape]) -> GraphNodeShape:
         own, time = frozenset().union(*(part.own for part in parts)), any(part.time for part in parts)
         values = [part.value for part in parts if part.value is not None]
         if not own and op != ca.OP_CALL and len(values) == len(parts):
-            value = applied(op, values)
+            value = apply_operation(op, values)
             nonnegative = op in (ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT) or (
                 op in (ca.OP_ADD, ca.OP_MUL) and all(part.nonnegative for part in parts)
             )
-            return _of_time(value, nonnegative) if time else _number(float(value))
+            return _time_shape(value, nonnegative) if time else _number_shape(float(value))
         rule = (self.unary if len(parts) == 1 else self.binary).get(op)
-        part = _NOTHING if rule is None else rule(*parts)
-        return Part(part.form, part.convex, part.concave, part.nonnegative, own, time)
+        part = _UNKNOWN_SHAPE if rule is None else rule(*parts)
+        return GraphNodeShape(part.form, part.convex, part.concave, part.nonnegative, own, time)
 
-    def _scale(self, a: Part, c: Fraction) -> Part:
+    def _scale(self, a: GraphNodeShape, c: Fraction) -> GraphNodeShape:
         convex, concave = (a.convex, a.concave) if c >= 0 else (a.concave, a.convex)
-        return Part(None if a.form is None else scaled(a.form, c), convex, concave, a.nonnegative and c >= 0)
+        return GraphNodeShape(None if a.form is None else scale_form(a.form, c), convex, concave, a.nonnegative and c >= 0)
 
-    def _sum(self, a: Part, b: Part, sign: Fraction) -> Part:
+    def _sum(self, a: GraphNodeShape, b: GraphNodeShape, sign: Fraction) -> GraphNodeShape:
         b = self._scale(b, sign) if sign != 1 else b
         form = None
         if a.form is not None and b.form is not None:
-            form = Form(
-                a.form.squares + b.form.squares, combined(a.form.affine, _ONE, b.form.affine), a.form.norms + b.form.norms
+            form = ConstraintForm(
+                a.form.squares + b.form.squares, combine_affine(a.form.affine, _ONE, b.form.affine), a.form.norms + b.form.norms
             )
-        return Part(form, a.convex and b.convex, a.concave and b.concave, a.nonnegative and b.nonnegative)
+        return GraphNodeShape(form, a.convex and b.convex, a.concave and b.concave, a.nonnegative and b.nonnegative)
 
-    def _product(self, a: Part, b: Part) -> Part:
+    def _product(self, a: GraphNodeShape, b: GraphNodeShape) -> GraphNodeShape:
         for x, y in ((a, b), (b, a)):
             if x.number is not None:
                 return self._scale(y, x.number)
@@ -154,53 +154,60 @@ class _Reader:
             plain = u is not None and all(i >= 0 for i in u.row)
             convex = plain or (a.convex and a.nonnegative)
             if u is not None:
-                return Part(Form(((_ONE, u),), Affine({}, _ZERO), ()), convex, False, True)
-            inside = a.form.norms if a.form is not None and not a.form.squares and is_zero(a.form.affine) else ()
+                return GraphNodeShape(ConstraintForm(((_ONE, u),), AffineForm({}, _ZERO), ()), convex, False, True)
+            inside = a.form.norms if a.form is not None and not a.form.squares and is_zero_affine(a.form.affine) else ()
             if len(inside) == 1:  # (w |u|)^2
                 (w, squares) = inside[0]
-                return Part(Form(tuple((w * w * c, item) for c, item in squares), Affine({}, _ZERO), ()), convex, False, True)
-            return Part(None, convex, False, True)
+                return GraphNodeShape(
+                    ConstraintForm(tuple((w * w * c, item) for c, item in squares), AffineForm({}, _ZERO), ()),
+                    convex,
+                    False,
+                    True,
+                )
+            return GraphNodeShape(None, convex, False, True)
         if u is not None and v is not None and a.own and b.own:
-            squares = ((Fraction(1, 4), combined(u, _ONE, v)), (Fraction(-1, 4), combined(u, -_ONE, v)))
-            return Part(Form(squares, Affine({}, _ZERO), ()), False, False, a.nonnegative and b.nonnegative)
+            squares = ((Fraction(1, 4), combine_affine(u, _ONE, v)), (Fraction(-1, 4), combine_affine(u, -_ONE, v)))
+            return GraphNodeShape(
+                ConstraintForm(squares, AffineForm({}, _ZERO), ()), False, False, a.nonnegative and b.nonnegative
+            )
         for x, y in ((a, b), (b, a)):
             if not x.own and x.nonnegative:
-                return Part(None, y.convex, y.concave, y.nonnegative)
-        return _NOTHING
+                return GraphNodeShape(None, y.convex, y.concave, y.nonnegative)
+        return _UNKNOWN_SHAPE
 
-    def _root(self, a: Part) -> Part:
+    def _root(self, a: GraphNodeShape) -> GraphNodeShape:
         squares = _as_squares(a)
         if squares is None:
-            return Part(None, False, a.concave and a.nonnegative, True)
+            return GraphNodeShape(None, False, a.concave and a.nonnegative, True)
         clipped = {i for _, item in squares for i in item.row if i < 0}
         convex = not clipped or self._is_projection(squares, clipped)
-        return Part(Form((), Affine({}, _ZERO), ((_ONE, squares),)), convex, False, True)
+        return GraphNodeShape(ConstraintForm((), AffineForm({}, _ZERO), ((_ONE, squares),)), convex, False, True)
 
-    def _absolute(self, a: Part) -> Part:
+    def _absolute(self, a: GraphNodeShape) -> GraphNodeShape:
         if a.affine is None:
-            return Part(None, a.convex and a.nonnegative, False, True)
+            return GraphNodeShape(None, a.convex and a.nonnegative, False, True)
         return self._root(self._product(a, a))
 
-    def _power(self, a: Part, b: Part) -> Part:
+    def _power(self, a: GraphNodeShape, b: GraphNodeShape) -> GraphNodeShape:
         exponent = b.number
         if exponent == 2:
             return self._product(a, a)
         if exponent == Fraction(1, 2):
             return self._root(a)
         if exponent is None:
-            return _NOTHING
-        return Part(None, a.convex and a.nonnegative and exponent >= 1, False, a.nonnegative)
+            return _UNKNOWN_SHAPE
+        return GraphNodeShape(None, a.convex and a.nonnegative and exponent >= 1, False, a.nonnegative)
 
-    def _extreme(self, a: Part, b: Part, largest: bool) -> Part:
+    def _extreme(self, a: GraphNodeShape, b: GraphNodeShape, largest: bool) -> GraphNodeShape:
         convex, concave = (a.convex and b.convex and largest), (a.concave and b.concave and not largest)
         nonnegative = (a.nonnegative or b.nonnegative) if largest else (a.nonnegative and b.nonnegative)
         x, bound = (a, b.number) if b.number is not None else (b, a.number)
         form = None
         if bound is not None and x.affine is not None and isinstance(x.affine.offset, Fraction):
-            form = Form((), Affine({self._clip(x.affine, bound, largest): _ONE}, _ZERO), ())
-        return Part(form, convex, concave, nonnegative)
+            form = ConstraintForm((), AffineForm({self._clip(x.affine, bound, largest): _ONE}, _ZERO), ())
+        return GraphNodeShape(form, convex, concave, nonnegative)
 
-    def _clip(self, a: Affine, bound: Fraction, largest: bool) -> int:
+    def _clip(self, a: AffineForm, bound: Fraction, largest: bool) -> int:
         """Return the index of the clipped part; a bound on what is one already, from the other side, extends it."""
         inner = self.clips.get(next(iter(a.row))) if len(a.row) == 1 and not a.offset else None
         clip = Clip(a, bound if largest else None, None if largest else bound)
@@ -224,10 +231,10 @@ class _Reader:
             if any(j != i and j in a.row for _, a, _ in terms for j in clipped):
                 return False
             size = sum(w * c * c for w, _, c in terms)
-            best = Affine({}, _ZERO)
+            best = AffineForm({}, _ZERO)
             for w, a, c in terms:
-                free = Affine({j: value for j, value in a.row.items() if j != i}, a.offset)
-                best = combined(best, -w * c / size, free)
+                free = AffineForm({j: value for j, value in a.row.items() if j != i}, a.offset)
+                best = combine_affine(best, -w * c / size, free)
             clip = self.clips[i].a
             offsets = [o for o in (clip.offset, best.offset, *(a.offset for _, a, _ in terms)) if isinstance(o, Fraction)]
             if any(j < 0 for j in clip.row) or len(offsets) < 2 + len(terms):
@@ -235,34 +242,34 @@ class _Reader:
             own, middle, *others = offsets
             reach = max((abs(value) for value in best.row.values()), default=_ZERO)
             offset = max([abs(own), *(abs(w * c * o / size) for (w, _, c), o in zip(terms, others, strict=True))])
-            rest = combined(clip, -_ONE, best)
-            if any(abs(value) > TOLERANCE * reach for value in rest.row.values()):
+            rest = combine_affine(clip, -_ONE, best)
+            if any(abs(value) > ROUNDED_CONSTANT_TOLERANCE * reach for value in rest.row.values()):
                 return False
-            if abs(own - middle) > TOLERANCE * offset:
+            if abs(own - middle) > ROUNDED_CONSTANT_TOLERANCE * offset:
                 return False
             if rest.row or rest.offset:
                 self.rounded.add(i)
         return True
 
 
-def _number(value: float) -> Part:
+def _number_shape(value: float) -> GraphNodeShape:
     if not np.isfinite(value):
-        return Part(None, False, False, False, value=ca.SX(value))
-    return Part(Form((), Affine({}, Fraction(value)), ()), True, True, value >= 0, value=ca.SX(value))
+        return GraphNodeShape(None, False, False, False, value=ca.SX(value))
+    return GraphNodeShape(ConstraintForm((), AffineForm({}, Fraction(value)), ()), True, True, value >= 0, value=ca.SX(value))
 
 
-def _of_time(value: ca.SX, nonnegative: bool) -> Part:
-    return Part(Form((), Affine({}, value), ()), True, True, nonnegative, time=True, value=value)
+def _time_shape(value: ca.SX, nonnegative: bool) -> GraphNodeShape:
+    return GraphNodeShape(ConstraintForm((), AffineForm({}, value), ()), True, True, nonnegative, time=True, value=value)
 
 
-def _as_squares(part: Part) -> Squares | None:
+def _as_squares(part: GraphNodeShape) -> Squares | None:
     """Read a part as a sum of squares with weights > 0; a number >= 0 beside them is the square of its root."""
     form = part.form
     if form is None or form.norms or form.affine.row or any(w < 0 for w, _ in form.squares):
         return None
-    if is_zero(form.affine):
+    if is_zero_affine(form.affine):
         return form.squares
     offset = form.affine.offset
     if isinstance(offset, Fraction) and offset > 0:
-        return (*form.squares, (offset, Affine({}, _ONE)))
+        return (*form.squares, (offset, AffineForm({}, _ONE)))
     return None

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Process
+from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess
 from nsmodel.proof import interval
-from nsmodel.proof.components import sharing
-from nsmodel.proof.graph import column, keys, replay
-from nsmodel.proof.jumps import SWITCHES
+from nsmodel.proof.components import overlapping_groups
+from nsmodel.proof.graph import rewrite_nodes, stack_column, symbol_hashes
+from nsmodel.proof.jumps import SWITCH_OPERATIONS
 
 
 class FieldBlock(NamedTuple):
@@ -48,16 +48,16 @@ class FieldBlock(NamedTuple):
         return lower, upper
 
 
-def blocks_of(f: ca.SX, process: Process) -> list[FieldBlock]:
+def split_field_blocks(f: ca.SX, process: PartialSweepingProcess) -> list[FieldBlock]:
     """Split f where its components share no states, and put blocks of the same formula together."""
-    rows, columns = _pattern(f, process.q)
+    rows, columns = _dependency_pattern(f, process.q)
     entries = sorted(set(rows))
     states = [{j for k, j in zip(rows, columns, strict=True) if k == i} for i in entries]
     found: dict[tuple, FieldBlock] = {}
-    for group in sharing(states):
+    for group in overlapping_groups(states):
         r, j = [entries[k] for k in group], sorted(set().union(*(states[k] for k in group)))
-        block = _block(f[r], process, r, j)
-        first = found.setdefault(_formula(block), block)
+        block = _field_block(f[r], process, r, j)
+        first = found.setdefault(_formula_key(block), block)
         if first is not block:
             first.members.append((r, j))
             for least, other in ((first.lower, block.lower), (first.s_lower, block.s_lower)):
@@ -67,7 +67,7 @@ def blocks_of(f: ca.SX, process: Process) -> list[FieldBlock]:
     return list(found.values())
 
 
-def _formula(block: FieldBlock) -> tuple:
+def _formula_key(block: FieldBlock) -> tuple:
     """The operations of a block with all digits of their constants, whatever the symbols are called."""
     f = ca.Function("f", [block.t, block.q, block.s], [ca.densify(block.f)])
     steps = [(f.instruction_id(i), *f.instruction_input(i), -1, *f.instruction_output(i)) for i in range(f.n_instructions())]
@@ -75,32 +75,34 @@ def _formula(block: FieldBlock) -> tuple:
     return tuple(steps), tuple(constants), block.q.numel(), block.s.numel()
 
 
-def _pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
+def _dependency_pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
     """Which components depend on which states: a sign or a comparison counts, though its derivative is 0."""
-    pattern = ca.Function("f", [q, column(_others(f, q))], [ca.densify(f)]).jac_sparsity(0, 0)
+    pattern = ca.Function("f", [q, stack_column(_other_symbols(f, q))], [ca.densify(f)]).jac_sparsity(0, 0)
     return pattern.get_triplet()
 
 
-def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
-    own = keys(q)
+def _other_symbols(f: ca.SX, q: ca.SX) -> list[ca.SX]:
+    own = symbol_hashes(q)
     return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
 
 
-def _block(f: ca.SX, process: Process, rows: list[int], columns: list[int]) -> FieldBlock:
+def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], columns: list[int]) -> FieldBlock:
     own = process.q[columns]
     plain = ca.SX.sym("q", len(columns))
     formula = ca.substitute(f, own, plain)
     nodes: list[tuple[ca.SX, ca.SX]] = []
 
-    def in_time(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+    def replace_switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
         if ca.depends_on(old, plain):
             return None
         nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
         return nodes[-1][0]
 
-    formula = replay(formula, in_time, SWITCHES, process.t, "f")
+    formula = rewrite_nodes(formula, replace_switch, SWITCH_OPERATIONS, process.t, "f")
     ends = [0, *(1 + j for j in columns)]
     lower, upper = process.lower[ends].copy(), process.upper[ends].copy()
-    bounds = interval.enclose(column(old for _, old in nodes), process.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
-    s = column(symbol for symbol, _ in nodes)
+    bounds = (
+        interval.enclose(stack_column(old for _, old in nodes), process.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
+    )
+    s = stack_column(symbol for symbol, _ in nodes)
     return FieldBlock(formula, plain, process.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)

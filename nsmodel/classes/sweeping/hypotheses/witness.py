@@ -17,20 +17,20 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Process
+from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
-from nsmodel.classes.sweeping.hypotheses.start import direction_at, sign_at
+from nsmodel.classes.sweeping.hypotheses.start import gradient_direction_at, sign_at
 from nsmodel.proof import exact
-from nsmodel.proof.feasibility import System, decide
+from nsmodel.proof.feasibility import ConicSystem, decide_feasibility
 from nsmodel.proof.interval import enclose
-from nsmodel.proof.krawczyk import zero_near
+from nsmodel.proof.krawczyk import enclose_zero
 
-WEIGHT = 1e-7  # A smaller weight is 0.
-DIGITS = (1, 10, 1000, 10**6)  # Denominators of rational points that are tried.
-INWARD = (1e-3, 1e-6, 1e-9)  # Parts of the box by which a point is moved off the constraints.
+MIN_WEIGHT = 1e-7  # A smaller weight is 0.
+DENOMINATORS = (1, 10, 1000, 10**6)  # Denominators of rational points that are tried.
+INWARD_FRACTIONS = (1e-3, 1e-6, 1e-9)  # Parts of the box by which a point is moved off the constraints.
 
 
-class Opposed(NamedTuple):
+class OpposingGradients(NamedTuple):
     """Constraints ``rows`` with weights u > 0, sum u_i grad g_i = 0, active near the point ``at`` (t, q) at an admissible one."""
 
     rows: tuple[int, ...]
@@ -39,36 +39,38 @@ class Opposed(NamedTuple):
     how: str
 
 
-def opposed(
-    constraints: Sequence[Constraint], process: Process, rows: np.ndarray, weights: np.ndarray, at: np.ndarray
-) -> Opposed | None:
+def prove_opposition(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, rows: np.ndarray, weights: np.ndarray, at: np.ndarray
+) -> OpposingGradients | None:
     """Return a proof that constraints oppose each other in contact near ``at`` (t, q), or None."""
-    used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
+    used = [int(k) for k, u in zip(rows, weights, strict=True) if u > MIN_WEIGHT]
     if len(used) < 2 or not np.isfinite(at).all():
         return None
-    start = np.array([u for u in weights if u > WEIGHT])
-    return _exactly(constraints, process, used, at) or _moving(constraints, process, used, start / start.sum(), at)
+    start = np.array([u for u in weights if u > MIN_WEIGHT])
+    return _prove_exactly(constraints, process, used, at) or _prove_in_motion(constraints, process, used, start / start.sum(), at)
 
 
 # -- at rest -----------------------------------------------------------------------------------------------------------
 
 
-def _exactly(constraints: Sequence[Constraint], process: Process, used: list[int], at: np.ndarray) -> Opposed | None:
+def _prove_exactly(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, used: list[int], at: np.ndarray
+) -> OpposingGradients | None:
     for t, q in _rational_points(constraints, process, used, at):
         state = dict(zip(process.columns, q, strict=True))
         if any(sign_at(constraints[k], t, state) != 0 for k in used):
             continue
-        weights = cancelling([direction_at(constraints[k], t, state) for k in used])
+        weights = cancelling_weights([gradient_direction_at(constraints[k], t, state) for k in used])
         if weights is None:
             continue
         rest = [k for k in range(len(constraints)) if k not in used]
         if all((sign := sign_at(constraints[k], t, state)) is not None and sign >= 0 for k in rest):
             point = np.append(t, [float(x) for x in q])
-            return Opposed(tuple(used), weights, point, "decided exactly")
+            return OpposingGradients(tuple(used), weights, point, "decided exactly")
     return None
 
 
-def cancelling(directions: Sequence[dict[int, Fraction] | None]) -> tuple[float, ...] | None:
+def cancelling_weights(directions: Sequence[dict[int, Fraction] | None]) -> tuple[float, ...] | None:
     """Weights u > 0, sum 1, with which unit normals of these directions cancel (exactly); None where there are none."""
     known = [direction for direction in directions if direction is not None and any(direction.values())]
     if len(known) < len(directions):
@@ -78,7 +80,7 @@ def cancelling(directions: Sequence[dict[int, Fraction] | None]) -> tuple[float,
     for k, direction in enumerate(known):
         for i, value in direction.items():
             A[states.index(i), k] = value
-    point = decide(System(A, tuple(range(len(known))))).point
+    point = decide_feasibility(ConicSystem(A, tuple(range(len(known))))).point
     if point is None:
         return None
     size = [sum(float(x) ** 2 for x in direction.values()) ** 0.5 for direction in known]
@@ -87,26 +89,26 @@ def cancelling(directions: Sequence[dict[int, Fraction] | None]) -> tuple[float,
 
 
 def _rational_points(
-    constraints: Sequence[Constraint], process: Process, used: list[int], at: np.ndarray
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, used: list[int], at: np.ndarray
 ) -> Iterator[tuple[float, list[Fraction]]]:
     own = [constraints[k] for k in used]
     moving = any(c.shape.time for c in constraints)
     times = dict.fromkeys(float(t) for t in (at[0], process.lower[0], process.upper[0], round(at[0], 6)) if abs(t - at[0]) < 1e-6)
     if all(c.shape.kind == "plane" for c in own):
-        point = _common_point(constraints, process, used)
+        point = _common_plane_point(constraints, process, used)
         if point is not None:
             yield float(at[0]), point
     q = [Fraction(float(x)) for x in at[1:]]
     for t in times if moving else (float(at[0]),):
         yield t, q
-        yield from ((t, [x.limit_denominator(number) for x in q]) for number in DIGITS)
+        yield from ((t, [x.limit_denominator(number) for x in q]) for number in DENOMINATORS)
         yield from ((t, [Fraction(round(float(x), digits)) for x in q]) for digits in (1, 2, 3, 6, 9))
-    touch = _touch(own, process)
+    touch = _touching_point(own, process)
     if touch is not None:
         yield float(at[0]), touch
 
 
-def _touch(own: Sequence[Constraint], process: Process) -> list[Fraction] | None:
+def _touching_point(own: Sequence[Constraint], process: PartialSweepingProcess) -> list[Fraction] | None:
     """Where two balls of fixed place and radius touch: on the line between their centres."""
     balls = [ball for c in own if (ball := fixed_ball(c)) is not None]
     if len(own) != 2 or len(balls) != 2 or tuple(sorted(balls[0][0])) != tuple(sorted(process.columns)):
@@ -141,7 +143,9 @@ def fixed_ball(c: Constraint) -> tuple[dict[int, Fraction], Fraction] | None:
     return (centre, r / (w * scale)) if scale * scale == square and r > 0 else None
 
 
-def _common_point(constraints: Sequence[Constraint], process: Process, used: list[int]) -> list[Fraction] | None:
+def _common_plane_point(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, used: list[int]
+) -> list[Fraction] | None:
     """A point on some fixed planes and on the admissible side of all others."""
     if any(c.shape.kind != "plane" or c.shape.time for c in constraints):
         return None
@@ -154,16 +158,16 @@ def _common_point(constraints: Sequence[Constraint], process: Process, used: lis
         A[k, n] = c.shape.written.affine.offset
         if k in rest:
             A[k, n + 1 + rest.index(k)] = Fraction(-1)
-    point = decide(System(A, tuple(range(n, A.shape[1])))).point
+    point = decide_feasibility(ConicSystem(A, tuple(range(n, A.shape[1])))).point
     return None if point is None else [x / point[n] for x in point[:n]]
 
 
 # -- in motion ---------------------------------------------------------------------------------------------------------
 
 
-def _moving(
-    constraints: Sequence[Constraint], process: Process, used: list[int], weights: np.ndarray, at: np.ndarray
-) -> Opposed | None:  # fmt: skip
+def _prove_in_motion(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, used: list[int], weights: np.ndarray, at: np.ndarray
+) -> OpposingGradients | None:  # fmt: skip
     g = process.g[used]
     if not process.lower[0] < process.upper[0] or not ca.depends_on(g, process.t):
         return None
@@ -173,7 +177,7 @@ def _moving(
     slopes = ca.jacobian(g, process.q[own])
     u, fixed = ca.SX.sym("u", len(used)), None
     if all(constraints[k].shape.kind == "plane" for k in used):
-        fixed = cancelling([dict(constraints[k].shape.written.affine.row) for k in used])
+        fixed = cancelling_weights([dict(constraints[k].shape.written.affine.row) for k in used])
     widths = (process.upper - process.lower)[[0, *(1 + j for j in own)]]
     size, z = np.where(widths > 0, widths, 1.0), ca.vertcat(process.t, process.q[own])
     if fixed is not None:
@@ -185,7 +189,7 @@ def _moving(
         total = sum((u[k] / lengths[k] * slopes[k, :] for k in range(len(used))), ca.SX(1, len(own)))
         F, z = ca.vertcat(g, ca.vec(total), ca.sum1(u) - 1), ca.vertcat(z, u)
         start, size = np.concatenate([at[[0, *(1 + j for j in own)]], weights]), np.concatenate([size, np.ones(len(used))])
-    zero = zero_near(F, z, start, size)
+    zero = enclose_zero(F, z, start, size)
     if zero is None:
         return None
     lower, upper = at.copy(), at.copy()
@@ -197,19 +201,19 @@ def _moving(
         or (fixed is None and not (zero.lower[len(ends) :] > 0).all())
     ):
         return None
-    if not _others_admit(process, used, lower, upper) or not _sloping(process, used, lower, upper):
+    if not _others_admit(process, used, lower, upper) or not _gradients_are_nonzero(process, used, lower, upper):
         return None
     how = f"an interval Newton step proves such a point within {float((upper - lower).max()):.1g} of the one shown"
     found = fixed if fixed is not None else tuple(float(x) for x in zero.middle[len(ends) :])
-    return Opposed(tuple(used), found, (lower + upper) / 2, how)
+    return OpposingGradients(tuple(used), found, (lower + upper) / 2, how)
 
 
-def _others_admit(process: Process, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
+def _others_admit(process: PartialSweepingProcess, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
     rest = [k for k in range(len(process.rows)) if k not in used]
     return not rest or bool((enclose(process.g[rest], process.z, lower, upper)[0] >= 0).all())
 
 
-def _sloping(process: Process, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
+def _gradients_are_nonzero(process: PartialSweepingProcess, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether no gradient of these vanishes in a box."""
     lengths = ca.vertcat(*(ca.sumsqr(ca.jacobian(process.g[k], process.q)) for k in used))
     return bool((enclose(lengths, process.z, lower, upper)[0] > 0).all())
@@ -218,22 +222,24 @@ def _sloping(process: Process, used: Sequence[int], lower: np.ndarray, upper: np
 # -- how large gamma is at a point ---------------------------------------------------------------------------------------
 
 
-def attained(process: Process, rows: np.ndarray, weights: np.ndarray, at: np.ndarray, rho: float) -> float:
+def attained_gamma_bound(
+    process: PartialSweepingProcess, rows: np.ndarray, weights: np.ndarray, at: np.ndarray, rho: float
+) -> float:
     """Return a proved lower bound of gamma(rho) from constraints with weights near a point (t, q); 1 where there is none.
 
     For rho > 0 the point is moved off the constraints, to where all are > 0 and these still within rho; for rho = 0 a box in
     which it is exactly on them is shown to exist.
     """
-    used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
+    used = [int(k) for k, u in zip(rows, weights, strict=True) if u > MIN_WEIGHT]
     if len(used) < 2 or not np.isfinite(at).all():
         return 1.0
-    u = np.array([x for x in weights if x > WEIGHT])
+    u = np.array([x for x in weights if x > MIN_WEIGHT])
     hull = ca.SX(1, len(process.columns))
     for k, weight in zip(used, u / u.sum(), strict=True):
         slope = ca.jacobian(process.g[k], process.q)
         hull += float(weight) * slope / ca.norm_2(slope)
     total = ca.sumsqr(hull)
-    for lower, upper in _places(process, used, hull, at, rho):
+    for lower, upper in _candidate_boxes(process, used, hull, at, rho):
         inside = (lower >= process.lower).all() and (upper <= process.upper).all()
         if inside and _others_admit(process, used, lower, upper):
             high = float(enclose(total, process.z, lower, upper)[1].item())
@@ -242,13 +248,13 @@ def attained(process: Process, rows: np.ndarray, weights: np.ndarray, at: np.nda
     return 1.0
 
 
-def _places(
-    process: Process, used: list[int], hull: ca.SX, at: np.ndarray, rho: float
+def _candidate_boxes(
+    process: PartialSweepingProcess, used: list[int], hull: ca.SX, at: np.ndarray, rho: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     if rho > 0:
         away = np.array(ca.Function("hull", [process.z], [ca.densify(hull)])(at)).ravel()
         size = np.linalg.norm(away)
-        for part in INWARD if np.isfinite(size) and size > 0 else ():
+        for part in INWARD_FRACTIONS if np.isfinite(size) and size > 0 else ():
             point = at.copy()
             point[1:] += part * min(rho, process.size) * away / size
             low, high = (end.ravel() for end in enclose(process.g[used], process.z, point, point))
@@ -257,7 +263,7 @@ def _places(
         return
     if len(used) <= len(process.columns):
         g = ca.substitute(process.g[used], process.t, float(at[0]))
-        zero = zero_near(
+        zero = enclose_zero(
             g, process.q, at[1:], np.where(process.upper[1:] > process.lower[1:], (process.upper - process.lower)[1:], 1.0)
         )
         if zero is not None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.laws import complementarity
-from nsmodel.model.driven import inputs_at_start
-from nsmodel.scheme.problem import OneStepProblem, carrying
+from nsmodel.model.driven import initial_inputs
+from nsmodel.scheme.problem import OneStepProblem, with_carried_inputs
 
 QUADRATURE_POINTS = 8
 
@@ -26,7 +26,7 @@ def one_step_problem(model: SweepingProcess) -> OneStepProblem:
     m = ca.SX.sym("m", model.g.numel())
     y = ca.SX.sym("y", m.numel())
     q_next, u = ca.SX.sym("q_next", q.numel()), ca.SX.sym("u_next", model.u.numel())
-    f = _mean(model, h, u) if model.mean_forcing else model.f
+    f = _mean_forcing_expression(model, h, u) if model.mean_forcing else model.f
     g = ca.substitute([model.g], [t, model.u], [t + h, u])[0] if m.numel() else m
     G = ca.jacobian(g, q)
     problem = OneStepProblem(
@@ -43,7 +43,7 @@ def one_step_problem(model: SweepingProcess) -> OneStepProblem:
         gap="gap" if m.numel() else "",
         overreach=_overreach(g, G, q, q_next),
     )  # fmt: skip
-    return carrying(problem, model.u, u)
+    return with_carried_inputs(problem, model.u, u)
 
 
 def _overreach(g: ca.SX, G: ca.SX, q: ca.SX, q_next: ca.SX) -> ca.SX | None:
@@ -58,17 +58,17 @@ def _overreach(g: ca.SX, G: ca.SX, q: ca.SX, q_next: ca.SX) -> ca.SX | None:
     """
     if not ca.depends_on(G, q):
         return None
-    (true, turned), rows = ca.substitute([g, G], [q], [q_next]), []
+    (true, G_next), rows = ca.substitute([g, G], [q], [q_next]), []
     for i in range(g.numel()):
         own = sorted({j for j in G[i, :].sparsity().get_col()})
         d = q_next[own] - q[own]
         size = ca.sqrt(ca.sumsqr(G[i, own]) * ca.sumsqr(d))
-        off = ca.fmin(true[i] - g[i] - G[i, own] @ d, (turned[i, own] - G[i, own]) @ d)
+        off = ca.fmin(true[i] - g[i] - G[i, own] @ d, (G_next[i, own] - G[i, own]) @ d)
         rows.append(ca.if_else(off > 0, off / size, 0))
     return ca.vertcat(*rows)
 
 
-def _mean(model: SweepingProcess, h: ca.SX, u_end: ca.SX) -> ca.SX:
+def _mean_forcing_expression(model: SweepingProcess, h: ca.SX, u_end: ca.SX) -> ca.SX:
     """(1/h) int_{t_k}^{t_{k+1}} f(s, q_k) ds (Remark 3.2) by Gauss-Legendre quadrature; inputs go from one end to the other."""
     f, t, u, total = model.f, model.t, model.u, 0
     for x, w in zip(*np.polynomial.legendre.leggauss(QUADRATURE_POINTS), strict=True):
@@ -80,12 +80,12 @@ def initial_rows(model: SweepingProcess, h: float) -> list[tuple[np.ndarray, dic
     """q_0 and its gaps g(0, q_0)."""
     q0 = np.array(ca.DM(model.q0)).ravel()
     gap = ca.Function("gap", [model.t, model.q, model.u], [ca.densify(model.g)])
-    return [(q0, {"gap": np.array(gap(0, q0, inputs_at_start(model))).ravel()} if model.g.numel() else {})]
+    return [(q0, {"gap": np.array(gap(0, q0, initial_inputs(model))).ravel()} if model.g.numel() else {})]
 
 
 def start_rows(model: SweepingProcess, h: ca.SX) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
     """The same as expressions of the parameters."""
-    at_start = [model.t, model.q, model.u], [ca.SX(0), model.q0, ca.SX(inputs_at_start(model))]
+    at_start = [model.t, model.q, model.u], [ca.SX(0), model.q0, ca.SX(initial_inputs(model))]
     return [(model.q0, {"gap": ca.substitute([ca.densify(model.g)], *at_start)[0]} if model.g.numel() else {})]
 
 
