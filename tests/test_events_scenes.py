@@ -71,6 +71,17 @@ def test_scenes_against_64_digits(make):
 
 
 @pytest.mark.parametrize("rtol", RTOLS)
+def test_a_switch_of_what_a_switch_chooses_is_rounding_where_that_is(rtol):
+    """A sliding speed is held at 0, and f has fmax(fabs(speed), 1e-150): known to what speeds are, not to 1e-150."""
+    own = models.CLASSES["oscillator"](1018)
+    run, right = simulate(own.model, rtol=rtol, method="event-driven", t_end=1), judged(own, 1)
+    t = np.linspace(0, 1, 11)[1:]
+    n = own.model.x.numel()
+    assert np.abs(run.at(t).x - right.at(t)[0][:, :n]).max() <= 10 * rtol
+    assert len(run.events) == len(right.events)
+
+
+@pytest.mark.parametrize("rtol", RTOLS)
 def test_rows_that_rest_while_l_grows(rtol):
     """y_0 is 0 on all of [0, 5], and what holds it grows from 2 to 6, less what l takes: 0 is known to rounding of that."""
     own = loops(31)

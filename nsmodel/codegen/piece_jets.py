@@ -89,7 +89,8 @@ class RecurrencePrinter:
         made = {row: of[which].format(i=i) for (which, i), row in self.jets.inputs.items()} | dict.fromkeys(
             self.jets.numbers, "0.0"
         )
-        made |= {line.y: sum_text(line, "b{}".format, C_DIALECT) or ZERO_TEXT for line in self.jets.lines}
+        for line in self.jets.lines:
+            made[line.y] = sum_text(line, "b{}".format, f"s->at.choice[{line.branch + self.offset}]", C_DIALECT) or ZERO_TEXT
         lines += [f"const double b{row} = max_of(fabs({value[row]}), {text});" for row, text in made.items() if row in value]
         for i, branch in enumerate(self.jets.branches, self.offset):
             lines.append(f"s->at.size_switches[{i}] = max_of(s->at.size_switches[{i}], b{branch.row});")

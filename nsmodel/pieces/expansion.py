@@ -62,7 +62,7 @@ class TaylorExpansion:
         size = [abs(row[0]) for row in self.rows]
         for place, row in self.jets.inputs.items():
             size[row] = max(size[row], inputs[place])
-        self._sum_sizes(size)
+        self._sum_sizes(size, self.choice)
         return [size[branch.row] for branch in self.jets.branches]
 
 
@@ -91,10 +91,11 @@ def compile_recurrences(
     return made["make"](rows, choice)
 
 
-def _compile_size_sums(recurrences: TaylorRecurrences) -> Callable[[list[float]], None]:
-    """What makes the sizes of rows those of the sums that they are."""
-    texts = ((line.y, sum_text(line, "size[{}]".format, PYTHON_DIALECT)) for line in recurrences.lines if recurrences.branches)
+def _compile_size_sums(recurrences: TaylorRecurrences) -> Callable[[list[float], list[float]], None]:
+    """What makes the sizes of rows those of the sums that they are, of the side that is chosen."""
+    given = recurrences.lines if recurrences.branches else []
+    texts = ((line.y, sum_text(line, "size[{}]".format, f"choice[{line.branch}]", PYTHON_DIALECT)) for line in given)
     lines = [f"    size[{y}] = max(size[{y}], {text})\n" for y, text in texts if text]
     made: dict = {}
-    exec(compile("def sizes(size):\n" + ("".join(lines) or "    pass\n"), "<sizes>", "exec"), made)
+    exec(compile("def sizes(size, choice):\n" + ("".join(lines) or "    pass\n"), "<sizes>", "exec"), made)
     return made["sizes"]

@@ -60,12 +60,14 @@ _LINEAR_TEXTS = {"sum": "{0} + {1}", "difference": "{0} - {1}", "minus": "-{0}",
 # What a row is the sum of, in size, where its arguments may cancel.
 _SUM_TEXTS = {
     "sum": "{0} + {1}", "difference": "{0} + {1}", "shifted": "{0} + {number}", "minus": "{0}", "scaled": "{number}*{0}",
-    "over": "{0}/{number}", "product": "{0}*{1}", "square": "{0}*{0}",
+    "over": "{0}/{number}", "product": "{0}*{1}", "square": "{0}*{0}", "guarded": "{1}",
 }  # fmt: skip
 
 
-def sum_text(line: Recurrence, size: Callable[[int], str], language: Dialect) -> str | None:
-    """What order 0 of a line is the sum of, in size; None: itself. ``size``: that of a row."""
+def sum_text(line: Recurrence, size: Callable[[int], str], choice: str, language: Dialect) -> str | None:
+    """What order 0 of a line is the sum of, in size; None: itself. ``size``: that of a row, ``choice``: of its branch."""
+    if line.kind in ("chosen", "equal"):
+        return _chosen_text(line, [*map(size, line.args)], choice, language)
     if line.kind not in _SUM_TEXTS:
         return None
     return _SUM_TEXTS[line.kind].format(*map(size, line.args), number=language.number(abs(line.number)))
@@ -147,5 +149,9 @@ def _any_order_text(line: Recurrence, at: list[str], at_0: list[str], choice: st
     if line.kind == "guarded":
         return language.either(f"{at_0[0]} != 0", at[1], "0.0")
     if line.kind in ("chosen", "equal"):
-        return language.either(f"{choice} == 0" if line.kind == "equal" else f"{choice} > 0", at[0], at[1])
+        return _chosen_text(line, at, choice, language)
     return _LINEAR_TEXTS[line.kind].format(*at, number=language.number(line.number))
+
+
+def _chosen_text(line: Recurrence, at: list[str], choice: str, language: Dialect) -> str:
+    return language.either(f"{choice} == 0" if line.kind == "equal" else f"{choice} > 0", at[0], at[1])
