@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsmodel.blocks import Block, dead_time, delay, each_step, hysteresis, latch, pid, sampled, thyristor
+from nsmodel._utils import lazy_attributes as _later
 from nsmodel.errors import (
     MissingExtraError,
     ModelError,
@@ -13,8 +13,8 @@ from nsmodel.errors import (
     UnverifiedWarning,
     UsageError,
 )
-from nsmodel.later import lazy_attributes as _later
-from nsmodel.laws import (
+from nsmodel.modeling import former_names
+from nsmodel.modeling.laws import (
     Law,
     ball,
     box,
@@ -26,8 +26,9 @@ from nsmodel.laws import (
     relay,
     second_order_cone,
 )
-from nsmodel.loader import load
-from nsmodel.signals import Signal, Within, pwm, signal, steps, table, within
+from nsmodel.modeling.model_files import load
+from nsmodel.modeling.signals import Signal, Within, pwm, signal, steps, table, within
+from nsmodel.modeling.standard_blocks import Block, dead_time, delay, each_step, hysteresis, latch, pid, sampled, thyristor
 from nsmodel.version import VERSION
 
 __version__ = VERSION
@@ -43,13 +44,13 @@ if TYPE_CHECKING:
     from nsmodel.classes.sweeping.model import SweepingProcess
     from nsmodel.hypotheses.findings import Finding
     from nsmodel.hypotheses.report.report import Report
-    from nsmodel.run.loop import RunInterrupted
-    from nsmodel.simulate import explain, simulate
-    from nsmodel.stepping import ModelStepper, stepper
-    from nsmodel.stress import Stress, stress
+    from nsmodel.simulation.loop import RunInterrupted
+    from nsmodel.simulation.simulate import explain, simulate
+    from nsmodel.simulation.stepper import ModelStepper, stepper
+    from nsmodel.simulation.trajectory import Trajectory
     from nsmodel.study import Study, study
+    from nsmodel.study.stress import Stress, stress
     from nsmodel.sweep import Sweep, SweepInterrupted, share, statistics, sweep
-    from nsmodel.trajectory import Trajectory
 
 __all__ = [
     "Block",
@@ -117,6 +118,7 @@ __all__ = [
     "within",
 ]
 
+former_names.install()
 _later(
     __name__,
     {
@@ -130,12 +132,12 @@ _later(
         "nsmodel.classes.lure.model": ["LureSystem"],
         "nsmodel.classes.oscillator.model": ["FrictionOscillator"],
         "nsmodel.classes.sweeping.model": ["SweepingProcess"],
-        "nsmodel.run.loop": ["RunInterrupted"],
-        "nsmodel.simulate": ["explain", "simulate"],
-        "nsmodel.stepping": ["ModelStepper", "stepper"],
-        "nsmodel.stress": ["Stress", "stress"],
+        "nsmodel.simulation.loop": ["RunInterrupted"],
+        "nsmodel.simulation.simulate": ["explain", "simulate"],
+        "nsmodel.simulation.stepper": ["ModelStepper", "stepper"],
+        "nsmodel.study.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],
         "nsmodel.sweep": ["Sweep", "SweepInterrupted", "share", "statistics", "sweep"],
-        "nsmodel.trajectory": ["Trajectory"],
+        "nsmodel.simulation.trajectory": ["Trajectory"],
     },
 )

@@ -12,7 +12,7 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
-from nsmodel.hypotheses import impacts, uniform
+from nsmodel.hypotheses import uniform
 from nsmodel.hypotheses.along import findings_along_run
 from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, VIOLATED, Consequence, Finding, Hypothesis, plain_witness
 from nsmodel.hypotheses.inputs import (
@@ -28,18 +28,18 @@ from nsmodel.hypotheses.region import Region, enclosing_region, region_of
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import IntervalBox, Scope, intersect_scopes
 from nsmodel.hypotheses.stay import time_limit_clauses
-from nsmodel.model.arguments import describe_argument
-from nsmodel.model.base import Model
-from nsmodel.model.driven import freeze_inputs
-from nsmodel.model.parameters import Values, split_boxes
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.parameters import Values, describe_argument, split_boxes
+from nsmodel.modeling.signals import Within
+from nsmodel.modeling.variants import freeze_inputs
 from nsmodel.observed_order import ORDER_ROUND_OFF, refined_run_consequences
-from nsmodel.proof.graph import OpaqueExpression
-from nsmodel.proof.search import quick_searches
-from nsmodel.scheme import one_step_problem
-from nsmodel.signals import Within
-from nsmodel.simulate import simulate
-from nsmodel.solve.structure import read_step_structure
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof.expression_graph import OpaqueExpression
+from nsmodel.proof.global_search import quick_searches
+from nsmodel.simulation.simulate import simulate
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers import impacts
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.structure import read_step_structure
 
 MAX_CHECK_STEPS = 4000  # Steps looked at where each needs Newton's method.
 IMPACT_NOTE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.IMPACTS_GUIDE}"

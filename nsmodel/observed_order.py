@@ -11,9 +11,9 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, UsageError
 from nsmodel.hypotheses.findings import Consequence, measured_consequence
-from nsmodel.model.base import Model
-from nsmodel.simulate import simulate
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.simulate import simulate
+from nsmodel.simulation.trajectory import Trajectory
 
 ORDER_ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 ASYMPTOTIC_ORDERS = 0.3, 2.5  # Orders seen outside of this range are chance.

@@ -21,10 +21,9 @@ from scipy.sparse.linalg import splu
 
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
-from nsmodel.contacts import Contacts
-from nsmodel.solve.certificate import EPS
-from nsmodel.solve.contact_projection import ContactGroup
-from nsmodel.solve.many_bodies import BodiesWarmStart
+from nsmodel.solvers.contact_solver import BodiesWarmStart, ContactGroup
+from nsmodel.solvers.contacts import Contacts
+from nsmodel.solvers.residuals import EPS
 
 MOVEMENT_ROUNDING = 64 * EPS  # Beside the largest position: what moves less moves by rounding.
 STANDSTILL_STEPS = 20  # Steps after which bodies that have moved by no more than that are said to stand still.

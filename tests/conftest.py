@@ -15,7 +15,8 @@ import pytest
 from fuzz_models import COUNT, FULL, spread
 
 import nsmodel
-from nsmodel.codegen import cache, library, piece_runs
+from nsmodel.codegen import event_driven_runs, library
+from nsmodel.codegen import library as cache
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED = REPOSITORY / ".." / "shared"
@@ -132,7 +133,7 @@ def quickly_built():
         if COUNT < FULL:
             patch.setattr(cache, "COMPILER_FLAGS", QUICK)
             patch.setattr(cache, "LANES_FLAGS", QUICK)
-            patch.setattr(piece_runs, "PIECE_FLAGS", QUICK)
+            patch.setattr(event_driven_runs, "PIECE_FLAGS", QUICK)
             patch.setattr(library.compile_library, "__defaults__", (QUICK,))
         yield
 

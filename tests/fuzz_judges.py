@@ -1,4 +1,4 @@
-"""Whether the steps of a run are right, decided in NumPy from the definition of each law, with nothing of `nsmodel.solve`.
+"""Whether the steps of a run are right, decided in NumPy from the definition of each law, with nothing of `nsmodel.solvers`.
 
 Arrays have a row for each step. A misfit is measured beside the terms that the judged sum is made of: ``TOLERANCE`` beside what
 moves in the step, ``ROUND_OFF`` beside everything that is added up.

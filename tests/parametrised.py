@@ -6,7 +6,8 @@ from typing import Any
 
 import casadi as ca
 
-from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, laws
+from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess
+from nsmodel.modeling import laws
 
 NAMES = ("rate", "push", "ends", "side", "begin")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import nsmodel
 
-RUN = importlib.import_module("nsmodel.run.schemes")
+RUN = importlib.import_module("nsmodel.simulation.fixed_grid")
 
 HERE = Path(__file__).resolve().parent
 

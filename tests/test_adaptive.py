@@ -40,12 +40,12 @@ from nsmodel import (
 )
 from nsmodel.classes.units import in_units
 from nsmodel.codegen.rollout import Rollout
-from nsmodel.grid import make_grid
-from nsmodel.pieces import stretch
-from nsmodel.run import controlled
-from nsmodel.run.schemes import make_stepper
-from nsmodel.simulate import prepare as prepare_any
-from nsmodel.simulate import simulate as simulate_any
+from nsmodel.event_driven import fallback_steps
+from nsmodel.modeling.time_grid import make_grid
+from nsmodel.simulation import error_control
+from nsmodel.simulation.fixed_grid import make_stepper
+from nsmodel.simulation.simulate import prepare as prepare_any
+from nsmodel.simulation.simulate import simulate as simulate_any
 
 simulate, prepare = (partial(call, method="time-stepping") for call in (simulate_any, prepare_any))
 TIGHT = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
@@ -146,7 +146,11 @@ def test_atol_alone_has_a_summary():
 @pytest.mark.parametrize("compiled", [False, True])
 def test_where_pieces_do_not_apply_steps_have_a_budget(monkeypatch, compiled):
     """A cone: the estimate tells what a run that had to end allowed itself; method="time-stepping" goes on in earnest."""
-    for of, constant, value in ((stretch, "STRICT", 200), (stretch, "TENFOLD", 100), (controlled, "LOOSENING_INTERVAL", 50)):
+    for of, constant, value in (
+        (fallback_steps, "STRICT", 200),
+        (fallback_steps, "TENFOLD", 100),
+        (error_control, "LOOSENING_INTERVAL", 50),
+    ):
         monkeypatch.setattr(of, constant, value)
     one, f = np.eye(3), ca.vertcat(ca.sin(2 * T), 2 * ca.cos(3 * T), 1.5 * ca.sin(T))
     model = LureSystem(t=T, A=-one, B=one, C=one, f=f, law=second_order_cone(3), x0=[1, 0, 0], t_end=2)
@@ -158,7 +162,7 @@ def test_where_pieces_do_not_apply_steps_have_a_budget(monkeypatch, compiled):
     assert len(earnest) > 1000
     apart = max(np.abs(np.interp(run.t, earnest.t, earnest.x[:, i]) - run.x[:, i]).max() for i in range(3))
     assert apart <= 1e-6 * run.summary()["error_control"]["estimate"]
-    monkeypatch.setattr(controlled, "STEP_BUDGET", 220)
+    monkeypatch.setattr(error_control, "STEP_BUDGET", 220)
     with pytest.raises(StepError, match=r"220 steps were accepted.*time-stepping"):
         simulate_any(model, rtol=1e-6, compiled=compiled)
 

@@ -24,11 +24,11 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
-from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve.build import Stepper
-from nsmodel.solve.choose import STEP_SOLVERS
-from nsmodel.solve.qp import QP_SOLVERS as QP_SOLVERS
-from nsmodel.solve.stepper import WarmStart
+from nsmodel.solvers.mlcp import QP_SOLVERS as QP_SOLVERS
+from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem
+from nsmodel.solvers.plan import STEP_SOLVERS
+from nsmodel.solvers.step import WarmStart
+from nsmodel.solvers.time_stepper import Stepper
 
 FORCED = ("qpoases", "qrqp", "daqp", "ipopt", "lemke")
 

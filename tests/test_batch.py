@@ -27,19 +27,20 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.codegen import batch, cache, library
-from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen import batch, library
+from nsmodel.codegen import library as cache
 from nsmodel.codegen.batch import StepBatch
 from nsmodel.codegen.rollout import MAX_LOADED
-from nsmodel.codegen.statuses import STATUSES
+from nsmodel.codegen.step_spec import spec_for_all_values
+from nsmodel.codegen.structs import STATUSES
 from nsmodel.errors import CodegenError
-from nsmodel.grid import make_grid
-from nsmodel.identity import ALL_VALUES_SUFFIX
-from nsmodel.run.in_c import STEPS_IN_C, STEPS_IN_C_FOR_ALL
-from nsmodel.scheme import initial_rows, one_step_problem, symbolic_initial_rows
-from nsmodel.simulate import explain
-from nsmodel.solve.cost import is_fixed_code_faster
-from nsmodel.solve.structure import read_step_structure
+from nsmodel.modeling.fingerprint import ALL_VALUES_SUFFIX
+from nsmodel.modeling.time_grid import make_grid
+from nsmodel.simulation.simulate import explain
+from nsmodel.simulation.step_backend import STEPS_IN_C, STEPS_IN_C_FOR_ALL
+from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem, symbolic_initial_rows
+from nsmodel.solvers.plan import is_fixed_code_faster
+from nsmodel.solvers.structure import read_step_structure
 
 pytestmark = [
     pytest.mark.usefixtures("own_cache"), pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
@@ -441,7 +442,7 @@ def test_a_run_is_resumed_as_it_began(tmp_path, monkeypatch):
     model, given = lure(), {"a": 0.4, "w": 1.0}
     whole = simulate(model, parameters=given, compiled=True, t_end=2)
     simulate(model, parameters=given, compiled=True, t_end=1, out=tmp_path / "run")
-    monkeypatch.setattr("nsmodel.run.schemes.is_fixed_code_faster", lambda *_: True)  # as if it were long now
+    monkeypatch.setattr("nsmodel.simulation.fixed_grid.is_fixed_code_faster", lambda *_: True)  # as if it were long now
     resumed = simulate(model, parameters=given, compiled=True, t_end=2, out=tmp_path / "run", resume=True)
     assert STEPS_IN_C_FOR_ALL in resumed.metadata["used"]
     np.testing.assert_array_equal(resumed.x, whole.x)

@@ -18,10 +18,10 @@ from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.codegen.bodies_step import CompiledBodiesStep
 from nsmodel.codegen.library import compiler
-from nsmodel.codegen.statuses import NO_ROOM, STATUSES
+from nsmodel.codegen.structs import NO_ROOM, STATUSES
 from nsmodel.crowd import Noise
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepper
+from nsmodel.solvers.contact_solver import COLD_BODIES_START, BodiesStepper
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -11,10 +11,10 @@ import pytest
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, StepError, SweepingProcess, relay, signal, simulate
 from nsmodel.codegen import library
-from nsmodel.pieces.cover import max_error_ratio
-from nsmodel.pieces.discs import DiscBall, DiscEvaluator, TaylorForm
-from nsmodel.pieces.expansion import TaylorExpansion
-from nsmodel.pieces.jets import taylor_decompose
+from nsmodel.event_driven.collocation import max_error_ratio
+from nsmodel.event_driven.disc_arithmetic import DiscBall, DiscEvaluator, TaylorForm
+from nsmodel.event_driven.recurrence_code import TaylorExpansion
+from nsmodel.event_driven.recurrences import taylor_decompose
 from tests.search import hidden
 
 t, x, l, s, q = (ca.SX.sym(name) for name in "txlsq")

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from nsmodel import LureSystem, relay, simulate
-from nsmodel.codegen import cache, library, write
+from nsmodel.codegen import library, write
+from nsmodel.codegen import library as cache
 from nsmodel.codegen.library import Library, MappedLibrary, compile_library, loaded_library_paths
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
-from nsmodel.grid import make_grid
+from nsmodel.modeling.time_grid import make_grid
 
 IS_KEPT = cache.has_cached_library  # the true one
 compiles = pytest.mark.skipif(library.compiler() is None, reason="no C compiler")

@@ -14,7 +14,7 @@ import pytest
 import nsmodel
 from nsmodel import FrictionOscillator, ManyBodies, SweepingProcess, simulate
 from nsmodel.classes.registry import CLASSES
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
 
 LONGEST = 12_000  # Steps that the test of every case file takes at most.
 

@@ -24,15 +24,17 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
-from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve import active_set, curved, mlcp, qp
-from nsmodel.solve import kernel as kernel_module
-from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import ROUNDING, NumericLaw, law_residual, numeric_law, output_scale, symbolic_box_residual
-from nsmodel.solve.newton import NewtonSolver
-from nsmodel.solve.nlp import NonlinearProgramme
-from nsmodel.solve.rounding import UNIT_ROUND_OFF
-from nsmodel.solve.stepper import WarmStart
+from nsmodel.solvers import active_set, mlcp
+from nsmodel.solvers import constant_matrices as kernel_module
+from nsmodel.solvers import mlcp as curved
+from nsmodel.solvers import mlcp as qp
+from nsmodel.solvers.fallbacks import NonlinearProgramme
+from nsmodel.solvers.newton import NewtonSolver
+from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem
+from nsmodel.solvers.residuals import ROUNDING, NumericLaw, law_residual, numeric_law, output_scale, symbolic_box_residual
+from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
+from nsmodel.solvers.step import WarmStart
+from nsmodel.solvers.time_stepper import Stepper
 
 INF = np.inf
 TO_THE_END = {"xatol": 1e-10, "fatol": 1e-11, "maxiter": 3000, "maxfev": 3000}

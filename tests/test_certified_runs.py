@@ -12,11 +12,10 @@ from fuzz_models import share, some
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, Trajectory, UsageError, complementarity, relay, simulate
 from nsmodel.cli import main
-from nsmodel.pieces.bounds import StoredPieces, prove_piece_bounds
-from nsmodel.pieces.certificate import AllowedErrors, certify_pieces, jump_bounds
-from nsmodel.proof.graph import fold_graph
-from nsmodel.run.event_driven import event_driven_problem
-from nsmodel.run.global_error import NoErrorBound, global_error
+from nsmodel.event_driven.interval_proof import AllowedErrors, StoredPieces, certify_pieces, jump_bounds, prove_piece_bounds
+from nsmodel.proof.expression_graph import fold_graph
+from nsmodel.simulation.error_bounds import NoErrorBound, global_error
+from nsmodel.simulation.event_driven import event_driven_problem
 from tests import event_scenes as scenes
 
 CASES = Path(__file__).parents[1] / "cases"

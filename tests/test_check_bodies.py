@@ -17,11 +17,11 @@ from nsmodel.classes.bodies.hypotheses import families, network
 from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES
 from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma
 from nsmodel.crowd import Room, crowd, place
+from nsmodel.files.storage import dumps
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.storage import dumps
-from nsmodel.stress import stress
+from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study import study
-from nsmodel.trajectory import Trajectory
+from nsmodel.study.stress import stress
 
 SQRT2 = np.sqrt(2)
 t = ca.SX.sym("t")

@@ -8,8 +8,8 @@ import pytest
 
 from nsmodel import FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, check, relay
 from nsmodel.proof import polynomial
-from nsmodel.proof.convex import convexity, ridges
-from nsmodel.proof.graph import apply_operation, fold_graph, operation_codes
+from nsmodel.proof.convex import rules
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes
 
 u, x, s, t = (ca.SX.sym(name) for name in ("u", "x", "s", "t"))
 CONCAVE = ca.Function("concave", [u], [-(u**2)], {"never_inline": True})
@@ -39,8 +39,8 @@ def test_a_call_is_not_built_from_its_code():
 def test_nothing_is_read_off_a_call():
     expr = CONCAVE(x) + x
     assert polynomial.read_polynomials(expr, x) == [None]
-    assert ridges.find_ridges(expr, x) is None
-    (shape,) = convexity.global_curvatures(expr, x)
+    assert rules.find_ridges(expr, x) is None
+    (shape,) = rules.global_curvatures(expr, x)
     assert not shape.convex
     assert not shape.concave
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from nsmodel.cli import main
-from nsmodel.storage import loads
+from nsmodel.files.storage import loads
 
 RELAY = """
 from nsmodel import LureSystem, relay

@@ -15,9 +15,9 @@ from nsmodel import SweepingProcess
 from nsmodel.classes.sweeping.hypotheses.check import check
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof.discontinuity import jump_lower_bound, prove_jump
-from nsmodel.proof.germ import growth_exponent
+from nsmodel.proof.jumps import jump_lower_bound, prove_jump
 from nsmodel.proof.krawczyk import enclose_zero
+from nsmodel.proof.ray_expansion import growth_exponent
 
 t = ca.SX.sym("t")
 

@@ -25,7 +25,7 @@ from nsmodel import (
     table,
 )
 from nsmodel.cli import main
-from nsmodel.hypotheses import impacts
+from nsmodel.solvers import impacts
 
 X, S = ca.SX.sym("x", 2), ca.SX.sym("s")
 L = ca.SX.sym("l")

@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from nsmodel.proof.directions import reduce_coordinates
+from nsmodel.proof.affine_reduction import reduce_coordinates
 from nsmodel.proof.extremum import (
     _eigenvalue_bound,
     _spectral_norm_bound,
@@ -16,7 +16,7 @@ from nsmodel.proof.extremum import (
     spectral_norm,
     supremum,
 )
-from nsmodel.proof.interval import enclose, is_continuous, mean_value_form, program
+from nsmodel.proof.interval_bounds import enclose, is_continuous, mean_value_form, program
 from nsmodel.proof.interval_functions import OPERATIONS
 
 INF = np.inf

@@ -10,8 +10,9 @@ from nsmodel import FrictionOscillator
 from nsmodel.classes.oscillator.hypotheses import check as oscillator
 from nsmodel.classes.oscillator.hypotheses.radius import friction_radius
 from nsmodel.hypotheses.region import region_of
-from nsmodel.proof import polynomial, polynomial_signs
-from nsmodel.proof.convex import convexity
+from nsmodel.proof import polynomial
+from nsmodel.proof import polynomial as polynomial_signs
+from nsmodel.proof.convex import rules
 
 IDS = ["O-theta", "O-g", "O-dry", "O-steps"]
 LEAST = "least eigenvalue of D2 g"
@@ -315,7 +316,7 @@ def test_the_rules_of_convex_functions_never_call_a_nonconvex_function_convex(si
         g = random_potential(x, rng)
         inner = rng.choice(["", "square", "exp", "root"])
         g = {"": g, "square": g**2, "exp": ca.exp(g / 50), "root": ca.sqrt(1 + g**2)}[str(inner)]
-        (shape,) = convexity.global_curvatures(g, x)
+        (shape,) = rules.global_curvatures(g, x)
         if not (shape.convex if sign > 0 else shape.concave):
             continue
         proved += 1

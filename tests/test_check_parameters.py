@@ -12,7 +12,7 @@ from nsmodel import FirstOrderSystem, LureSystem, check, complementarity, relay
 from nsmodel.cli import main
 from nsmodel.errors import UsageError
 from nsmodel.proof import exact
-from nsmodel.proof.multiaffine import matrix_corners
+from nsmodel.proof.parameter_hull import matrix_corners
 
 p = ca.SX.sym("p")
 

@@ -11,10 +11,9 @@ from fuzz_models import COUNT, FULL, share
 from test_check_inclusion import contradictions
 
 from nsmodel import FrictionOscillator, MonotoneInclusion, check, relay
-from nsmodel.proof.convex import convexity
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer_set
-from nsmodel.proof.mixtures import mixture_corners
+from nsmodel.proof.convex import rules
+from nsmodel.proof.convex.sets import ConvexSet, MovingSet, has_interior_for_all, is_convex_for_all, outer_set
+from nsmodel.proof.parameter_hull import mixture_corners
 
 x, s, p, q = (ca.SX.sym(name) for name in "xspq")
 z = ca.SX.sym("z", 2)
@@ -85,7 +84,7 @@ def test_poles_in_the_box_are_no_corners():
 def test_shapes_of_functions_of_some_symbols(f, convex, concave):
     """P in [0, 1], q in [-1, 1] are numbers."""
     low, high = np.array([-np.inf, 0, -1]), np.array([np.inf, 1, 1])
-    (shape,) = convexity.curvatures(f, ca.vertcat(x, p, q), low, high, of=x)
+    (shape,) = rules.curvatures(f, ca.vertcat(x, p, q), low, high, of=x)
     assert (shape.convex, shape.concave) == (convex, concave)
 
 

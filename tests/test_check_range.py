@@ -12,8 +12,8 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import LureSystem, ball, box, complementarity, equality, polyhedron, relay, second_order_cone
 from nsmodel.classes.lure.hypotheses.range_condition import RANGE_HYPOTHESES, range_findings
-from nsmodel.proof import exact, feasibility
-from nsmodel.proof.feasibility import ConicSystem
+from nsmodel.proof import conic, exact
+from nsmodel.proof.conic import ConicSystem
 
 INF = np.inf
 
@@ -380,12 +380,12 @@ def test_every_answer_is_a_proof():
         units = 10.0 ** rng.integers(-9, 10, (r, 1))
         for cones in ((), ((0, 1, 2),)):
             system = ConicSystem(exact.rational(A if cones else units * A), tuple(range(3 if cones else 1, n)), cones)
-            answer = feasibility.decide_feasibility(system)
+            answer = conic.decide_feasibility(system)
             assert (answer.point is None) != (answer.separator is None)
             if answer.point is not None:
-                assert feasibility.is_strict_solution(system, answer.point)
+                assert conic.is_strict_solution(system, answer.point)
             else:
-                assert feasibility.is_separator(system, answer.separator)
+                assert conic.is_separator(system, answer.separator)
 
 
 def test_cases_are_proved(cases_of):

@@ -12,7 +12,7 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, ManyBodies, MonotoneInclusion, SweepingProcess, check, relay
 from nsmodel.hypotheses.scope import Scope, intersect_scopes
-from nsmodel.proof.defined import check_defined_in_time
+from nsmodel.proof.domain import check_defined_in_time
 
 t, q, S = ca.SX.sym("t"), ca.SX.sym("q", 2), ca.SX.sym("s")
 x, y = q[0], q[1]
@@ -268,7 +268,7 @@ def test_the_intersection_of_scopes():
 def test_scope_is_data_in_every_form_of_the_report(tmp_path):
     model = swept({}, [0, 0], (0, ca.sqrt(ca.fmax(y, 0)) + 0 * t))
     report = check(model, [], region={"q_0": (-1, 1), "q_1": (1, 2)})
-    plain = json.loads(nsmodel.storage.dumps(report.document()))
+    plain = json.loads(nsmodel.files.storage.dumps(report.document()))
     assert all("scope" in item for item in [*plain["findings"], *plain["consequences"]])
     finding = next(item for item in plain["findings"] if item["id"] == "S-f")
     assert finding["scope"] == {"states": {"q_0": [-1, 1], "q_1": [1, 2]}, "time": None, "parameters": None}

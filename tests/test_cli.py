@@ -14,9 +14,9 @@ import pytest
 import tqdm
 
 import nsmodel
+from nsmodel._utils import INVISIBLE_CHARACTERS
 from nsmodel.cli import main
-from nsmodel.storage import loads
-from nsmodel.words import INVISIBLE_CHARACTERS
+from nsmodel.files.storage import loads
 
 CASES = Path(__file__).resolve().parents[1] / "cases"
 RELAY = """

@@ -15,13 +15,14 @@ from conftest import optimised
 from fuzz_models import share
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
-from nsmodel.codegen import constants, residual, sets, statuses
+from nsmodel.codegen import fragments, laws, structs
 from nsmodel.codegen.fragments import prune_unused, read_fragment
-from nsmodel.laws import Law, ball, box, product, second_order_cone
-from nsmodel.solve import active_set, curved, mlcp
-from nsmodel.solve.certificate import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
-from nsmodel.solve.kernel import _multiplier_map
-from nsmodel.solve.rounding import UNIT_ROUND_OFF
+from nsmodel.modeling.laws import Law, ball, box, product, second_order_cone
+from nsmodel.solvers import active_set, mlcp
+from nsmodel.solvers import mlcp as curved
+from nsmodel.solvers.constant_matrices import _multiplier_map
+from nsmodel.solvers.residuals import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
+from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -157,18 +158,17 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
         m=m,
         lemke=lemke if box_too else m,
         curved=len(law.curved),
-        constants=constants.step_defines(),
+        constants=fragments.step_defines(),
         members=members,
         common=read_fragment("common.c", frozenset(), {}).replace("static double sign_of", "double sign_of"),
     )
     if of is not None:
-        block, numbers = max(part.size for _, part in sets.curved_blocks(of)), max(1, sets.curved_block_numbers(of).numel())
+        block, numbers = max(part.size for _, part in laws.curved_blocks(of)), max(1, laws.curved_block_numbers(of).numel())
         text += f"#define MODEL_BLOCK {block}\n#define MODEL_NUMBERS {numbers}\n"
-        text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + sets.curved_sets_code(of, False)
+        text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + laws.curved_sets_code(of, False)
     parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["curved.c"] if law.curved else [])]
     text += "\n".join(
-        read_fragment(part, flags, {"SOLVERS": statuses.solver_enum(), "ROW_RESIDUAL": residual.row_residual_code()})
-        for part in parts
+        read_fragment(part, flags, {"SOLVERS": structs.solver_enum(), "ROW_RESIDUAL": laws.row_residual_code()}) for part in parts
     )
     choose = "#define LO (lo ? lo : lower)\n#define UP (up ? up : upper)\n" if law.curved else "#define LO lo\n#define UP up\n"
     text += choose + ENTRY + (BOX_ENTRY if box_too else "") + (CURVED_ENTRY if law.curved else "") + (MAIN if main else "")

@@ -21,12 +21,12 @@ import pytest
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, codegen
-from nsmodel.cache_folder import LIBRARY_SUFFIX
 from nsmodel.cli import main
 from nsmodel.errors import CodegenError, NsmodelError, StepError, StorageError, UsageError
-from nsmodel.laws import complementarity, product, relay
-from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve.build import completed_start_state
+from nsmodel.files.cache_folder import LIBRARY_SUFFIX
+from nsmodel.modeling.laws import complementarity, product, relay
+from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem
+from nsmodel.solvers.time_stepper import completed_start_state
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FRAGMENTS = Path(codegen.__file__).parent / "c"
@@ -1356,7 +1356,7 @@ def test_the_wrapper_says_what_it_does():
         public = {name: value for name, value in vars(kind).items() if not name.startswith("_")}
         assert all((value.fget if isinstance(value, property) else value).__doc__ for value in public.values())
     header = (FRAGMENTS / "header.h").read_text(encoding="utf-8")
-    wrapped = (Path(codegen.__file__).parent / "solver.py").read_text()
+    wrapped = (Path(codegen.__file__).parent / "library.py").read_text()
     for name in set(re.findall(r"\bmodel_(?:set|get)_(\w+)\(", header)):
         assert f'"{name}"' in wrapped or f'_{name}"' in wrapped, name
     assert issubclass(CodegenError, NsmodelError)

@@ -16,7 +16,7 @@ from conftest import optimised
 from fuzz_models import COUNT, FULL
 
 from nsmodel import ManyBodies, codegen, simulate
-from nsmodel.grid import make_grid
+from nsmodel.modeling.time_grid import make_grid
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 OPTIMISED = ("diode_bridge", "friction_oscillator", "gene_network", "inclusion_8_1", "two_discs", "two_masses")

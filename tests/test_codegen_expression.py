@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import optimised
 
-from nsmodel.codegen.expression import c_function, c_number
+from nsmodel.codegen.expressions import c_function, c_number
 from nsmodel.codegen.fragments import C_FOLDER, prefix_names, prune_unused, resolve_conditions
 from nsmodel.errors import CodegenError
 

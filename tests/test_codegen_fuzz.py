@@ -1,6 +1,6 @@
 """Random states, parameters and steps, hostile ones among them, through the C libraries of different kinds of models.
 
-Every accepted step is judged again from the model's own mathematics, in extended precision, with nothing of `nsmodel.solve`.
+Every accepted step is judged again from the model's own mathematics, in extended precision, with nothing of `nsmodel.solvers`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import pytest
 from conftest import optimised
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, codegen, relay
-from nsmodel.words import INVISIBLE_CHARACTERS
+from nsmodel._utils import INVISIBLE_CHARACTERS
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")

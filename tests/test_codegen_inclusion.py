@@ -14,9 +14,9 @@ from conftest import optimised
 
 from nsmodel import MonotoneInclusion, codegen
 from nsmodel.errors import StepError
-from nsmodel.grid import make_grid
-from nsmodel.scheme import one_step_problem
-from nsmodel.solve.projection import CatchingUpStepper
+from nsmodel.modeling.time_grid import make_grid
+from nsmodel.solvers.catching_up import CatchingUpStepper
+from nsmodel.solvers.one_step_problem import one_step_problem
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = [COMPILER, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", optimised("-O1")]

@@ -18,12 +18,12 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, SweepingProcess, codegen
 from nsmodel.errors import StepError
-from nsmodel.laws import complementarity, equality, polyhedron, product, relay, second_order_cone
-from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve import rounding
-from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import numeric_law
-from nsmodel.solve.stepper import WarmStart
+from nsmodel.modeling.laws import complementarity, equality, polyhedron, product, relay, second_order_cone
+from nsmodel.solvers import rounding_errors
+from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem
+from nsmodel.solvers.residuals import numeric_law
+from nsmodel.solvers.step import WarmStart
+from nsmodel.solvers.time_stepper import Stepper
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", optimised("-O1"), "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -273,7 +273,7 @@ def test_a_step_is_the_interpreted_one(scene, name):
 
 @pytest.mark.parametrize("name", ["many rows", "many rows, a matrix", "bilinear", "Lur'e, phi", "smooth"])
 def test_the_rounding_of_a_large_graph_is_told_by_its_terms(monkeypatch, tmp_path, name):
-    monkeypatch.setattr(rounding, "MAX_BOUND_NODES", 0)
+    monkeypatch.setattr(rounding_errors, "MAX_BOUND_NODES", 0)
     agree(Scene(SCENES[name](), tmp_path))
     assert "round_off_by_terms(s);" in (tmp_path / "scene.c").read_text()
     assert "void round_off(" not in (tmp_path / "scene.c").read_text()

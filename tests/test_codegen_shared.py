@@ -14,12 +14,12 @@ import pytest
 
 import nsmodel
 from nsmodel import load
-from nsmodel.codegen import bodies, constants, structs
+from nsmodel.codegen import bodies, fragments, structs
 from nsmodel.codegen.fragments import C_FOLDER, prefix_names
-from nsmodel.codegen.scene import make_step_spec
 from nsmodel.codegen.source import write_source
-from nsmodel.grid import make_grid
-from nsmodel.laws import LAW_C_FOLDER as LAWS
+from nsmodel.codegen.step_spec import make_step_spec
+from nsmodel.modeling.laws import LAW_C_FOLDER as LAWS
+from nsmodel.modeling.time_grid import make_grid
 
 CASES = Path(nsmodel.__file__).parents[1] / "cases"
 FRAGMENTS = {path.name: path.read_text(encoding="utf-8") for path in (*C_FOLDER.glob("*.[ch]"), *LAWS.glob("*.c"))}
@@ -56,21 +56,21 @@ def test_a_number_in_c_has_a_name(name):
 @pytest.mark.parametrize("name", sorted(FRAGMENTS))
 def test_a_number_that_the_c_alone_has_is_none_of_python(name):
     own = re.findall(r"^#define (\w+) \S*\d", FRAGMENTS[name], re.MULTILINE)
-    table = constants.BODIES_CONSTANTS if name in OF_BODIES else constants.STEP_CONSTANTS
-    assert [(key, module) for key in own for module in table if hasattr(import_module(f"nsmodel.{module}"), key)] == []
+    table = fragments.BODIES_CONSTANTS if name in OF_BODIES else fragments.STEP_CONSTANTS
+    assert [(key, module) for key in own for module, _ in table if hasattr(import_module(f"nsmodel.{module}"), key)] == []
 
 
 @pytest.mark.parametrize(
     ("table", "files"),
-    [(constants.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES), (constants.BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"})],
+    [(fragments.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES), (fragments.BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"})],
     ids=["steps", "bodies"],
 )
 def test_the_c_has_the_constants_of_python(table, files):
     used = set(re.findall(r"\w+", " ".join(code_of(FRAGMENTS[name]) for name in files)))
-    for module, names in table.items():
+    for module, names in table:
         for constant in names.split():
             name, _, in_c = constant.partition(":")
-            line = constants.define_line(module, constant)
+            line = fragments.define_line(module, constant)
             define, same, text = line.split()[:3]
             assert (define, same, line.count("\n")) == ("#define", in_c or name, 1)
             assert float(text.removesuffix("UL")) == getattr(import_module(f"nsmodel.{module}"), name)

@@ -58,19 +58,20 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.cli import main
-from nsmodel.codegen import bodies_step, cache, library
+from nsmodel.codegen import bodies_step, library
+from nsmodel.codegen import library as cache
 from nsmodel.codegen.bodies import solver_source
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
-from nsmodel.grid import make_grid
-from nsmodel.run.in_c import STEPS_IN_C, STEPS_IN_C_FOR_ALL
-from nsmodel.run.schemes import SchemePropagator
-from nsmodel.scheme import one_step_problem
-from nsmodel.simulate import explain, prepare
-from nsmodel.solve.cost import LOADING_SECONDS, CompilationCost, build_seconds, interpreted_step_seconds
+from nsmodel.modeling.time_grid import make_grid
+from nsmodel.simulation.fixed_grid import SchemePropagator
+from nsmodel.simulation.simulate import explain, prepare
+from nsmodel.simulation.step_backend import STEPS_IN_C, STEPS_IN_C_FOR_ALL
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.plan import LOADING_SECONDS, CompilationCost, build_seconds, interpreted_step_seconds
 
 IS_KEPT = cache.has_cached_library  # the true one
-loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
+loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
 pytestmark = pytest.mark.usefixtures("own_cache")
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
 CASES = Path(__file__).resolve().parents[1] / "cases"
@@ -436,9 +437,9 @@ DRIVER = """
 import sys, time
 import test_resume
 import nsmodel
-from nsmodel.codegen import cache
+from nsmodel.codegen import library as cache
 from nsmodel.codegen.rollout import Rollout
-from nsmodel.run import loop, walk
+from nsmodel.simulation import loop, propagator as walk
 cache.COMPILER_FLAGS = {flags!r}
 print("ready", flush=True)
 {body}

@@ -12,7 +12,7 @@ import pytest
 import scipy.sparse
 
 from nsmodel.errors import ModelError
-from nsmodel.model.convert import Converter, declare, expand_mx, to_sx
+from nsmodel.modeling.conversion import Converter, declare, expand_mx, to_sx
 
 sympy = pytest.importorskip("sympy")
 
@@ -189,7 +189,7 @@ def test_sympy_infinity_and_heaviside_keep_the_form_that_the_split_reads():
 
 
 def test_importing_does_not_import_sympy():
-    code = "import sys, nsmodel.model.convert; sys.exit('sympy' in sys.modules)"
+    code = "import sys, nsmodel.modeling.conversion; sys.exit('sympy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 from nsmodel.errors import ModelError
-from nsmodel.model.convex import ConvexTerm, split_convex, split_discontinuities
+from nsmodel.modeling.convex_split import ConvexTerm, split_convex, split_discontinuities
 
 INF = np.inf
 

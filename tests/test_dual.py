@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from nsmodel import FirstOrderSystem, MonotoneInclusion, SweepingProcess, relay, simulate
-from nsmodel.scheme import one_step_problem
-from nsmodel.solve.build import Stepper
-from nsmodel.solve.dual import nearest_point_of_polyhedron
-from nsmodel.solve.newton import NewtonSolver
-from nsmodel.solve.parts import connected_parts, part_problem
-from nsmodel.solve.structure import read_step_structure
+from nsmodel.solvers.fallbacks import connected_parts, nearest_point_of_polyhedron, part_problem
+from nsmodel.solvers.newton import NewtonSolver
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.structure import read_step_structure
+from nsmodel.solvers.time_stepper import Stepper
 
 
 def by_brute_force(p, N, c):

@@ -31,8 +31,8 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
-from nsmodel.model.arguments import RESERVED_RUN_NAMES
-from nsmodel.solve import projection
+from nsmodel.modeling.parameters import RESERVED_RUN_NAMES
+from nsmodel.solvers import catching_up
 
 nan, inf = float("nan"), float("inf")
 t, q, x, s, lam, y, k = (
@@ -814,10 +814,10 @@ def test_a_step_that_fails_says_why(model, message):
 )
 def test_catching_up_says_what_it_could_not_verify(monkeypatch, start, solves, iterations, message):
     """No model is known that brings these about: the solver is made to fail."""
-    solve = projection.mlcp.solve_mlcp
-    monkeypatch.setattr(projection, "CUT_ITERATIONS", iterations)
+    solve = catching_up.mlcp.solve_mlcp
+    monkeypatch.setattr(catching_up, "CUT_ITERATIONS", iterations)
     monkeypatch.setattr(
-        projection.mlcp, "solve_mlcp", lambda *args: solve(*args) if solves else replace(solve(*args), residual=inf)
+        catching_up.mlcp, "solve_mlcp", lambda *args: solve(*args) if solves else replace(solve(*args), residual=inf)
     )
     disc = {"disc": 1 - ca.sumsqr(x)}
     with pytest.raises(StepError, match=re.escape(message)):

@@ -24,13 +24,13 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.event_driven import modes
+from nsmodel.event_driven.event_location import EventLocator
+from nsmodel.event_driven.fallback_steps import HybridIntegrator
 from nsmodel.hypotheses.region import region_of
-from nsmodel.pieces import modes
-from nsmodel.pieces.course import HybridIntegrator
-from nsmodel.pieces.roots import EventLocator
-from nsmodel.run import piece_rows
-from nsmodel.run.options import Options
-from nsmodel.simulate import make_run
+from nsmodel.simulation import event_driven_rows
+from nsmodel.simulation.options import Options
+from nsmodel.simulation.simulate import make_run
 from tests import event_scenes as scenes
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
@@ -362,7 +362,7 @@ def test_rows_dense_output_and_files(tmp_path):
 def test_runs_in_memory_are_not_in_chunks(monkeypatch):
     model = nsmodel.load(CASES / "relay_oscillator.py")
     whole = simulate(model, rtol=1e-6, method="event-driven", compiled=False)
-    monkeypatch.setattr(piece_rows, "CHUNK_BYTES", 1)
+    monkeypatch.setattr(event_driven_rows, "CHUNK_BYTES", 1)
     walk = make_run(model, Options(rtol=1e-6, method="event-driven", compiled=False)).propagator
     for _ in range(100):
         walk.advance(64, [])
@@ -375,7 +375,7 @@ def test_chunks_without_rows(tmp_path, monkeypatch, compiled):
     model = nsmodel.load(CASES / "relay_oscillator.py")
     given = {"rtol": 1e-6, "method": "event-driven", "compiled": compiled, "times": [0.9 * model.t_end, model.t_end]}
     whole = simulate(model, **given)
-    monkeypatch.setattr(piece_rows, "CHUNK_BYTES", 1)
+    monkeypatch.setattr(event_driven_rows, "CHUNK_BYTES", 1)
     run = simulate(model, out=tmp_path / "run", **given)
     for name, array in whole.arrays.items():
         np.testing.assert_array_equal(array, run.arrays[name], err_msg=name)

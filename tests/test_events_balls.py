@@ -19,10 +19,10 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
+from nsmodel.codegen.event_driven_spec import piece_spec_of
 from nsmodel.codegen.library import compiler
-from nsmodel.codegen.piece_scene import piece_spec_of
 from nsmodel.errors import CodegenError
-from nsmodel.run.event_driven import event_driven_problem
+from nsmodel.simulation.event_driven import event_driven_problem
 from tests.ball_models import random_model
 from tests.slip_references import Slides
 

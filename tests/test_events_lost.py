@@ -11,8 +11,8 @@ import pytest
 import nsmodel
 from nsmodel import RunInterrupted, StorageError, Trajectory, simulate
 from nsmodel.cli import main
-from nsmodel.pieces.integrator import Integrator
-from nsmodel.run import loop
+from nsmodel.event_driven.integrator import Integrator
+from nsmodel.simulation import loop
 
 CASES = Path(__file__).parents[1] / "cases"
 CASE = str(CASES / "diode_bridge.py")

@@ -12,16 +12,16 @@ from fuzz_models import COUNT, FULL
 
 import nsmodel
 from nsmodel import RunInterrupted, StorageError, UsageError, simulate
-from nsmodel.codegen.piece_runs import CompiledPieceIntegrator
-from nsmodel.run import loop, piece_makers
+from nsmodel.codegen.event_driven_runs import CompiledPieceIntegrator
+from nsmodel.simulation import loop, piece_sources
 
 CASES = Path(__file__).parents[1] / "cases"
 NAMES = ("diode_bridge", "inclusion_8_1", "relay_oscillator", "friction_oscillator", "two_discs", "gene_network")
 KILLED = """
 import os, sys
 import nsmodel
-from nsmodel.run import loop
-from nsmodel.run.piece_makers import CompiledPieces, InterpretedPieces
+from nsmodel.simulation import loop
+from nsmodel.simulation.piece_sources import CompiledPieces, InterpretedPieces
 
 loop.CHUNK_SECONDS = 0.0
 case, out, pieces, compiled, more, *times = sys.argv[1:]
@@ -126,7 +126,7 @@ def test_a_signal_between_pieces_and_their_rows_leaves_no_gap(flushed, tmp_path,
             raise KeyboardInterrupt
         return calls[-1]
 
-    monkeypatch.setattr(piece_makers, "PIECES_PER_REQUEST", 1)
+    monkeypatch.setattr(piece_sources, "PIECES_PER_REQUEST", 1)
     monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0 if flushed else 1e9)
     monkeypatch.setattr(CompiledPieceIntegrator, "advance", interrupted)
     with pytest.raises(RunInterrupted) as stopped:

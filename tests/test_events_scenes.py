@@ -10,7 +10,7 @@ import pytest
 from fuzz_models import COUNT, FULL
 
 from nsmodel import FirstOrderSystem, StepError, simulate
-from nsmodel.laws import relay
+from nsmodel.modeling.laws import relay
 from tests import event_scenes as scenes
 from tests.event_digits import judged
 from tests.event_ties import loops

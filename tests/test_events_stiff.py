@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import roots_jacobi
 
 from nsmodel import FirstOrderSystem, SweepingProcess, relay, simulate
-from nsmodel.pieces.collocation import radau_collocation
+from nsmodel.event_driven.collocation import radau_collocation
 from tests import event_scenes, stiff_scenes
 from tests.test_events import DATA, HAS_CC, RTOLS, judged, needs_data
 

@@ -15,8 +15,8 @@ from scipy.integrate import quad, solve_ivp
 
 from nsmodel import FirstOrderSystem, relay, simulate
 from nsmodel.errors import NsmodelError
-from nsmodel.pieces.exponentials import rewrite_without_overflow
-from nsmodel.pieces.jets import is_switched
+from nsmodel.event_driven.recurrences import is_switched
+from nsmodel.event_driven.stable_exponentials import rewrite_without_overflow
 
 t, x, l = (ca.SX.sym(name) for name in "txl")
 exp = ca.exp

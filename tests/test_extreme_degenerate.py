@@ -22,7 +22,8 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
-from nsmodel.codegen import cache, library
+from nsmodel.codegen import library
+from nsmodel.codegen import library as cache
 
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)

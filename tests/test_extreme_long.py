@@ -14,9 +14,10 @@ from fuzz_models import share
 from processes import environment, kill_when_there, start
 
 from nsmodel import FrictionOscillator, SweepingProcess, Trajectory, simulate
-from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
-from nsmodel.codegen import cache, library
+from nsmodel.codegen import library
+from nsmodel.codegen import library as cache
+from nsmodel.simulation.run_folder import ChunkStore
 
 T, Q2, S = ca.SX.sym("t"), ca.SX.sym("q", 2), ca.SX.sym("s")
 
@@ -87,10 +88,10 @@ model = SweepingProcess(t=t, q=q, f=[-1, ca.cos(t / 7)], constraints=walls, q0=[
 """
 COMMAND = """
 import sys
-import nsmodel.run.walk
+import nsmodel.simulation.propagator
 from nsmodel.cli import main
-from nsmodel.codegen import cache
-nsmodel.run.walk.CHUNK_BYTES, cache.COMPILER_FLAGS = {bytes}, {flags}
+from nsmodel.codegen import library as cache
+nsmodel.simulation.propagator.CHUNK_BYTES, cache.COMPILER_FLAGS = {bytes}, {flags}
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -21,7 +21,7 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.laws import Law
+from nsmodel.modeling.laws import Law
 
 T, Q, X, S = (ca.SX.sym(name) for name in ("t", "q", "x", "s"))
 Q2 = ca.SX.sym("q", 2)

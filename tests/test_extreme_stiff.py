@@ -22,7 +22,7 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.classes.units import in_units as units_of_package
-from nsmodel.laws import Law
+from nsmodel.modeling.laws import Law
 
 T, Q, X, LAM, S = (ca.SX.sym(name) for name in ("t", "q", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)

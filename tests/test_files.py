@@ -16,13 +16,12 @@ from sweep_models import friction
 
 import nsmodel
 from nsmodel import StorageError, Sweep, Trajectory, UsageError, simulate, sweep
-from nsmodel.archive import DIGEST_CHUNK_BYTES, write_npz
-from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
 from nsmodel.codegen import library
-from nsmodel.manifest import with_checksum
-from nsmodel.storage import dumps, loads
-from nsmodel.stored import map_archive, open_archive, read_npz
+from nsmodel.files.archive import DIGEST_CHUNK_BYTES, map_archive, open_archive, read_npz, write_npz
+from nsmodel.files.metadata import with_checksum
+from nsmodel.files.storage import dumps, loads
+from nsmodel.simulation.run_folder import ChunkStore
 from nsmodel.sweep.store import read_sweep_manifest
 
 SMALL = 30  # Attempts on each kind of file.

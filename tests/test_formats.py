@@ -14,12 +14,12 @@ import pytest
 from sweep_models import friction
 
 import nsmodel
-from nsmodel import StorageError, Sweep, Trajectory, UnverifiedWarning, UsageError, simulate, storage
-from nsmodel.archive import write_npz
-from nsmodel.chunks import ChunkStore
+from nsmodel import StorageError, Sweep, Trajectory, UnverifiedWarning, UsageError, simulate
 from nsmodel.cli import main
-from nsmodel.storage import read_json, write_json
-from nsmodel.stored import read_npz
+from nsmodel.files import storage
+from nsmodel.files.archive import read_npz, write_npz
+from nsmodel.files.storage import read_json, write_json
+from nsmodel.simulation.run_folder import ChunkStore
 
 FIXTURES = Path(__file__).parent / "fixtures"
 FORMAT_1 = FIXTURES / "format-1"
@@ -181,7 +181,7 @@ def test_every_file_says_its_format(tmp_path, relay_file):
 
 
 def of_a_later_version(patch):
-    for module in ("archive", "chunks"):
+    for module in ("files.archive", "simulation.run_folder"):
         patch.setattr(f"nsmodel.{module}.FORMAT_STAMP", {"format": 9, "version": "7.1.0"})
 
 

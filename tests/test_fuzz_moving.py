@@ -7,7 +7,7 @@ from fuzz_models import share
 
 from nsmodel import MonotoneInclusion, StepError, simulate
 from nsmodel.errors import CodegenError
-from nsmodel.stress.judge import formula_residuals
+from nsmodel.study.reference_steps import formula_residuals
 
 COUNT = share(160)
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import nsmodel
-from nsmodel import brief
-from nsmodel.shelf import all_cases
+from nsmodel import _utils
+from nsmodel.modeling.model_files import all_cases
 
 PUBLIC = [(name, getattr(nsmodel, name)) for name in nsmodel.__all__]
 CLASSES = [(name, value) for name, value in PUBLIC if inspect.isclass(value) and not issubclass(value, BaseException)]
@@ -67,8 +67,8 @@ def test_public_objects_are_a_few_lines(load_case, run_case):
 
 
 def test_results_are_a_few_lines(load_case, run_case):
-    from nsmodel.stress import Cell, Stress
     from nsmodel.study import Line, Point, Study
+    from nsmodel.study.stress import Cell, Stress
 
     model, run = load_case("sliding_relay"), run_case("sliding_relay")
     report = nsmodel.check(model, runs=[run], quick=True)
@@ -95,12 +95,12 @@ def test_results_are_a_few_lines(load_case, run_case):
 def test_values_are_cut_and_named():
     made = SimpleNamespace(a="x\n" * 200, b=np.arange(3.0), c={k: k for k in range(9)}, d=None, e=(), f=ca.SX.sym("s", 40), g=abs)
     long = f"'{'x ' * 27}...'"
-    assert " ".join(brief.short_repr(made).split()) == (
+    assert " ".join(_utils.short_repr(made).split()) == (
         f"SimpleNamespace(a={long}, b=[0, 1, 2], c={{0: 0, 1: 1, 2: 2, 3: 3, ... 9 in all}}, f=SX 40 x 1, g=abs)"
     )
-    assert brief.join_within_width(["one", "two", "three"], 15) == "one, two, three"
-    assert brief.join_within_width(["one", "two", "three"], 14) == "... 3 more"
-    assert len(brief.wrap_lines("word " * 2000)) == 10
+    assert _utils.join_within_width(["one", "two", "three"], 15) == "one, two, three"
+    assert _utils.join_within_width(["one", "two", "three"], 14) == "... 3 more"
+    assert len(_utils.wrap_lines("word " * 2000)) == 10
 
 
 # -- help --------------------------------------------------------------------------------------------------------------

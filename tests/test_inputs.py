@@ -33,7 +33,7 @@ from nsmodel import (
 from nsmodel import steps as held_steps
 from nsmodel.cli import main
 from nsmodel.errors import CodegenError
-from nsmodel.run import in_c, piece_choice, schemes
+from nsmodel.simulation import event_driven, fixed_grid, step_backend
 
 T = scenes.T
 WAYS = pytest.mark.parametrize("compiled", [False, True])
@@ -42,14 +42,14 @@ WAYS = pytest.mark.parametrize("compiled", [False, True])
 @pytest.fixture(autouse=True)
 def _compiled_where_that_is_asked_for(monkeypatch):
     """No test of C passes because its steps were interpreted."""
-    usual = in_c.choose_step_backend
+    usual = step_backend.choose_step_backend
 
     def strict(options, *given):
         found = usual(options, *given)
         assert options.compiled is not True or found.steps is not None, found.warnings
         return found
 
-    for module in (schemes, piece_choice):
+    for module in (fixed_grid, event_driven):
         monkeypatch.setattr(module, "choose_step_backend", strict)
 
 
@@ -414,9 +414,9 @@ def test_a_run_that_is_resumed_has_the_same_bytes(tmp_path, stop, monkeypatch):
     model, gamma = two_inputs(gamma=0.5), 0.5
     assert model.gamma == gamma
     whole = simulate(model, out=tmp_path / "whole", compiled=False)
-    from nsmodel.run import on_grid
+    from nsmodel.simulation import fixed_grid
 
-    usual, calls = on_grid.FixedGridPropagator._advance_interpreted, []
+    usual, calls = fixed_grid.FixedGridPropagator._advance_interpreted, []
 
     def interrupted(self, end, signals):
         calls.append(self.k)
@@ -424,10 +424,10 @@ def test_a_run_that_is_resumed_has_the_same_bytes(tmp_path, stop, monkeypatch):
             signals.append(0.0)
         return usual(self, min(end, stop) if self.k < stop else end, signals)
 
-    monkeypatch.setattr(on_grid.FixedGridPropagator, "_advance_interpreted", interrupted)
+    monkeypatch.setattr(fixed_grid.FixedGridPropagator, "_advance_interpreted", interrupted)
     with pytest.raises(RunInterrupted):
         simulate(model, out=tmp_path / "parts", compiled=False)
-    monkeypatch.setattr(on_grid.FixedGridPropagator, "_advance_interpreted", usual)
+    monkeypatch.setattr(fixed_grid.FixedGridPropagator, "_advance_interpreted", usual)
     assert calls
     again = simulate(model, out=tmp_path / "parts", resume=True, compiled=False)
     assert (tmp_path / "whole/trajectory.npz").read_bytes() == (tmp_path / "parts/trajectory.npz").read_bytes()

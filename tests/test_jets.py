@@ -11,11 +11,11 @@ import pytest
 from conftest import optimised
 from fuzz_models import share
 
-from nsmodel.codegen.jets import recurrence_function as in_c_text
-from nsmodel.codegen.jets import recurrence_kernels
-from nsmodel.pieces.expansion import TaylorExpansion
-from nsmodel.pieces.jets import BINARY_RECURRENCES, UNARY_RECURRENCES, taylor_decompose
-from nsmodel.proof.graph import OpaqueExpression, fold_graph
+from nsmodel.codegen.recurrences import recurrence_function as in_c_text
+from nsmodel.codegen.recurrences import recurrence_kernels
+from nsmodel.event_driven.recurrence_code import TaylorExpansion
+from nsmodel.event_driven.recurrences import BINARY_RECURRENCES, UNARY_RECURRENCES, taylor_decompose
+from nsmodel.proof.expression_graph import OpaqueExpression, fold_graph
 
 ORDERS = 12
 NAMES = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
@@ -165,7 +165,7 @@ def test_each_operation(name):
 
 
 def test_every_operation_that_the_package_writes_in_c_is_among_them():
-    from nsmodel.codegen import expression
+    from nsmodel.codegen import expressions as expression
 
     written = {*expression._INFIX, *expression._COMPARISON_SIGNS, *expression._C_FUNCTIONS}
     written |= {ca.OP_AND, ca.OP_OR, ca.OP_NOT, ca.OP_IF_ELSE_ZERO, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV}

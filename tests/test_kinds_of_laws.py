@@ -28,9 +28,9 @@ from nsmodel import (
 from nsmodel.codegen import write
 from nsmodel.errors import CodegenError
 from nsmodel.hypotheses.report.typeset import model_equations
-from nsmodel.laws import FACTOR_KINDS, BallSet, ConeSet, EllipsoidSet, Law
+from nsmodel.modeling.laws import FACTOR_KINDS, BallSet, ConeSet, EllipsoidSet, Law
 from nsmodel.plot.strip import index_strip
-from nsmodel.stress.judge import formula_residuals
+from nsmodel.study.reference_steps import formula_residuals
 
 RADIUS = 0.75
 

@@ -22,13 +22,13 @@ from nsmodel import (
     signal,
     simulate,
 )
-from nsmodel.codegen import batch, cache, lanes
-from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen import batch, library, simd_batch
 from nsmodel.codegen.batch import LANES_NOTE, StepBatch
 from nsmodel.codegen.library import COMPILER_FLAGS, LANES_FLAGS
 from nsmodel.codegen.source import write_source
-from nsmodel.codegen.statuses import BAD_PARAMETER, NOT_SOLVED
-from nsmodel.grid import make_grid
+from nsmodel.codegen.step_spec import spec_for_all_values
+from nsmodel.codegen.structs import BAD_PARAMETER, NOT_SOLVED
+from nsmodel.modeling.time_grid import make_grid
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 U, C, W = ca.SX.sym("u"), ca.SX.sym("c"), ca.SX.sym("w")
@@ -171,12 +171,12 @@ def test_bits_of_a_cell_depend_on_nothing_but_its_parameters(monkeypatch):
 def test_bits_do_not_depend_on_vectors_or_how_many_lanes_there_are(flags, monkeypatch):
     model = oscillator()
     values = draw(model, 50)
-    monkeypatch.setattr(cache, "LANES_FLAGS", LANES_FLAGS)
+    monkeypatch.setattr(library, "LANES_FLAGS", LANES_FLAGS)
     own = made(model)
     found = own.run(values, KEPT, 50)
     for own.level in (0, 1):
         assert_same_bits(found, own.run(values, KEPT, 50))
-    monkeypatch.setattr(cache, "LANES_FLAGS", (*COMPILER_FLAGS, *flags))
+    monkeypatch.setattr(library, "LANES_FLAGS", (*COMPILER_FLAGS, *flags))
     assert_same_bits(found, made(model).run(values, KEPT, 50))
 
 
@@ -198,8 +198,10 @@ def test_a_map_is_never_believed(scene, what, monkeypatch):
         assert source.rollout.count(change[0]) == (1 if options else 0)
         return replace(source, rollout=source.rollout.replace(*change))
 
-    monkeypatch.setattr(cache, "write_source", spoiled)
-    monkeypatch.setattr(cache, "LANES_FLAGS", (*cache.LANES_FLAGS, f"-DSPOILED={[*SPOILED].index(what)}"))  # a library of its own
+    monkeypatch.setattr(library, "write_source", spoiled)
+    monkeypatch.setattr(
+        library, "LANES_FLAGS", (*library.LANES_FLAGS, f"-DSPOILED={[*SPOILED].index(what)}")
+    )  # a library of its own
     own, alone = made(model, 20 * model.step), made(model, 20 * model.step, in_lanes=False)
     values = draw(model, 9)
     found, other = (b.run(values, KEPT) for b in (own, alone))
@@ -251,14 +253,14 @@ def test_what_was_not_done_when_it_is_stopped_is_forgotten(monkeypatch):
 
 def test_a_compiler_that_has_no_lanes_takes_cells_one_by_one(monkeypatch):
     model = oscillator()
-    monkeypatch.setattr(cache, "LANES_FLAGS", (*COMPILER_FLAGS, "-fno-such-option-at-all"))
+    monkeypatch.setattr(library, "LANES_FLAGS", (*COMPILER_FLAGS, "-fno-such-option-at-all"))
     own = made(model)
     assert LANES_NOTE not in own.way
     assert (own.run(draw(model, 3), KEPT, 50).status == 0).all()
 
 
 def refusal(model):
-    return lanes.lanes_obstacle(spec_for_all_values(model, make_grid(model, None, None, None), 1e-9))
+    return simd_batch.lanes_obstacle(spec_for_all_values(model, make_grid(model, None, None, None), 1e-9))
 
 
 def test_what_does_not_go_in_lanes_says_why():

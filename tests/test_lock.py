@@ -14,10 +14,10 @@ import processes
 import pytest
 from conftest import REPOSITORY
 
-from nsmodel import LureSystem, StepError, StorageError, UsageError, lock, relay, simulate
-from nsmodel.archive import write_npz
+from nsmodel import LureSystem, StepError, StorageError, UsageError, relay, simulate
 from nsmodel.cli import main
-from nsmodel.stored import read_npz
+from nsmodel.files.archive import read_npz, write_npz
+from nsmodel.simulation import run_folder
 
 HOST = socket.gethostname()
 SLOW = """
@@ -36,7 +36,7 @@ def model(**other):
 
 def write_lock(folder, **holder):
     folder.mkdir(exist_ok=True)
-    (folder / lock.LOCK_FILE).write_text(json.dumps(holder))
+    (folder / run_folder.LOCK_FILE).write_text(json.dumps(holder))
 
 
 def dead():
@@ -63,14 +63,14 @@ def elsewhere(action):
 
 
 def hold(folder):
-    with lock.hold_folder(folder):
+    with run_folder.hold_folder(folder):
         pass
 
 
 def test_a_folder_is_held_by_one(tmp_path):
-    with lock.hold_folder(tmp_path):
-        assert json.loads((tmp_path / lock.LOCK_FILE).read_text()).items() >= {"host": HOST, "pid": os.getpid()}.items()
-        with lock.hold_folder(tmp_path):  # the same thread
+    with run_folder.hold_folder(tmp_path):
+        assert json.loads((tmp_path / run_folder.LOCK_FILE).read_text()).items() >= {"host": HOST, "pid": os.getpid()}.items()
+        with run_folder.hold_folder(tmp_path):  # the same thread
             pass
         error = elsewhere(lambda: simulate(model(), out=tmp_path))
         assert isinstance(error, StorageError)
@@ -89,12 +89,12 @@ def test_what_a_killed_run_left_is_taken_over(tmp_path):
 
 
 def test_a_lock_cut_short_is_taken_over(tmp_path):
-    (tmp_path / lock.LOCK_FILE).write_text('{"host')
+    (tmp_path / run_folder.LOCK_FILE).write_text('{"host')
     assert simulate(model(), out=tmp_path).status == "done"
 
 
 def test_a_container_of_another_name_on_this_machine_is_seen(tmp_path, monkeypatch):
-    monkeypatch.setattr(lock, "_boot_id", lambda: "this one")
+    monkeypatch.setattr(run_folder, "_boot_id", lambda: "this one")
     write_lock(tmp_path, host="container", pid=1, boot="this one")
     assert simulate(model(), out=tmp_path).status == "done"
 
@@ -102,10 +102,10 @@ def test_a_container_of_another_name_on_this_machine_is_seen(tmp_path, monkeypat
 @pytest.mark.parametrize("boot", ["another", ""])
 def test_of_another_host_nothing_is_known(tmp_path, boot):
     write_lock(tmp_path, host="far.example", pid=dead(), boot=boot)
-    before = (tmp_path / lock.LOCK_FILE).read_bytes()
+    before = (tmp_path / run_folder.LOCK_FILE).read_bytes()
     with pytest.raises(StorageError, match=r"process \d+ on far\.example, as far as can be told .* has ended, delete .*lock"):
         simulate(model(), out=tmp_path)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {lock.LOCK_FILE: before}
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {run_folder.LOCK_FILE: before}
 
 
 @pytest.mark.parametrize("known", [None, "no locks here"])
@@ -113,9 +113,9 @@ def test_where_files_cannot_be_locked_a_lock_is_never_taken_over(tmp_path, monke
     def refuse(*arguments):
         raise OSError(95, known)
 
-    monkeypatch.setattr(lock, "fcntl", known and type("Module", (), {"flock": refuse, "LOCK_EX": 2, "LOCK_NB": 4}))
+    monkeypatch.setattr(run_folder, "fcntl", known and type("Module", (), {"flock": refuse, "LOCK_EX": 2, "LOCK_NB": 4}))
     assert simulate(model(), out=tmp_path).status == "done"
-    with lock.hold_folder(tmp_path):
+    with run_folder.hold_folder(tmp_path):
         assert "as far as can be told" in str(elsewhere(lambda: hold(tmp_path)))
     write_lock(tmp_path, host=HOST, pid=dead(), boot="")
     with pytest.raises(StorageError, match=r"if that run has ended, delete .*run\.lock"):
@@ -129,7 +129,7 @@ def test_of_many_that_find_a_stale_lock_one_takes_it(tmp_path):
     def contend(barrier):
         barrier.wait()
         try:
-            with lock.hold_folder(tmp_path):
+            with run_folder.hold_folder(tmp_path):
                 inside.append(1)
                 most.append(len(inside))
                 taken.append(1)
@@ -159,7 +159,9 @@ def test_a_run_of_another_process_is_not_disturbed(tmp_path, monkeypatch, capfd)
     process = processes.start(SLOW, tmp_path)
     try:
         assert process.stdout.readline() == "ready\n"
-        while not ((tmp_path / "run" / lock.LOCK_FILE).exists() and (tmp_path / "run" / lock.LOCK_FILE).stat().st_size):
+        while not (
+            (tmp_path / "run" / run_folder.LOCK_FILE).exists() and (tmp_path / "run" / run_folder.LOCK_FILE).stat().st_size
+        ):
             assert process.poll() is None
         assert main(["run", "m.py", "--out", "run"]) == 2
         captured = capfd.readouterr()
@@ -168,9 +170,9 @@ def test_a_run_of_another_process_is_not_disturbed(tmp_path, monkeypatch, capfd)
     finally:
         process.send_signal(signal.SIGKILL)
         process.communicate()
-    assert (tmp_path / "run" / lock.LOCK_FILE).exists()
+    assert (tmp_path / "run" / run_folder.LOCK_FILE).exists()
     assert main(["run", "m.py", "--out", "run", "--quiet"]) == 0
-    assert not (tmp_path / "run" / lock.LOCK_FILE).exists()
+    assert not (tmp_path / "run" / run_folder.LOCK_FILE).exists()
 
 
 @pytest.mark.parametrize(
@@ -190,7 +192,7 @@ def test_a_run_that_is_refused_leaves_nothing(tmp_path, wrong, error):
 
 @pytest.mark.parametrize("error", [StepError("a step"), KeyboardInterrupt(), SystemExit(), MemoryError(), TypeError("a fault")])
 def test_the_lock_goes_however_the_run_ends(tmp_path, monkeypatch, error):
-    make = sys.modules["nsmodel.run.schemes"].make_stepper
+    make = sys.modules["nsmodel.simulation.fixed_grid"].make_stepper
 
     def broken(*args, **options):
         stepper = make(*args, **options)
@@ -202,10 +204,10 @@ def test_the_lock_goes_however_the_run_ends(tmp_path, monkeypatch, error):
         stepper.__class__ = Broken
         return stepper
 
-    monkeypatch.setattr(sys.modules["nsmodel.run.schemes"], "make_stepper", broken)
+    monkeypatch.setattr(sys.modules["nsmodel.simulation.fixed_grid"], "make_stepper", broken)
     with pytest.raises((StepError, KeyboardInterrupt, SystemExit, TypeError)):
         simulate(model(), out=tmp_path)
-    assert not (tmp_path / lock.LOCK_FILE).exists()
+    assert not (tmp_path / run_folder.LOCK_FILE).exists()
 
 
 def test_many_write_one_file_and_it_is_always_whole(tmp_path):
@@ -235,7 +237,7 @@ def test_a_process_that_was_forked_holds_nothing(tmp_path):
     code = textwrap.dedent("""
         import os, signal, sys, time
         from pathlib import Path
-        from nsmodel import lock
+        from nsmodel.simulation import run_folder as lock
         with lock.hold_folder(Path(sys.argv[1])):
             child = os.fork()
             if child == 0:
@@ -251,7 +253,7 @@ def test_a_process_that_was_forked_holds_nothing(tmp_path):
     )
     child = int(done.stdout)
     try:
-        with lock.hold_folder(tmp_path / "a"):
+        with run_folder.hold_folder(tmp_path / "a"):
             pass
     finally:
         os.kill(child, signal.SIGKILL)

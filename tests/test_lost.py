@@ -32,10 +32,10 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.cli import main
-from nsmodel.storage import read_json
-from nsmodel.stored import read_npz
+from nsmodel.files.archive import read_npz
+from nsmodel.files.storage import read_json
 
-loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
+loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
 RELAY = """
 from nsmodel import LureSystem, relay
 model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[3, 0], t_end=10, step=0.05)
@@ -208,12 +208,12 @@ def test_many_bodies_and_error_control_give_their_rows_too(tmp_path, full_disk):
 
 
 def test_a_command_saves_elsewhere_what_its_folder_does_not_take(in_folder, monkeypatch, capfd):
-    append = nsmodel.chunks.ChunkStore.append
+    append = nsmodel.simulation.run_folder.ChunkStore.append
 
     def full(*arguments):
         raise StorageError("cannot write far/chunk-000001.npz: No space left on device")
 
-    monkeypatch.setattr(nsmodel.chunks.ChunkStore, "append", full)
+    monkeypatch.setattr(nsmodel.simulation.run_folder.ChunkStore, "append", full)
     assert main(["run", "m.py", "--out", "far", "--quiet"]) == 2
     first, second = capfd.readouterr().err.splitlines()
     assert first == "nsmodel: storage error: cannot write far/chunk-000001.npz: No space left on device"

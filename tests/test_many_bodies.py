@@ -18,14 +18,14 @@ from processes import kill_when_there, start
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StepError, StorageError, Trajectory, UsageError, neighbours
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
-from nsmodel.contacts import Contacts
-from nsmodel.grid import make_grid
-from nsmodel.identity import fingerprint
-from nsmodel.simulate import prepare
-from nsmodel.solve.many_bodies import BODIES_SOLVERS, COLD_BODIES_START, BodiesStepper
-from nsmodel.solve.near import least_gap, near_contact_rows
+from nsmodel.modeling.fingerprint import fingerprint
+from nsmodel.modeling.time_grid import make_grid
+from nsmodel.simulation.simulate import prepare
+from nsmodel.solvers.contact_search import least_gap, near_contact_rows
+from nsmodel.solvers.contact_solver import BODIES_SOLVERS, COLD_BODIES_START, BodiesStepper
+from nsmodel.solvers.contacts import Contacts
 
-loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
+loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
 
 
 def simulate(model, **options):

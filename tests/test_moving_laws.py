@@ -36,10 +36,10 @@ from nsmodel.certificate.write import certificate_of
 from nsmodel.classes.lure.equations import equations
 from nsmodel.classes.units import in_units
 from nsmodel.errors import CodegenError, EmptyLawError
-from nsmodel.run import in_c, piece_choice, schemes
-from nsmodel.scheme import one_step_problem
-from nsmodel.solve.build import Stepper
-from nsmodel.stress.judge import formula_residuals as misfits
+from nsmodel.simulation import event_driven, fixed_grid, step_backend
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.time_stepper import Stepper
+from nsmodel.study.reference_steps import formula_residuals as misfits
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 t, u, s, x, l = (ca.SX.sym(name) for name in "tusxl")
@@ -50,14 +50,14 @@ WAYS = pytest.mark.parametrize("compiled", [False, True])
 @pytest.fixture(autouse=True)
 def _compiled_where_that_is_asked_for(monkeypatch):
     """No test of C passes because its steps were interpreted."""
-    usual = in_c.choose_step_backend
+    usual = step_backend.choose_step_backend
 
     def strict(options, *given):
         found = usual(options, *given)
         assert options.compiled is not True or found.steps is not None, found.warnings
         return found
 
-    for module in (schemes, piece_choice):
+    for module in (fixed_grid, event_driven):
         monkeypatch.setattr(module, "choose_step_backend", strict)
 
 

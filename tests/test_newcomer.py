@@ -14,9 +14,10 @@ import pytest
 from conftest import REPOSITORY
 from test_package import in_a_fresh_process
 
-from nsmodel import UsageError, load, shelf
+from nsmodel import UsageError, load
 from nsmodel.cli import main
 from nsmodel.cli.completion import DESCRIPTION
+from nsmodel.modeling import model_files
 from nsmodel.version import VERSION
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
@@ -57,7 +58,7 @@ def shelf_of(folder, monkeypatch, **docstrings):
     place.mkdir()
     for name, text in docstrings.items():
         (place / f"{name}.py").write_text(f'"""{text}"""\n', encoding="utf-8")
-    monkeypatch.setattr(shelf, "_CASE_FOLDERS", (place,))
+    monkeypatch.setattr(model_files, "_CASE_FOLDERS", (place,))
 
 
 def test_cases_are_listed_by_topic_a_line_each(here, monkeypatch, capsys):
@@ -122,7 +123,7 @@ def test_what_is_misspelt_is_answered_by_what_is_near(capsys, words, usage, near
 
 def test_cases_as_json(capsys):
     listed = json.loads(said(capsys, "cases", "--json"))
-    assert [case["name"] for case in listed] == sorted(shelf.case_files())
+    assert [case["name"] for case in listed] == sorted(model_files.case_files())
     one = json.loads(said(capsys, "cases", "diode_bridge", "--json"))
     assert one in listed
     assert one["path"].endswith("diode_bridge.py")
@@ -208,7 +209,7 @@ def test_a_name_that_would_hide_a_module_is_refused(here, capsys, name):
 
 def test_a_copy_of_what_is_no_case_is_refused(here, capsys):
     text = refused(capsys, "new", "a", "--like", "nothing_like_it")
-    assert text == f"no case 'nothing_like_it'; nsmodel cases lists the {len(shelf.case_files())} that there are"
+    assert text == f"no case 'nothing_like_it'; nsmodel cases lists the {len(model_files.case_files())} that there are"
     assert not list(here.iterdir())
 
 
@@ -275,10 +276,11 @@ def test_a_wheel_holds_the_package_and_the_cases(tmp_path):
     path = next(iter(wheel.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])))
     held = set(zipfile.ZipFile(path).namelist())
     package = {str(file.relative_to(REPOSITORY)) for file in (REPOSITORY / "nsmodel").rglob("*") if file.is_file()}
-    cases = {f"nsmodel/cases/{path.name}" for path in shelf.case_files().values()}
+    cases = {f"nsmodel/cases/{path.name}" for path in model_files.case_files().values()}
     expected = {name for name in package if "__pycache__" not in name} | cases
     assert {name for name in held if name.startswith("nsmodel/")} == {name.replace("\\", "/") for name in expected}
-    assert {"nsmodel/py.typed", "nsmodel/cases/diode_bridge.py", "nsmodel/codegen/c/fixed.c", "nsmodel/laws/ball.c"} <= held
+    assert {"nsmodel/py.typed", "nsmodel/cases/diode_bridge.py", "nsmodel/codegen/c/fixed.c"} <= held
+    assert "nsmodel/modeling/laws/ball.c" in held
 
 
 def test_the_version_to_cite_is_this_one():
@@ -292,4 +294,4 @@ def test_what_is_built_is_said():
     assert targets["wheel"]["only-include"] == ["nsmodel", "cases"]
     assert targets["wheel"]["sources"] == {"cases": "nsmodel/cases"}
     assert {"nsmodel", "cases", "README.md"} <= set(targets["sdist"]["include"])
-    assert shelf._CASE_FOLDERS[0] == REPOSITORY / "nsmodel" / "cases"
+    assert model_files._CASE_FOLDERS[0] == REPOSITORY / "nsmodel" / "cases"

@@ -12,8 +12,8 @@ import pytest
 
 import nsmodel
 from nsmodel import MissingExtraError, plot
-from nsmodel.notebook import in_notebook
-from nsmodel.run import interrupt
+from nsmodel._utils import in_notebook
+from nsmodel.simulation import loop
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "docs" / "notebooks").glob("*.md"))
 PNG = b"\x89PNG"
@@ -90,22 +90,22 @@ def test_there_is_none_at_a_prompt(monkeypatch):
 
 def test_a_bar_of_a_notebook_is_text_without_widgets(kernel, monkeypatch, capsys):
     """And no warning says that widgets are missing."""
-    monkeypatch.setattr(interrupt, "find_spec", lambda name: None)
-    bar = interrupt.progress_bar(total=3)
+    monkeypatch.setattr(loop, "find_spec", lambda name: None)
+    bar = loop.progress_bar(total=3)
     assert type(bar).__module__ == "tqdm.std"
     bar.close()
 
 
 def test_it_is_a_widget_where_there_are_some(kernel, monkeypatch):
     made = []
-    monkeypatch.setattr(interrupt, "find_spec", lambda name: name)
+    monkeypatch.setattr(loop, "find_spec", lambda name: name)
     monkeypatch.setitem(sys.modules, "tqdm.notebook", SimpleNamespace(tqdm=lambda **options: made.append(options)))
-    interrupt.progress_bar(total=3)
+    loop.progress_bar(total=3)
     assert made[0]["total"] == 3
 
 
 def test_without_a_notebook_or_a_terminal_there_is_no_bar():
-    assert interrupt.progress_bar(total=3) is None
+    assert loop.progress_bar(total=3) is None
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from nsmodel import LureSystem, relay, simulate
-from nsmodel.grid import TimeGrid
-from nsmodel.identity import fingerprint
-from nsmodel.once import cached_per_object
-from nsmodel.scheme import one_step_problem
+from nsmodel._utils import cached_per_object
+from nsmodel.modeling.fingerprint import fingerprint
+from nsmodel.modeling.time_grid import TimeGrid
+from nsmodel.solvers.one_step_problem import one_step_problem
 
 pytestmark = pytest.mark.fast
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fuzz_models import share
 
-from nsmodel.proof import one_variable
-from nsmodel.proof.graph import fold_graph
+from nsmodel.proof import univariate
+from nsmodel.proof.expression_graph import fold_graph
 
 S = ca.SX.sym("s")
 ZERO = Fraction(0)
@@ -41,7 +41,7 @@ def second(expr, at):
     ],
 )  # fmt: skip
 def test_signs_of_known_functions(expr, signs):
-    found = one_variable.decide_signs(expr, S)
+    found = univariate.decide_signs(expr, S)
     assert (None if found is None else found.signs) == signs
 
 
@@ -58,7 +58,7 @@ def test_signs_and_places_agree_with_50_digits():
             ]  # fmt: skip
             chosen = rng.choice(len(atoms), int(rng.integers(1, 4)), replace=False)
             expr = sum(float(rng.choice([1, 1, -0.5])) * atoms[k] for k in chosen)
-            found = one_variable.second_derivative_signs([(Fraction(1), expr)], S, ZERO, None, [{}], ZERO)
+            found = univariate.second_derivative_signs([(Fraction(1), expr)], S, ZERO, None, [{}], ZERO)
             if found is None:
                 continue
             decided += 1
@@ -79,10 +79,10 @@ def test_the_slope_at_the_start():
         (ca.exp(S) - S, 0),
         (ca.sinh(S), 1),
     ]:
-        low, high = one_variable.right_derivative_bounds(expr, S, ZERO, {})
+        low, high = univariate.right_derivative_bounds(expr, S, ZERO, {})
         assert low <= slope <= high
         assert high - low <= 1e-15
-    assert one_variable.right_derivative_bounds(ca.sqrt(S), S, ZERO, {}) is None
+    assert univariate.right_derivative_bounds(ca.sqrt(S), S, ZERO, {}) is None
 
 
 @pytest.mark.parametrize(
@@ -94,4 +94,4 @@ def test_the_slope_at_the_start():
     ],
 )  # fmt: skip
 def test_functions_that_fall_without_end(expr, falls):
-    assert one_variable.tends_to_minus_infinity([(Fraction(1), expr)], S, ZERO, [{}]) == falls
+    assert univariate.tends_to_minus_infinity([(Fraction(1), expr)], S, ZERO, [{}]) == falls

@@ -147,7 +147,7 @@ def test_wrong_vectors_are_refused_when_given(given, message):
 
 
 def test_every_door_takes_a_vector(tmp_path, known, monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1.0, 10.0))
+    monkeypatch.setattr(sys.modules["nsmodel.study.stress"], "STEP_FACTORS", (1.0, 10.0))
     th = VECTORS["SX"]
     model, given = oscillator(th, {th: None}), {th: VALUES}
     assert explain(model, parameters=given).startswith("scheme")

@@ -36,12 +36,12 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
-from nsmodel.grid import make_grid
 from nsmodel.hypotheses.region import region_of
-from nsmodel.identity import fingerprint
-from nsmodel.stress import Cell
+from nsmodel.modeling.fingerprint import fingerprint
+from nsmodel.modeling.time_grid import make_grid
 from nsmodel.study import Line, StudyInterrupted
 from nsmodel.study.reference import ReferenceRows, closed_form_reference
+from nsmodel.study.stress import Cell
 
 t, x, y, l, k = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("y", 2), ca.SX.sym("l"), ca.SX.sym("k")
 NEIGHBOUR = "def exact(t):\n    import numpy as np\n\n    return np.exp(-np.outer(t, [1, 1]))\n"

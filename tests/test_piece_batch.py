@@ -13,10 +13,10 @@ import pytest
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, SweepingProcess, ball, box, codegen, relay, simulate
-from nsmodel.codegen import piece_batch, piece_runs
+from nsmodel.codegen import event_driven_batch, event_driven_runs
+from nsmodel.codegen.event_driven_batch import PieceBatch
 from nsmodel.codegen.library import COMPILER_FLAGS, compile_library
-from nsmodel.codegen.piece_batch import PieceBatch
-from nsmodel.codegen.statuses import STATUSES
+from nsmodel.codegen.structs import STATUSES
 from nsmodel.errors import CodegenError, UsageError
 from tests.event_models import CLASSES
 from tests.parametrised import with_parameters
@@ -129,7 +129,9 @@ def test_a_loop_over_values_builds_once(monkeypatch):
     """Runs with other values load the library that is there."""
     built = []
     monkeypatch.setattr(
-        piece_runs, "cached_library", lambda *args, kept=piece_runs.cached_library: built.append(args[0]) or kept(*args)
+        event_driven_runs,
+        "cached_library",
+        lambda *args, kept=event_driven_runs.cached_library: built.append(args[0]) or kept(*args),
     )
     model = by_ends()
     for a, k, x0 in draws(3, 4):
@@ -143,7 +145,7 @@ def test_calls_end_in_time_and_go_on(friction, monkeypatch):
     _, _, batch = friction
     values = draws(300, 5)
     whole = batch.run(values, ["x"])
-    monkeypatch.setattr(piece_batch, "CALL_SECONDS", 0.0)
+    monkeypatch.setattr(event_driven_batch, "CALL_SECONDS", 0.0)
     asked = []
     np.testing.assert_array_equal(batch.run(values, ["x"], lambda: bool(asked.append(0))).arrays["x"], whole.arrays["x"])
     assert len(asked) > 10

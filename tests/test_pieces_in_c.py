@@ -15,10 +15,10 @@ from conftest import optimised
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, codegen, complementarity, relay, simulate
-from nsmodel.codegen.piece_scene import piece_spec_of
+from nsmodel.codegen.event_driven_spec import piece_spec_of
 from nsmodel.errors import CodegenError
-from nsmodel.run.event_driven import EventDrivenPropagator, event_driven_problem
-from nsmodel.run.options import Options
+from nsmodel.simulation.event_driven import EventDrivenPropagator, event_driven_problem
+from nsmodel.simulation.options import Options
 from tests import event_scenes as scenes
 from tests import stiff_scenes
 from tests.test_events_resume import files

@@ -14,10 +14,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from nsmodel import LureSystem, laws, plot, simulate
+from nsmodel import LureSystem, plot, simulate
 from nsmodel.errors import PlotError
+from nsmodel.modeling import laws
 from nsmodel.plot import rounding, strip, style
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def fabricate(t, x, multipliers, codes, extra=None, **metadata):
@@ -698,7 +699,7 @@ def test_a_picture_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
 def test_matplotlib_is_imported_late_and_pyplot_never():
     code = (
         "import sys, numpy as np, nsmodel, nsmodel.plot as plot\n"
-        "from nsmodel.trajectory import Trajectory\n"
+        "from nsmodel.simulation.trajectory import Trajectory\n"
         "print('matplotlib' in sys.modules)\n"
         "plot.overview(Trajectory({'t': np.arange(3.0), 'x': np.zeros((3, 2))}, {}))\n"
         "print('matplotlib.pyplot' in sys.modules)\n"

@@ -10,10 +10,10 @@ from nsmodel import FirstOrderSystem, FrictionOscillator, SweepingProcess, cli, 
 from nsmodel.errors import PlotError, UsageError
 from nsmodel.plot.band import draw_curve
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
+from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study.lines import Line, Point
 from nsmodel.study.result import Study
 from nsmodel.sweep import Variable
-from nsmodel.trajectory import Trajectory
 
 # ---------------------------------------------------------------- rounding
 

@@ -19,13 +19,15 @@ import platformdirs
 import pytest
 from conftest import REPOSITORY
 
-from nsmodel import LureSystem, StorageError, lock, relay, simulate, storage, sweep
-from nsmodel.archive import write_npz
-from nsmodel.cache_folder import cache_folder
+from nsmodel import LureSystem, StorageError, relay, simulate, sweep
 from nsmodel.cli import status
-from nsmodel.codegen import cache, library
-from nsmodel.stored import map_archive
-from nsmodel.sweep import engine
+from nsmodel.codegen import library
+from nsmodel.codegen import library as cache
+from nsmodel.files import storage
+from nsmodel.files.archive import map_archive, write_npz
+from nsmodel.files.cache_folder import cache_folder
+from nsmodel.simulation import run_folder
+from nsmodel.sweep import executor
 
 posix = pytest.importorskip("fcntl")
 
@@ -79,9 +81,10 @@ def test_text_has_an_encoding_that_is_named():
 
 
 ELSEWHERE = {  # What Windows lacks and is used all the same: where it is asked for first, or its lack is met.
-    "geteuid": {"nsmodel/codegen/cache.py"}, "killpg": {"nsmodel/codegen/library.py"}, "SIGKILL": {"nsmodel/codegen/library.py"},
-    "setpgrp": {"nsmodel/sweep/engine.py"}, "sched_getaffinity": {"nsmodel/sweep/engine.py"}, "flock": {"nsmodel/lock.py"},
-    "register_at_fork": {"nsmodel/lock.py"},
+    "geteuid": {"nsmodel/codegen/library.py"}, "killpg": {"nsmodel/codegen/library.py"},
+    "SIGKILL": {"nsmodel/codegen/library.py"}, "setpgrp": {"nsmodel/sweep/executor.py"},
+    "sched_getaffinity": {"nsmodel/sweep/executor.py"}, "flock": {"nsmodel/simulation/run_folder.py"},
+    "register_at_fork": {"nsmodel/simulation/run_folder.py"},
 }  # fmt: skip
 NOWHERE = "fork getpgid pread pwrite setsid symlink symlink_to hardlink_to mkfifo rename SIGALRM O_NOFOLLOW getloadavg".split()
 
@@ -104,7 +107,7 @@ def test_a_system_without_them_runs_models(tmp_path):
             for name in names.split():
                 delattr(owner, name)
         import nsmodel
-        from nsmodel.codegen import cache, library
+        from nsmodel.codegen import library as cache, library
         cache.COMPILER_FLAGS = tuple(flag for flag in library.COMPILER_FLAGS if flag != "-O2")
         def model(t_end):
             return nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1), x0=1, t_end=t_end, step=0.1)
@@ -141,8 +144,8 @@ class Msvcrt:
 @pytest.fixture
 def windows(monkeypatch):
     """Locks as Windows has them, and no file that is open is removed."""
-    monkeypatch.setattr(lock, "fcntl", None)
-    monkeypatch.setattr(lock, "msvcrt", Msvcrt)
+    monkeypatch.setattr(run_folder, "fcntl", None)
+    monkeypatch.setattr(run_folder, "msvcrt", Msvcrt)
     unlink = Path.unlink
 
     def refusing(path, missing_ok=False):
@@ -160,12 +163,12 @@ def test_a_folder_is_held_by_one_on_windows(windows, tmp_path):
 
     def hold():
         try:
-            with lock.hold_folder(tmp_path):
+            with run_folder.hold_folder(tmp_path):
                 pass
         except StorageError as error:
             raised.append(str(error))
 
-    with lock.hold_folder(tmp_path):
+    with run_folder.hold_folder(tmp_path):
         thread = threading.Thread(target=hold)
         thread.start()
         thread.join()
@@ -178,7 +181,7 @@ def test_a_folder_is_held_by_one_on_windows(windows, tmp_path):
 
 
 def test_what_a_killed_run_left_is_taken_over_on_windows(windows, tmp_path):
-    (tmp_path / lock.LOCK_FILE).write_text('{"host": "' + lock._own_identity()["host"] + '", "pid": 1, "boot": ""}')
+    (tmp_path / run_folder.LOCK_FILE).write_text('{"host": "' + run_folder._own_identity()["host"] + '", "pid": 1, "boot": ""}')
     assert simulate(model(), out=tmp_path).status == "done"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "trajectory.npz"]
 
@@ -309,9 +312,9 @@ def test_a_sweep_in_processes_that_begin_anew_is_the_same(monkeypatch):
 def test_where_workers_are_copies(monkeypatch):
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["fork", "spawn"])
     monkeypatch.setattr(sys, "platform", "linux")
-    assert engine.can_fork()
+    assert executor.can_fork()
     monkeypatch.setattr(sys, "platform", "darwin")
-    assert not engine.can_fork()
+    assert not executor.can_fork()
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
-    assert not engine.can_fork()
+    assert not executor.can_fork()

@@ -8,8 +8,8 @@ import pytest
 from fuzz_models import share
 
 from nsmodel import FirstOrderSystem, SweepingProcess, complementarity, product, relay, simulate
-from nsmodel.simulate import prepare
-from nsmodel.solve.build import Stepper
+from nsmodel.simulation.simulate import prepare
+from nsmodel.solvers.time_stepper import Stepper
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ from nsmodel import (
 )
 
 simulate = functools.partial(nsmodel.simulate, compiled=False)  # whatever other tests have left in the cache
-loop, schemes, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "schemes", "walk"))
+loop, schemes, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "fixed_grid", "propagator"))
 FEW_ROWS = 1  # Chunks of the least number of rows, 64.
 
 
@@ -478,7 +478,7 @@ def test_a_limit_of_file_size_is_met_by_a_message(tmp_path):
     assert re.search(r"cannot write .*: .*File too large; take a folder that is writable and has room", printed)
     assert not list((tmp_path / "run").glob(".*"))
     for path in (tmp_path / "run").glob("*.npz"):
-        nsmodel.stored.read_npz(path)
+        nsmodel.files.archive.read_npz(path)
 
 
 # every n-th row

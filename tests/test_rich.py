@@ -221,8 +221,8 @@ def test_violated_findings_come_first_and_long_ones_fold(evil):
 
 
 def test_studies_sweeps_and_stress(run):
-    from nsmodel.stress import Cell, Stress
     from nsmodel.study import Line, Point, Study
+    from nsmodel.study.stress import Cell, Stress
 
     points = (Point("h = 0.1", 1e-3, {"max": 0.25}, step=0.1), Point("h = 0.05", 2e-3, {"max": 0.125}, step=0.05))
     lines = (Line("implicit", (*points, Point.failed("h = 0.01", EVIL))), Line("lemke", points, kind="solver"))

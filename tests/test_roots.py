@@ -9,8 +9,8 @@ import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, relay, simulate
 from nsmodel.codegen import library
-from nsmodel.pieces.isolation import MAX_MULTIPLICITY
-from nsmodel.pieces.jets import independent_branches, taylor_decompose
+from nsmodel.event_driven.event_location import MAX_MULTIPLICITY
+from nsmodel.event_driven.recurrences import independent_branches, taylor_decompose
 
 t, x, l, q = (ca.SX.sym(name) for name in "txlq")
 X = ca.SX.sym("x", 2)

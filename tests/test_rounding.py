@@ -24,14 +24,21 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen.library import compiler
-from nsmodel.model.expressions import derivatives
-from nsmodel.proof.graph import fold_graph
-from nsmodel.scheme import one_step_problem
-from nsmodel.solve import mlcp
-from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import ROUNDING, NumericLaw
-from nsmodel.solve.newton import NewtonSolver
-from nsmodel.solve.rounding import PROBES, UNIT_ROUND_OFF, dense_solution_errors, probe_signs, rounding_error_bound, row_maxima
+from nsmodel.modeling.expressions import derivatives
+from nsmodel.proof.expression_graph import fold_graph
+from nsmodel.solvers import mlcp
+from nsmodel.solvers.newton import NewtonSolver
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.residuals import ROUNDING, NumericLaw
+from nsmodel.solvers.rounding_errors import (
+    PROBES,
+    UNIT_ROUND_OFF,
+    dense_solution_errors,
+    probe_signs,
+    rounding_error_bound,
+    row_maxima,
+)
+from nsmodel.solvers.time_stepper import Stepper
 
 WAYS = [False, pytest.param(True, marks=pytest.mark.skipif(compiler() is None, reason="no C compiler"))]
 

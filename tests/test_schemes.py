@@ -20,7 +20,7 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.scheme import one_step_problem
+from nsmodel.solvers.one_step_problem import one_step_problem
 
 # ---------------------------------------------------------------------------------------------- one model, two routes
 

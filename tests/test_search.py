@@ -13,7 +13,7 @@ from search.models import KINDS, Case, case
 from search.truth import Teller
 
 from nsmodel import LureSystem, SweepingProcess, check, complementarity
-from nsmodel.scheme import one_step_problem
+from nsmodel.solvers.one_step_problem import one_step_problem
 
 SMALL = 5  # Models of each class.
 MOST = 14  # States of the largest of them.

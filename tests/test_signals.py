@@ -6,7 +6,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from nsmodel import ModelError, pwm, signal, steps, table
-from nsmodel.signals.drive import InputSchedule
+from nsmodel.modeling.signals.schedule import InputSchedule
 
 
 def before_and_after(found, t):

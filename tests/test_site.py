@@ -18,8 +18,8 @@ from conftest import REPOSITORY
 import nsmodel
 import nsmodel.crowd
 import nsmodel.plot
-from nsmodel import shelf
 from nsmodel.cli import _parser
+from nsmodel.modeling import model_files
 
 pytestmark = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_nb")), reason="no Sphinx: extra docs"
@@ -91,7 +91,9 @@ def built(folder):
 def case_with_signs(docs):
     """A page of the gallery as a part of a page, with signs in all that a user may write."""
     gallery, runs = (module(docs / "_ext", name) for name in ("gallery", "runs"))
-    case = shelf.Case("signs", shelf.find_case("diode_bridge").path, EVIL, f"{EVIL}\n\n    {EVIL}", EVIL, EVIL, EVIL, "")
+    case = model_files.Case(
+        "signs", model_files.find_case("diode_bridge").path, EVIL, f"{EVIL}\n\n    {EVIL}", EVIL, EVIL, EVIL, ""
+    )
     picture = docs / "images" / "mfcq.png"
     finding = {"id": EVIL, "statement": EVIL, "verdict": "holds", "how": EVIL}
     facts = {"title": EVIL, "summary": EVIL, "verdict": EVIL, "findings": [finding]}
@@ -159,9 +161,9 @@ def test_a_case_has_its_picture_numbers_verdicts_and_file(pages, site):
     assert "Diode bridge rectifier" in page.of("h1")
     assert any(load.endswith("diode_bridge.png") for load in page.loads)
     [file] = [link for link in page.links if link.endswith("diode_bridge.py")]
-    assert (page.path.parent / file).read_bytes() == shelf.find_case("diode_bridge").path.read_bytes()
+    assert (page.path.parent / file).read_bytes() == model_files.find_case("diode_bridge").path.read_bytes()
     text = "".join(data for _, data in page.text)
-    report = nsmodel.check(nsmodel.load(shelf.find_case("diode_bridge").path))
+    report = nsmodel.check(nsmodel.load(model_files.find_case("diode_bridge").path))
     assert report.verdict in " ".join(text.split())
     for finding in report.findings:
         assert " ".join(finding.statement.split()) in " ".join(text.split())

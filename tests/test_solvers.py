@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, linprog, lsq_linear, nnls
 
-from nsmodel.laws import ball, box, product, second_order_cone
-from nsmodel.laws.ball import BallSet
-from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve import active_set, curved, diagnose, mlcp, qp
-from nsmodel.solve.certificate import NumericLaw, numeric_law
-from nsmodel.solve.nlp import NonlinearProgramme
+from nsmodel.modeling.laws import ball, box, product, second_order_cone
+from nsmodel.modeling.laws.ball import BallSet
+from nsmodel.solvers import active_set, diagnosis, mlcp
+from nsmodel.solvers import mlcp as curved
+from nsmodel.solvers import mlcp as qp
+from nsmodel.solvers.fallbacks import NonlinearProgramme
+from nsmodel.solvers.one_step_problem import OneStepProblem
+from nsmodel.solvers.residuals import NumericLaw, numeric_law
 
 INF = np.inf
 RELIABLE = ("qpoases", mlcp.LEMKE, mlcp.ENUMERATION)  # The other QP solvers may fail, but not with a residual that passes.
@@ -440,7 +442,7 @@ def test_lemke_and_farkas_on_infeasible_problems(symmetric):
         assert b @ u < 0
         assert linprog(np.zeros(b.size), A_ub=-W, b_ub=b).status == 2
         assert active_set.lemke(W, b, law) is None
-        assert_farkas_proof(diagnose.opposing_rows(W, b, law), W, b)
+        assert_farkas_proof(diagnosis.opposing_rows(W, b, law), W, b)
 
 
 def assert_farkas_proof(proof, W, b):
@@ -460,17 +462,17 @@ def test_no_farkas_proof_of_a_solvable_problem(kind):
     """A diagnosis that blames constraints must be true: these problems have a solution."""
     for seed in range(40):
         W, b, law, _, _ = problem(seed, kind, "c")
-        assert diagnose.opposing_rows(W, b, law) is None
+        assert diagnosis.opposing_rows(W, b, law) is None
 
 
 @pytest.mark.parametrize("units", [np.ones(5), 10.0 ** np.array([-6, 4, 0, 8, -2])])
 def test_rows_that_depend_on_one_another_are_named_in_any_units(units):
     rows = np.random.default_rng(3).normal(size=(5, 5))
     rows[4] = rows[0] - rows[2]
-    part, named = diagnose.dependent_rows((units * (rows @ rows.T)).T * units)
+    part, named = diagnosis.dependent_rows((units * (rows @ rows.T)).T * units)
     assert part < 1e-14
     assert sorted(i for i, _ in named) == [0, 2, 4]
-    part, _ = diagnose.dependent_rows((units * (rows @ rows.T + np.eye(5))).T * units)
+    part, _ = diagnosis.dependent_rows((units * (rows @ rows.T + np.eye(5))).T * units)
     assert part > 1e-3
 
 
@@ -478,7 +480,7 @@ def test_rows_that_depend_on_one_another_are_named_in_any_units(units):
     "W", [np.zeros((3, 3)), np.diag([1.0, 0.0, 0.0]), np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])]
 )
 def test_rows_that_feel_nothing_depend_on_nothing(W):
-    assert diagnose.dependent_rows(W)[0] > 0.1
+    assert diagnosis.dependent_rows(W)[0] > 0.1
 
 
 def test_no_farkas_proof_where_the_rows_are_nearly_opposite():
@@ -489,7 +491,7 @@ def test_no_farkas_proof_where_the_rows_are_nearly_opposite():
         W, b = n @ n.T, np.array([-1.0, -1.0])
         l = np.full(2, 1 / (2 * angle**2))
         assert np.all(np.abs(W @ l + b) < 1e-4)
-        assert diagnose.opposing_rows(W, b, law) is None
+        assert diagnosis.opposing_rows(W, b, law) is None
 
 
 def test_proofs_do_not_depend_on_units():
@@ -497,8 +499,8 @@ def test_proofs_do_not_depend_on_units():
         for seed in range(10):
             W, b, _ = infeasible(seed, True)
             law = NumericLaw(np.zeros(b.size), np.full(b.size, INF), ())
-            assert_farkas_proof(diagnose.opposing_rows(W * scale, b, law), W, b)
-            assert_farkas_proof(diagnose.opposing_rows(W, b * scale, law), W, b)
+            assert_farkas_proof(diagnosis.opposing_rows(W * scale, b, law), W, b)
+            assert_farkas_proof(diagnosis.opposing_rows(W, b * scale, law), W, b)
 
 
 # ---------------------------------------------------------------------------------------------- balls and cones

@@ -9,14 +9,13 @@ from fuzz_models import COUNT, FULL
 from nsmodel import FirstOrderSystem, LureSystem, box, check, codegen, complementarity, equality, explain, relay, simulate
 from nsmodel.codegen.library import compiler
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
-from nsmodel.scheme import one_step_problem
-from nsmodel.simulate import prepare
-from nsmodel.solve import build
-from nsmodel.solve.band import band_ordering
-from nsmodel.solve.certificate import numeric_law
-from nsmodel.solve.newton import NewtonSolver
-from nsmodel.solve.sparse import SparseStepSolver
-from nsmodel.solve.structure import read_step_structure
+from nsmodel.simulation.simulate import prepare
+from nsmodel.solvers import time_stepper
+from nsmodel.solvers.newton import NewtonSolver
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.residuals import numeric_law
+from nsmodel.solvers.sparse import SparseStepSolver, band_ordering
+from nsmodel.solvers.structure import read_step_structure
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 in_c = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -50,7 +49,7 @@ def string(n, law=None, **options):
 
 def by_dense_matrices(monkeypatch, model, **options):
     with monkeypatch.context() as patch:
-        patch.setattr(build, "is_sparse_step_faster", lambda *_: False)
+        patch.setattr(time_stepper, "is_sparse_step_faster", lambda *_: False)
         return simulate(model, compiled=False, **options)
 
 
@@ -372,8 +371,8 @@ def test_a_start_that_is_not_finite_is_refused_and_a_thousand_masses_are_declare
     assert run.x.shape == (4, 2000)
     assert not run.metadata["warnings"]
     with pytest.raises((UsageError, StepError)):
-        build.Stepper(one_step_problem(model), "auto", 1e-9, h=0.01, state=np.zeros(2000))(
-            0.0, 0.01, np.full(2000, np.nan), build.WarmStart(np.zeros(1000), np.zeros(1000, np.int8))
+        time_stepper.Stepper(one_step_problem(model), "auto", 1e-9, h=0.01, state=np.zeros(2000))(
+            0.0, 0.01, np.full(2000, np.nan), time_stepper.WarmStart(np.zeros(1000), np.zeros(1000, np.int8))
         )
 
 

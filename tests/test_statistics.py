@@ -10,7 +10,7 @@ from scipy.stats import binom, norm
 import nsmodel
 from nsmodel.errors import UsageError
 from nsmodel.sweep import Variable, difference, share, statistics
-from nsmodel.sweep.binomial import quantile_interval_ranks, wilson_interval
+from nsmodel.sweep.statistics import quantile_interval_ranks, wilson_interval
 
 # ---------------------------------------------------------------- quantities whose moments are known in closed form
 

@@ -19,7 +19,7 @@ from nsmodel import (
     steps,
     table,
 )
-from nsmodel.stepping import ModelStepper
+from nsmodel.simulation.stepper import ModelStepper
 
 T = scenes.T
 WAYS = pytest.mark.parametrize("compiled", [False, True])

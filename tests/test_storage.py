@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import nsmodel.storage
-from nsmodel.archive import write_npz
-from nsmodel.chunks import ChunkStore
+import nsmodel.files.storage
 from nsmodel.errors import StorageError
-from nsmodel.manifest import settings_digest
-from nsmodel.storage import dumps, loads, read_json, write_csv, write_json
-from nsmodel.stored import read_npz
+from nsmodel.files.archive import read_npz, write_npz
+from nsmodel.files.metadata import settings_digest
+from nsmodel.files.storage import dumps, loads, read_json, write_csv, write_json
+from nsmodel.simulation.run_folder import ChunkStore
 
 METADATA = {"title": "été", "values": [0.1, float("inf"), -float("inf"), 5e-324], "nested": {"none": None, "yes": True}}
 
@@ -171,7 +170,7 @@ def test_npz_too_large_for_memory(tmp_path, monkeypatch):
         raise MemoryError("Unable to allocate 1 TiB")
 
     write_npz(tmp_path / "a.npz", make_arrays(5), {})
-    monkeypatch.setattr("nsmodel.stored.ArchivedArray.made_of", full)
+    monkeypatch.setattr("nsmodel.files.archive.ArchivedArray.made_of", full)
     with pytest.raises(StorageError, match=r"a\.npz does not fit in memory \(Unable to allocate 1 TiB\); read it with"):
         read_npz(tmp_path / "a.npz")
 
@@ -274,7 +273,7 @@ def test_chunks_and_manifest(tmp_path):
         ChunkStore.open(tmp_path / "run").manifest
         == store.manifest
         == {
-            "format": nsmodel.storage.FILE_FORMAT,
+            "format": nsmodel.files.storage.FILE_FORMAT,
             "version": nsmodel.__version__,
             "run": settings_digest(None),
             "chunks": [
@@ -354,7 +353,7 @@ def test_join_killed_anywhere_can_be_resumed(tmp_path, monkeypatch, reopened, jo
         store.join({})
         store.append(make_arrays(60, 60), {}, {})
         store.append(make_arrays(80, 120), {"row": 200}, {})
-    write, manifests = nsmodel.storage.write_json, []
+    write, manifests = nsmodel.files.storage.write_json, []
 
     def kill(*arguments, **options):
         raise KeyboardInterrupt
@@ -366,10 +365,12 @@ def test_join_killed_anywhere_can_be_resumed(tmp_path, monkeypatch, reopened, jo
     with monkeypatch.context() as patch:
         if at in ("replace", "unlink"):
             # The manifests are written as ever, by a way of their own.
-            patch.setattr("nsmodel.chunks.write_json", lambda path, data: Path(path).write_text(dumps(data)))
+            patch.setattr("nsmodel.simulation.run_folder.write_json", lambda path, data: Path(path).write_text(dumps(data)))
             patch.setattr(Path, at, kill)
         else:
-            patch.setattr("nsmodel.chunks." + at.removeprefix("second "), second if at.startswith("second") else kill)
+            patch.setattr(
+                "nsmodel.simulation.run_folder." + at.removeprefix("second "), second if at.startswith("second") else kill
+            )
         with pytest.raises(KeyboardInterrupt):
             store.join(METADATA)
     store = ChunkStore.open(tmp_path / "run") if reopened else store
@@ -383,7 +384,7 @@ def test_join_killed_anywhere_can_be_resumed(tmp_path, monkeypatch, reopened, jo
 KILLED = """
 import sys
 import numpy as np
-from nsmodel.chunks import ChunkStore
+from nsmodel.simulation.run_folder import ChunkStore
 store, start = ChunkStore(sys.argv[1]), 0
 while True:
     rows = np.arange(start, start + 500.0)
@@ -397,7 +398,7 @@ while True:
 
 @pytest.mark.parametrize("delay", range(6))
 def test_killed_run_leaves_whole_chunks(tmp_path, delay):
-    root = Path(nsmodel.storage.__file__).parents[1]
+    root = Path(nsmodel.files.storage.__file__).parents[1]
     command = [sys.executable, "-c", KILLED, str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root)
     assert process.stdout
@@ -429,7 +430,7 @@ def test_append_after_a_join_whose_manifest_could_not_be_written(tmp_path, monke
     for start in (0, 50, 100):
         store.append(make_arrays(50, start), {}, {})
         with monkeypatch.context() as patch:
-            patch.setattr("nsmodel.chunks.write_json", lambda *arguments: 1 / 0)
+            patch.setattr("nsmodel.simulation.run_folder.write_json", lambda *arguments: 1 / 0)
             with pytest.raises(ZeroDivisionError):
                 store.join({})
     store.append(make_arrays(50, 150), {}, {})

@@ -34,9 +34,8 @@ from nsmodel import (
 )
 from nsmodel.classes.units import in_units
 from nsmodel.cli import main
-from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG, stress_variants
-from nsmodel.stress.judge import formula_residuals, state_term_sizes
-from nsmodel.stress.measures import majorant
+from nsmodel.study.reference_steps import formula_residuals, majorant, state_term_sizes
+from nsmodel.study.stress import LEFT_OUT, RIGHT, STOPPED, WRONG, stress_variants
 
 EPS = np.finfo(float).eps
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
@@ -253,7 +252,7 @@ def test_a_sound_model_is_right_in_every_cell():
 
 def test_a_motion_that_doubles_do_not_determine_is_not_called_right(monkeypatch):
     """Spring 1e12 and steps of 1e3: the spring's two ends do not cancel, and what is left pushes both masses."""
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1e3,))
+    monkeypatch.setattr(sys.modules["nsmodel.study.stress"], "STEP_FACTORS", (1e3,))
     found = stress(weak(1e12))
     assert {cell.factor for cell in found.cells} == {1e3}
     assert all(cell.verdict != RIGHT for cell in found.cells)
@@ -302,7 +301,7 @@ def test_wrong_arguments_are_refused(options, words):
 
 
 def test_a_model_without_a_step_asks_for_one(monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1.0, 10.0))
+    monkeypatch.setattr(sys.modules["nsmodel.study.stress"], "STEP_FACTORS", (1.0, 10.0))
     model = LureSystem(A=-1, B=1, C=1, law=relay(1), x0=1, t_end=1)
     with pytest.raises(UsageError, match="no time step"):
         stress(model)
@@ -312,7 +311,7 @@ def test_a_model_without_a_step_asks_for_one(monkeypatch):
 def test_a_budget_leaves_out_the_cells_that_it_has_no_time_for(monkeypatch):
     """On a clock that ticks when it is read, a cell takes one tick: five begin before the tenth."""
     clock = SimpleNamespace(perf_counter=count().__next__)
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "time", clock)
+    monkeypatch.setattr(sys.modules["nsmodel.study.stress"], "time", clock)
     found = stress(weak(), steps=3, budget=10)
     run = [cell for cell in found.cells if cell.verdict != LEFT_OUT]
     assert [(cell.verdict, cell.factor) for cell in run] == [(RIGHT, 1.0)] * 5
@@ -356,7 +355,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert "56: 0 right, 0 stopped, 0 wrong, 56 left out" in capsys.readouterr().out
     assert main(["stress", str(file), "--vary", "gap"]) == 2
     assert "expected NAME=V1,V2" in capsys.readouterr().err
-    for module in ("nsmodel.stress.measures", "nsmodel.classes.sweeping.judge"):
+    for module in ("nsmodel.study.reference_steps", "nsmodel.classes.sweeping.judge"):
         for name in ("EQUATION", "ROUNDING"):
             monkeypatch.setattr(sys.modules[module], name, 0.0)
     assert main(["stress", str(file), "--set", "n=1", "--json"]) == 1

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from nsmodel import FrictionOscillator, LureSystem, StepError, SweepingProcess, Trajectory, complementarity, relay, simulate
-from nsmodel.pieces import stretch
-from nsmodel.run import loop
-from nsmodel.run.event_driven import event_driven_problem
-from nsmodel.simulate import explain
+from nsmodel.event_driven import fallback_steps
+from nsmodel.simulation import loop
+from nsmodel.simulation.event_driven import event_driven_problem
+from nsmodel.simulation.simulate import explain
 from tests import event_scenes as scenes
 
 x, t, s, q = ca.SX.sym("x"), ca.SX.sym("t"), ca.SX.sym("s"), ca.SX.sym("q")
@@ -80,9 +80,9 @@ def test_a_stretch_errs_by_no_more_than_it_says(rtol):
 
 def test_the_budget_holds_and_a_miss_is_told(monkeypatch):
     """With less budget the same stretch errs by more, says so, and ends."""
-    monkeypatch.setattr(stretch, "STRICT", 200)
-    monkeypatch.setattr(stretch, "TENFOLD", 50)
-    monkeypatch.setattr(stretch, "STEP_BUDGET", 1000)
+    monkeypatch.setattr(fallback_steps, "STRICT", 200)
+    monkeypatch.setattr(fallback_steps, "TENFOLD", 50)
+    monkeypatch.setattr(fallback_steps, "STEP_BUDGET", 1000)
     run = simulate(beside(), rtol=1e-8)
     assert sum(one["steps"] for one in about(run)) <= 1000
     estimate = sum(one["estimate"] for one in about(run))
@@ -163,8 +163,8 @@ import os, sys
 sys.path[:0] = sys.argv[1].split(os.pathsep)
 from tests.test_stretches import MODELS
 from nsmodel import simulate
-from nsmodel.pieces.course import HybridIntegrator
-from nsmodel.run import loop
+from nsmodel.event_driven.fallback_steps import HybridIntegrator
+from nsmodel.simulation import loop
 
 loop.CHUNK_SECONDS = 0.0
 name, out, pieces, more = sys.argv[2:]
@@ -218,7 +218,7 @@ def test_chunks_are_those_of_one_run(tmp_path, monkeypatch):
 def test_its_step_is_backward_euler():
     """One step of x' = -x by hand."""
     model = LureSystem(A=[[-1]], B=[[0]], C=[[1]], law=relay(1), x0=[1], t_end=1)
-    p = stretch.backward_euler(event_driven_problem(model))
+    p = fallback_steps.backward_euler(event_driven_problem(model))
     E = ca.Function("E", [p.t, p.h, p.state, p.z, p.l], [p.E])
     assert float(E(0, 0.1, 1, 1 / 1.1, 0)) == pytest.approx(0, abs=1e-15)
 

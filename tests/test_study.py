@@ -15,18 +15,20 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, UsageError, complementarity, relay
 from nsmodel.cli import main
+from nsmodel.files.storage import dumps
 from nsmodel.plot import work_precision
-from nsmodel.scheme import one_step_problem
-from nsmodel.simulate import prepare, simulate
-from nsmodel.storage import dumps
-from nsmodel.study import Line, Point, Study, StudyInterrupted, measure, methods, study
-from nsmodel.study.between import InterpolatedRun, make_row_stepper
+from nsmodel.simulation.simulate import prepare, simulate
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.study import Line, Point, Study, StudyInterrupted, methods, study
+from nsmodel.study import work_precision as measure
 from nsmodel.study.lines import PEER_LINE, POINT_LEFT_OUT, least_cost, observed_order
 from nsmodel.study.reference import (
+    InterpolatedRun,
     Reference,
     ReferenceRows,
     closed_form_reference,
     event_driven_reference,
+    make_row_stepper,
     nonuniqueness_reason,
     refined_run_reference,
     state_scales,
@@ -308,7 +310,7 @@ def test_a_reference_that_jumps_or_bends_is_stepped_and_not_drawn_through():
 
 
 def test_what_cannot_be_stepped_leaves_its_rows_unresolved(monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.study.between"], "MAX_SINGLE_STEPS", 1)
+    monkeypatch.setattr(sys.modules["nsmodel.study.reference"], "MAX_SINGLE_STEPS", 1)
     t = np.linspace(0, 1, 11)
     x = np.where(t > 0, 1.0, 0.0)[:, None]
     between = InterpolatedRun(t, x, lambda row, h: np.ones(1), np.ones(1), 1e-3)

@@ -25,14 +25,13 @@ from nsmodel import (
 )
 from nsmodel.classes.units import in_units
 from nsmodel.cli import main
-from nsmodel.scheme import one_step_problem
-from nsmodel.signals.pwm import Pwm
-from nsmodel.simulate import prepare
-from nsmodel.stress import RIGHT, STOPPED
-from nsmodel.stress.judge import formula_residuals
+from nsmodel.modeling.signals.pwm import Pwm
+from nsmodel.simulation.simulate import prepare
+from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.study import methods
-from nsmodel.study.between import RunAtRows, make_row_stepper
-from nsmodel.study.reference import nonuniqueness_reason
+from nsmodel.study.reference import RunAtRows, make_row_stepper, nonuniqueness_reason
+from nsmodel.study.reference_steps import formula_residuals
+from nsmodel.study.stress import RIGHT, STOPPED
 
 T = input_scenes.T
 UNITS = pytest.mark.parametrize(("u", "tau"), [(1e-9, 1e9), (3.0, 1e-9), (1.0, 7.0)])
@@ -199,7 +198,7 @@ def test_a_step_from_a_row_leads_to_the_next_row(name):
 
 @pytest.fixture
 def few_cells(monkeypatch):
-    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "STEP_FACTORS", (1.0, 10.0))
+    monkeypatch.setattr(sys.modules["nsmodel.study.stress"], "STEP_FACTORS", (1.0, 10.0))
 
 
 @pytest.mark.usefixtures("few_cells")

@@ -29,7 +29,7 @@ from nsmodel import (
     simulate,
     sweep,
 )
-from nsmodel.sweep import engine, work
+from nsmodel.sweep import executor
 
 RNG = np.random.default_rng(5)
 SAMPLES = {"a": RNG.uniform(0.3, 0.6, 7), "k": RNG.uniform(0.8, 1.2, 7), "x0": RNG.uniform(0.6, 2, 7)}
@@ -246,10 +246,10 @@ def swept(folder=None, **options):
 
 def test_equal_sweeps_are_equal_bytes(tmp_path, monkeypatch):
     whole = swept(tmp_path / "a")
-    monkeypatch.setattr(work, "TARGET_CHUNK_SECONDS", 1e-9)
+    monkeypatch.setattr(executor, "TARGET_CHUNK_SECONDS", 1e-9)
     swept(tmp_path / "b", workers=3)
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b")
-    monkeypatch.setattr(work, "TARGET_CHUNK_SECONDS", 1e-3)
+    monkeypatch.setattr(executor, "TARGET_CHUNK_SECONDS", 1e-3)
     with pytest.raises(SweepInterrupted) as stop:
         interrupted_after(monkeypatch, 2, lambda: swept(tmp_path / "c"))
     assert 0 < (stop.value.result.status == 0).sum() < 36
@@ -282,14 +282,14 @@ def interrupted_after(monkeypatch, chunks, action):
 
     with monkeypatch.context() as patch:
         patch.setattr(SweepStore, "put", counting)
-        patch.setattr(work, "TARGET_CHUNK_SECONDS", 1e-9)
+        patch.setattr(executor, "TARGET_CHUNK_SECONDS", 1e-9)
         return action()
 
 
 def test_resuming_a_whole_sweep_runs_nothing(tmp_path, monkeypatch):
     swept(tmp_path / "a")
     before = (tmp_path / "a" / "sweep.npz").read_bytes()
-    monkeypatch.setattr(engine, "run_chunk", None)
+    monkeypatch.setattr(executor, "run_chunk", None)
     found = swept(tmp_path / "a", resume=True)
     assert (found.status == 0).all()
     assert (tmp_path / "a" / "sweep.npz").read_bytes() == before
@@ -360,7 +360,7 @@ def test_a_killed_sweep_goes_on(tmp_path):
         import sys; sys.path.insert(0, {str(REPOSITORY / "tests")!r})
         from sweep_models import friction
         import numpy as np, nsmodel
-        from nsmodel.sweep import work
+        from nsmodel.sweep import executor as work
         work.TARGET_CHUNK_SECONDS = 0.01
         if __name__ == "__main__":
             nsmodel.sweep(friction(t_end=1.0), grid={{"k": np.linspace(0.8, 1.2, 60)}}, outputs={{"end": "x_1[-1]"}},

@@ -14,7 +14,7 @@ from conftest import REPOSITORY
 from sweep_models import friction, with_stop
 
 from nsmodel import UsageError, sweep
-from nsmodel.sweep import work
+from nsmodel.sweep import executor
 
 GRID = {"k": np.linspace(0.8, 1.2, 24)}
 
@@ -77,7 +77,7 @@ def test_a_worker_that_dies_costs_nothing(tmp_path, monkeypatch, alone):
 
 
 def test_a_cell_that_kills_its_workers_is_a_failed_cell(monkeypatch, alone):
-    monkeypatch.setattr(work, "TARGET_CHUNK_SECONDS", 1.0)
+    monkeypatch.setattr(executor, "TARGET_CHUNK_SECONDS", 1.0)
     found = swept(workers=2, outputs={"end": deadly})
     np.testing.assert_array_equal(found.status, [0] * 23 + [1])
     np.testing.assert_array_equal(found["end"].values[:23], alone["end"].values[:23])

@@ -22,12 +22,12 @@ from nsmodel import (
     simulate,
 )  # fmt: skip
 from nsmodel.codegen.library import compiler
-from nsmodel.grid import make_grid
-from nsmodel.identity import fingerprint
-from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.known import SwitchTimes
-from nsmodel.run.event_driven import event_driven_problem
-from nsmodel.simulate import explain
+from nsmodel.event_driven.integrator import Integrator
+from nsmodel.event_driven.problem import SwitchTimes
+from nsmodel.modeling.fingerprint import fingerprint
+from nsmodel.modeling.time_grid import make_grid
+from nsmodel.simulation.event_driven import event_driven_problem
+from nsmodel.simulation.simulate import explain
 
 WAYS = [False, *([True] if compiler() else [])]
 t, x, q, s = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("q"), ca.SX.sym("s")

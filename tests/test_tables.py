@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nsmodel import FrictionOscillator, MonotoneInclusion, SweepingProcess, check, simulate
-from nsmodel.model.tables import expand_tables, read_table, table_expression
+from nsmodel.modeling.expressions import expand_tables, read_table, table_expression
 
 POINTS, VALUES = [-2.0, -1.0, 0.0, 1.0, 2.0], [4.0, 1.0, 0.0, 1.0, 4.0]
 LUT = ca.interpolant("lut", "linear", [POINTS], VALUES)

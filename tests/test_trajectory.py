@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
-from nsmodel.archive import write_npz
-from nsmodel.columns import multiplier_names, state_names, units_of
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
-from nsmodel.trajectory import Trajectory
+from nsmodel.files.archive import write_npz
+from nsmodel.modeling.columns import multiplier_names, state_names, units_of
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def make_run(n=10, **metadata):

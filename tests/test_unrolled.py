@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import nsmodel
-from nsmodel.pieces import multipliers, series
-from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.noted import TooManyOperations, TracingTape
-from nsmodel.run.event_driven import event_driven_problem
+from nsmodel.event_driven import multipliers, recurrences
+from nsmodel.event_driven.integrator import Integrator
+from nsmodel.event_driven.mode_series import TooManyOperations, TracingTape
+from nsmodel.simulation.event_driven import event_driven_problem
 
 CASES = Path(__file__).resolve().parents[1] / "cases"
 NAMES = (
@@ -47,7 +47,7 @@ def rows(system, orders: int, how) -> list[list[float]]:
 @pytest.fixture(name="plain_sums")
 def make_plain_sums(monkeypatch):
     """Additions one after the other: from Python 3.12 on ``sum`` makes up for the rounding of floats."""
-    for module in (series, multipliers):
+    for module in (recurrences, multipliers):
         monkeypatch.setattr(module, "sum", lambda values: functools.reduce(operator.add, values, 0), raising=False)
 
 

@@ -10,9 +10,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 
+from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study import Study
 from nsmodel.study.lines import Line, Point
-from nsmodel.trajectory import Trajectory
 
 HOSTILE = 'a</script><b>bold</b><!--<img src=x onerror="alert(1)">&amp;\u202e\x1b'
 

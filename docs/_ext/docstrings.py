@@ -1,7 +1,7 @@
 """Docstrings are plain text: paragraphs, sections (Args:, Attributes:, Raises:), `names` and ``code`` between backticks.
 
 Here they become reStructuredText that shows them so, names of the package being links. What annotations call by the module that
-defines it (nsmodel.trajectory.Trajectory) is found under its public name.
+defines it (nsmodel.simulation.trajectory.Trajectory) is found under its public name.
 """
 
 from __future__ import annotations

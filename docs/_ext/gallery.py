@@ -10,7 +10,7 @@ from as_markdown import fenced, plain, prose, relative, table
 from runs import Job, Made, forget, made
 from sphinx.util.display import status_iterator
 
-from nsmodel.shelf import TOPICS, Case, all_cases
+from nsmodel.modeling.model_files import TOPICS, Case, all_cases
 
 OTHERS = "more"
 INTRODUCTION = """# Gallery

@@ -24,7 +24,7 @@ from scipy.optimize import brentq
 import nsmodel
 from nsmodel import FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, relay, second_order_cone, simulate
 from nsmodel.codegen.library import compiler
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))

@@ -19,7 +19,7 @@ from page import put, save
 import nsmodel
 from nsmodel import LureSystem, relay
 from nsmodel.plot.style import LINES, blank, dress
-from nsmodel.simulate import prepare
+from nsmodel.simulation.simulate import prepare
 from nsmodel.study import Line, Point
 
 ROOT = Path(__file__).resolve().parents[2]

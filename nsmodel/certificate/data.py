@@ -12,8 +12,8 @@ import numpy as np
 from nsmodel.certificate.graph import UnsupportedOperation, exact_matrix_text, exact_number_text, straight_line_program
 from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses.findings import Finding
-from nsmodel.laws import Law
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.laws import Law
 
 Data = dict[str, Any]
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.graph import fold_graph
+from nsmodel.proof.expression_graph import fold_graph
 
 ProgramGraph = dict[str, Any]
 

@@ -14,11 +14,11 @@ from nsmodel.certificate.graph import UnsupportedOperation, exact_number_text
 from nsmodel.certificate.hints import ROUNDING_ALLOWANCES, CoverTooLarge, UnprovedFinding, stated_values, verify_with_covers
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
+from nsmodel.files.storage import replace_atomically
 from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, Finding
 from nsmodel.hypotheses.moving_law import freeze_law
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Scope
-from nsmodel.storage import replace_atomically
 
 CERTIFICATE_FORMAT = 2
 

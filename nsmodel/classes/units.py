@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
-from nsmodel.laws import Law
-from nsmodel.model.base import Model
-from nsmodel.model.convex import ConvexSplit
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.convex_split import ConvexSplit
+from nsmodel.modeling.laws import Law
 
 
 def in_units(model: Model, u: float, tau: float) -> Model:

@@ -7,6 +7,7 @@ import io
 import sys
 from collections.abc import Sequence
 
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli import cases, check, codegen, completion, new, run, stress, study, sweep, view
 from nsmodel.cli.output import reserve_stdout
 from nsmodel.cli.parser import CommandParser
@@ -14,7 +15,6 @@ from nsmodel.cli.signals import handled_signals, signal_exit_status
 from nsmodel.cli.status import EXIT_DONE, close_stdout, report_refusal
 from nsmodel.errors import NsmodelError
 from nsmodel.version import VERSION
-from nsmodel.words import print_escaped as print
 
 
 def main(argv: Sequence[str] | None = None) -> int:

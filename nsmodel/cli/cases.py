@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from nsmodel import shelf
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands
 from nsmodel.cli.status import EXIT_DONE
-from nsmodel.shelf import TOPICS, Case
-from nsmodel.words import print_escaped as print
+from nsmodel.modeling import model_files
+from nsmodel.modeling.model_files import TOPICS, Case
 
 
 def add(commands: Commands) -> None:
@@ -29,11 +29,11 @@ def add(commands: Commands) -> None:
 def _print_cases(arguments: argparse.Namespace) -> int:
     """Print all cases, or one."""
     if arguments.name is None or arguments.name in TOPICS:
-        found = [case for case in shelf.all_cases() if arguments.name in (None, case.topic)]
+        found = [case for case in model_files.all_cases() if arguments.name in (None, case.topic)]
         document: Any = [_case_document(case) for case in found]
         text = _list_by_topic(found)
     else:
-        case = shelf.find_case(arguments.name)
+        case = model_files.find_case(arguments.name)
         document, text = _case_document(case), _describe_case(case)
     if arguments.json:
         print_json(arguments, document)

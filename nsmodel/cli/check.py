@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands, add_files, add_set, load_model, output_path, parse_setting, unique_by_name
 from nsmodel.cli.status import EXIT_AT_FAULT, EXIT_DONE, report_refusal
 from nsmodel.errors import NsmodelError, UsageError
+from nsmodel.files.storage import write_text
 from nsmodel.hypotheses.findings import VIOLATED
 from nsmodel.hypotheses.report.report import Report
-from nsmodel.signals import Within, within
-from nsmodel.storage import write_text
-from nsmodel.words import print_escaped as print
+from nsmodel.modeling.signals import Within, within
 
 BOUND_OPTIONS = ("rate", "start")
 

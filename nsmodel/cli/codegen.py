@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from nsmodel._utils import DEFAULT_TOLERANCE
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.settings import TOLERANCE_HELP, Commands, add_file, add_set, load_model, output_path
 from nsmodel.cli.status import EXIT_DONE
-from nsmodel.defaults import DEFAULT_TOLERANCE
-from nsmodel.words import print_escaped as print
 
 
 def add(commands: Commands) -> None:

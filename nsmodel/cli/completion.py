@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from nsmodel import shelf
 from nsmodel.cli.settings import Commands
 from nsmodel.cli.status import EXIT_DONE
-from nsmodel.solve.choose import STEP_SOLVERS
+from nsmodel.modeling import model_files
+from nsmodel.solvers.plan import STEP_SOLVERS
 
 DESCRIPTION = """Print a script for a shell. Written once, and again after an upgrade:
 
@@ -97,7 +97,7 @@ def _bash_script(known: dict[str, list[CommandArgument]], shell: str) -> str:
                 files = " files=1" if one.value == "FILE" else ""
                 others.append(f'{SCRIPT_INDENT}    "{command} "*) words="{_choices_text(one)}"{files} ;;')
     return BASH_SCRIPT.format(
-        shell=shell, before=SCRIPT_PREAMBLES[shell], cases=" ".join(shelf.case_files()), commands=" ".join(known),
+        shell=shell, before=SCRIPT_PREAMBLES[shell], cases=" ".join(model_files.case_files()), commands=" ".join(known),
         values="\n".join(values), others="\n".join(others),
     )  # fmt: skip
 
@@ -112,7 +112,7 @@ def _choices_text(one: CommandArgument) -> str:
 
 
 def _fish_script(known: dict[str, list[CommandArgument]], about: dict[str, str]) -> str:
-    lines = ["# Completes nsmodel; written by: nsmodel completion fish", f"set -l cases {' '.join(shelf.case_files())}"]
+    lines = ["# Completes nsmodel; written by: nsmodel completion fish", f"set -l cases {' '.join(model_files.case_files())}"]
     for command, arguments in known.items():
         lines.append(f"complete -c nsmodel -n __fish_use_subcommand -f -a {command} -d {_fish_quoted(about.get(command, ''))}")
         for one in arguments:

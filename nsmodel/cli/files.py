@@ -6,10 +6,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from nsmodel._utils import print_escaped as print
 from nsmodel.errors import PlotError, UsageError
-from nsmodel.model.base import Model
-from nsmodel.trajectory import Trajectory
-from nsmodel.words import print_escaped as print
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def parse_window(text: str | None) -> tuple[float | None, float | None] | None:

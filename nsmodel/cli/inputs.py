@@ -12,7 +12,7 @@ import numpy as np
 
 from nsmodel.cli.settings import unique_by_name
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.signals import Signal, table
+from nsmodel.modeling.signals import Signal, table
 
 INPUT_OPTIONS = ("kind", "after", "period")
 

@@ -7,12 +7,12 @@ import re
 import sys
 from pathlib import Path
 
-from nsmodel import shelf
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.settings import Commands
 from nsmodel.cli.status import EXIT_DONE
 from nsmodel.errors import UsageError
-from nsmodel.storage import write_text
-from nsmodel.words import print_escaped as print
+from nsmodel.files.storage import write_text
+from nsmodel.modeling import model_files
 
 MODEL_TEMPLATE = '''
 """A mass on a spring with dry friction: one line that says what the model is.
@@ -77,7 +77,7 @@ def _write_new_model(arguments: argparse.Namespace) -> int:
     if arguments.like is None:
         text, what = MODEL_TEMPLATE.replace("NAME", name), "a mass on a spring with dry friction"
     else:
-        case = shelf.find_case(arguments.like)
+        case = model_files.find_case(arguments.like)
         text, what = case.path.read_text(encoding="utf-8"), f"a copy of {case.name}"
     write_text(path, text.rstrip("\n"))
     print(f"{path}: {what}\n\n    nsmodel run {path} --plot\n    nsmodel check {path}")

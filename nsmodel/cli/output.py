@@ -8,8 +8,8 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from nsmodel.storage import dumps
-from nsmodel.words import print_escaped as print
+from nsmodel._utils import print_escaped as print
+from nsmodel.files.storage import dumps
 
 
 @contextlib.contextmanager

@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nsmodel._utils import DEFAULT_TOLERANCE
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.files import (
     check_film_possible,
     check_window_start,
@@ -24,17 +26,15 @@ from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import TOLERANCE_HELP, Commands, add_files, add_set, load_model, output_path
 from nsmodel.cli.signals import EXIT_INTERRUPTED, EXIT_TERMINATED, ignore_signals
 from nsmodel.cli.status import EXIT_DONE, EXIT_FAILED_STEP, EXIT_USAGE, close_stdout, report_refusal
-from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import NsmodelError, StepError, StorageError, UsageError
-from nsmodel.lock import hold_folder
-from nsmodel.model.base import Model
-from nsmodel.run.loop import RunInterrupted
-from nsmodel.run.options import CERTIFY_CHOICES, METHODS
-from nsmodel.simulate import explain, simulate
-from nsmodel.solve.choose import STEP_SOLVERS
-from nsmodel.storage import FORMAT_STAMP, check_writable, write_json
-from nsmodel.trajectory import Trajectory
-from nsmodel.words import print_escaped as print
+from nsmodel.files.storage import FORMAT_STAMP, check_writable, write_json
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.loop import RunInterrupted
+from nsmodel.simulation.options import CERTIFY_CHOICES, METHODS
+from nsmodel.simulation.run_folder import hold_folder
+from nsmodel.simulation.simulate import explain, simulate
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers.plan import STEP_SOLVERS
 
 
 def add(commands: Commands) -> None:

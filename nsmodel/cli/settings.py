@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from nsmodel import shelf
-from nsmodel.defaults import DEFAULT_TOLERANCE
+from nsmodel._utils import DEFAULT_TOLERANCE
+from nsmodel._utils import print_escaped as print
 from nsmodel.errors import UsageError
-from nsmodel.loader import load_with_values
-from nsmodel.model.base import Model
-from nsmodel.words import print_escaped as print
+from nsmodel.modeling import model_files
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.model_files import load_with_values
 
 T = TypeVar("T")
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -41,9 +41,9 @@ def add_files(parser: argparse.ArgumentParser) -> None:
 
 def _model_file(text: str) -> str:
     """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
-    if note := shelf.shadowed_case_note(text):
+    if note := model_files.shadowed_case_note(text):
         print(f"nsmodel: note: {note}", file=sys.stderr)
-    return text if (path := shelf.case_or_file_path(text)) == Path(text) else str(path)
+    return text if (path := model_files.case_or_file_path(text)) == Path(text) else str(path)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

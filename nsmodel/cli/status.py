@@ -6,8 +6,8 @@ import errno
 import os
 import sys
 
+from nsmodel._utils import print_escaped as print
 from nsmodel.errors import CodegenError, ModelError, NsmodelError, StorageError
-from nsmodel.words import print_escaped as print
 
 EXIT_DONE, EXIT_AT_FAULT, EXIT_USAGE, EXIT_FAILED_STEP, EXIT_REFUSED = 0, 1, 2, 3, 4
 

@@ -6,15 +6,15 @@ import argparse
 from itertools import product
 from pathlib import Path
 
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands, add_file, add_set, output_path, parse_number, parse_setting, unique_by_name
 from nsmodel.cli.status import EXIT_AT_FAULT, EXIT_DONE
 from nsmodel.errors import UsageError
-from nsmodel.loader import load_with_values
-from nsmodel.model.driven import with_inputs
-from nsmodel.storage import write_json, write_text
-from nsmodel.words import print_escaped as print
+from nsmodel.files.storage import write_json, write_text
+from nsmodel.modeling.model_files import load_with_values
+from nsmodel.modeling.variants import with_inputs
 
 
 def add(commands: Commands) -> None:
@@ -39,7 +39,7 @@ def add(commands: Commands) -> None:
 
 def _run_stress(arguments: argparse.Namespace) -> int:
     """Push a file's model, for each combination of the values given with --vary; the status says whether a cell is wrong."""
-    from nsmodel.stress import stress_variants
+    from nsmodel.study.stress import stress_variants
 
     given, vary = (
         unique_by_name(map(parse_setting, arguments.set), "--set"),

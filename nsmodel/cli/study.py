@@ -6,14 +6,14 @@ import argparse
 import sys
 from pathlib import Path
 
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands, add_file, add_set, load_model, output_path
 from nsmodel.cli.signals import ignore_signals, signal_exit_status
 from nsmodel.cli.status import EXIT_DONE
 from nsmodel.errors import UsageError
-from nsmodel.storage import write_json, write_text
-from nsmodel.words import print_escaped as print
+from nsmodel.files.storage import write_json, write_text
 
 
 def add(commands: Commands) -> None:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel._utils import DEFAULT_TOLERANCE
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.inputs import add_input, parse_inputs
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import (
@@ -25,13 +27,11 @@ from nsmodel.cli.settings import (
 )
 from nsmodel.cli.signals import ignore_signals
 from nsmodel.cli.status import EXIT_DONE, EXIT_FAILED_STEP
-from nsmodel.defaults import DEFAULT_TOLERANCE
 from nsmodel.errors import UsageError
-from nsmodel.loader import load_with_values
-from nsmodel.run.options import METHODS
-from nsmodel.storage import check_writable
+from nsmodel.files.storage import check_writable
+from nsmodel.modeling.model_files import load_with_values
+from nsmodel.simulation.options import METHODS
 from nsmodel.sweep.design import MIN_CELL_BYTES, check_memory
-from nsmodel.words import print_escaped as print
 
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
@@ -170,13 +170,13 @@ def _report_sweep(arguments: argparse.Namespace, found: Sweep) -> None:
 
 def _cell_rows(found: Sweep) -> str:
     """What varies and the outputs of the first cells, a row each; "" where an output is no number."""
-    from nsmodel.sweep import dataset
-    from nsmodel.sweep.asked import CELL_FACTS, EVENT_DRIVEN_FACTS
+    from nsmodel.sweep import result
+    from nsmodel.sweep.request import CELL_FACTS, EVENT_DRIVEN_FACTS
 
     if not found.metadata["outputs"] or any(found.cells[name].ndim > 1 for name in found.metadata["outputs"]):
         return ""
     hidden = {"cell", "message", "way", *CELL_FACTS, *EVENT_DRIVEN_FACTS} - ({"status"} if found.failures else set())
-    table = dataset.cell_table(found).items()
+    table = result.cell_table(found).items()
     columns = {name: [_format_entry(one) for one in values[:MAX_PRINTED_CELLS]] for name, values in table if name not in hidden}
     widths = {name: max(len(name), *map(len, texts)) for name, texts in columns.items()}
     rows = zip(*([name, *texts] for name, texts in columns.items()), strict=True)

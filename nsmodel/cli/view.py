@@ -7,12 +7,12 @@ import sys
 import warnings
 from pathlib import Path
 
-from nsmodel import shelf
+from nsmodel._utils import print_escaped as print
 from nsmodel.cli.settings import Commands, output_path
 from nsmodel.cli.status import EXIT_DONE
 from nsmodel.errors import UnverifiedWarning, UsageError
-from nsmodel.trajectory import Trajectory
-from nsmodel.words import print_escaped as print
+from nsmodel.modeling import model_files
+from nsmodel.simulation.trajectory import Trajectory
 
 RUN_FILE = "trajectory.npz"  # In the folder of a run.
 
@@ -31,7 +31,7 @@ def add(commands: Commands) -> None:
 
 def _no_run_hint(given: Path) -> str:
     """What to do where no run was kept."""
-    if shelf.case_or_file_path(given).suffix == ".py":
+    if model_files.case_or_file_path(given).suffix == ".py":
         return f"{given} is a model file: run it first, nsmodel run {given} --out DIR, and then nsmodel view DIR"
     return f"there is no run in '{given}': runs are kept by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 

@@ -11,23 +11,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.codegen import bodies, pieces
-from nsmodel.codegen.bounds import MAX_WORK
-from nsmodel.codegen.files import library_description, step_library_files
-from nsmodel.codegen.fixed import MAX_LENGTHS, step_matrices
-from nsmodel.codegen.library import Library, is_library, load
-from nsmodel.codegen.scene import make_step_spec
-from nsmodel.codegen.solver import Solver
+from nsmodel.codegen import bodies, event_driven_source
+from nsmodel.codegen.constant_steps import MAX_LENGTHS, step_matrices
+from nsmodel.codegen.export import library_description, step_library_files
+from nsmodel.codegen.features import MAX_WORK
+from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.source import LibrarySource, write_source
-from nsmodel.defaults import DEFAULT_TOLERANCE
+from nsmodel.codegen.step_spec import make_step_spec
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import TimeGrid, check_times, check_tolerance, format_value, make_grid
-from nsmodel.identity import fingerprint
-from nsmodel.model.base import Model
-from nsmodel.model.driven import with_inputs
-from nsmodel.model.parameters import Values
-from nsmodel.storage import write_text
+from nsmodel.files.storage import write_text
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.fingerprint import fingerprint
+from nsmodel.modeling.parameters import Values
+from nsmodel.modeling.time_grid import TimeGrid, check_times, check_tolerance, format_value, make_grid
+from nsmodel.modeling.variants import with_inputs
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
@@ -144,7 +143,7 @@ def write(
             )
         files, about = step_library_files(spec, source, grid, mark), library_description(spec, source, mark)
         if event_driven:
-            files |= pieces.piece_library_files(spec.model, spec.parameters, name)
+            files |= event_driven_source.piece_library_files(spec.model, spec.parameters, name)
     folder = _check_folder(Path(out), name, files)
     for file, text in files.items():
         write_text(folder / file, text.rstrip())

@@ -11,17 +11,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import inclusion, lanes, structs
-from nsmodel.codegen.all_values import spec_for_all_values
+from nsmodel.codegen import simd_batch, structs, varying_steps
 from nsmodel.codegen.rollout import CALL_SECONDS, library_for_all
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, STATUSES
+from nsmodel.codegen.step_spec import spec_for_all_values
+from nsmodel.codegen.structs import BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, STATUSES
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import TimeGrid
-from nsmodel.hypotheses.quick import admitted
-from nsmodel.model.base import Model
-from nsmodel.model.driven import initial_inputs
-from nsmodel.record import INNER_COLUMNS, UNSET_INDEX, VECTOR_COLUMNS
-from nsmodel.scheme import symbolic_initial_rows
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.time_grid import TimeGrid
+from nsmodel.modeling.variants import initial_inputs
+from nsmodel.solvers.initial_checks import admitted
+from nsmodel.solvers.one_step_problem import symbolic_initial_rows
+from nsmodel.solvers.step import INNER_COLUMNS, UNSET_INDEX, VECTOR_COLUMNS
 
 TO_DO = -1  # The status of a cell that was not reached.
 ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned.
@@ -73,8 +73,8 @@ class StepBatch:
         """Build or load the library; ``in_lanes``: many runs in step, where the model has that."""
         self.names, self._grid, self._model = tuple(model.parameters), grid, model
         self._spec = spec_for_all_values(model, grid, tolerance)
-        self._layout = inclusion.packed_layout(self._spec)
-        in_lanes = in_lanes and grid.steps is None and not lanes.lanes_obstacle(self._spec)
+        self._layout = varying_steps.packed_layout(self._spec)
+        in_lanes = in_lanes and grid.steps is None and not simd_batch.lanes_obstacle(self._spec)
         try:
             library, self.way = library_for_all(model, grid, tolerance, in_lanes=in_lanes)
         except CodegenError:  # a compiler without what lanes ask for

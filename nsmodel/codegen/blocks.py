@@ -7,13 +7,11 @@ from typing import Any
 
 import casadi as ca
 
-from nsmodel.codegen.expression import c_function_text, c_number
+from nsmodel.codegen.expressions import c_function_text, c_number, c_table, looped_c_function
 from nsmodel.codegen.fragments import comment_text
-from nsmodel.codegen.loops import looped_c_function
-from nsmodel.codegen.places import InputRoles
-from nsmodel.codegen.tables import c_table
-from nsmodel.model.blocks import ModelBlock
-from nsmodel.signals.pwm import PWM_KINDS
+from nsmodel.codegen.step_spec import InputRoles
+from nsmodel.modeling.blocks import ModelBlock
+from nsmodel.modeling.signals.pwm import PWM_KINDS
 
 TICK_ARGUMENTS = "const model_solver *s", "const double *u", "double *restrict w"
 

@@ -12,14 +12,14 @@ import numpy as np
 from nsmodel.classes.bodies.groups import Family
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BODIES_SCHEME, BodiesProblem, uses_neighbour_search
-from nsmodel.codegen import constants, statuses, structs
-from nsmodel.codegen.bounds import MAX_WORK
-from nsmodel.codegen.expression import c_function
+from nsmodel.codegen import fragments, structs
+from nsmodel.codegen import structs as statuses
+from nsmodel.codegen.expressions import c_function, c_table
+from nsmodel.codegen.features import MAX_WORK
 from nsmodel.codegen.fragments import comment_text, compiler_guard, prefix_names, prune_unused, read_fragment
-from nsmodel.codegen.tables import c_table
 from nsmodel.errors import CodegenError
-from nsmodel.grid import TimeGrid
-from nsmodel.identity import versions
+from nsmodel.modeling.fingerprint import versions
+from nsmodel.modeling.time_grid import TimeGrid
 
 BODIES_FRAGMENTS = ("block_ldl.c", "group.c", "bodies.c")
 MAX_BODIES = 20_000  # Bodies whose numbers are written into a library.
@@ -42,7 +42,7 @@ def solver_source(d: int) -> str:
             HEADERS,
             "#include <time.h>\n",
             compiler_guard().replace("static int", "int"),
-            f"#define DIM {d}\n{constants.bodies_defines()}",
+            f"#define DIM {d}\n{fragments.bodies_defines()}",
             statuses.status_enum(),
             *parts,
         ]
@@ -60,7 +60,7 @@ def library_source(model: ManyBodies, name: str) -> str:
     """All of the C of a bound model's library."""
     text = [
         f'#include "{name}.h"\n\n{HEADERS}', compiler_guard(), f"#define DIM {model.bodies.d} /* states of a body */\n",
-        constants.bodies_defines(), *_bodies_fragments(), _model_functions(model), _model_tables(model),
+        fragments.bodies_defines(), *_bodies_fragments(), _model_functions(model), _model_tables(model),
         read_fragment("bodies_api.c", frozenset(), {"STATUS_CASES": statuses.status_cases()}),
     ]  # fmt: skip
     return prefix_names(prune_unused("\n".join(text)), name)

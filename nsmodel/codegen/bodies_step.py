@@ -11,16 +11,15 @@ import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, uses_neighbour_search
-from nsmodel.codegen import cache, structs
+from nsmodel.codegen import library, structs
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
-from nsmodel.codegen.bounds import MAX_WORK
-from nsmodel.codegen.cache import cached_library, library_key
+from nsmodel.codegen.features import MAX_WORK
 from nsmodel.codegen.library import COMPILER_FLAGS as PORTABLE
-from nsmodel.codegen.library import NATIVE_FLAGS, MappedLibrary, compiler, no_compiler_error
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, NO_ROOM, STATUSES
+from nsmodel.codegen.library import NATIVE_FLAGS, MappedLibrary, cached_library, compiler, library_key, no_compiler_error
+from nsmodel.codegen.structs import BAD_ARITHMETIC, NO_ROOM, STATUSES
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepResult, BodiesWarmStart, Contacts
-from nsmodel.solve.near import least_gap
+from nsmodel.solvers.contact_search import least_gap
+from nsmodel.solvers.contact_solver import COLD_BODIES_START, BodiesStepResult, BodiesWarmStart, Contacts
 
 BODIES_FLAGS = (*("-O3" if flag == "-O2" else flag for flag in PORTABLE), *NATIVE_FLAGS)
 
@@ -57,14 +56,14 @@ def is_model_code_cached(model: ManyBodies) -> bool:
 
 def _is_source_cached(text: str) -> bool:
     by = compiler()
-    return by is not None and cache.has_cached_library(_source_key(text, by))
+    return by is not None and library.has_cached_library(_source_key(text, by))
 
 
 MotionStruct, ReportStruct = structs.BODIES_MOTION.ctypes_structure(), structs.TIMED_BODIES_REPORT.ctypes_structure()
 
 
 class CompiledBodiesStep:
-    """A step of many bodies in C: what `solve.many_bodies.BodiesStepper` is in Python.
+    """A step of many bodies in C: what `solvers.contact_solver.BodiesStepper` is in Python.
 
     Attributes:
         way: by what it was compiled.

@@ -1,13 +1,20 @@
-"""The parts of the C library that are the same for all models: files in ``c/``, written for a model called "model"."""
+"""The parts of the C library that are the same for all models: files in ``c/``, written for a model called "model".
+
+The numbers that Python and C share: each stands in the module whose algorithm it belongs to, and is printed from there.
+"""
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections import Counter
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 
-from nsmodel.words import one_line
+from nsmodel._utils import one_line
+from nsmodel.codegen.expressions import c_number
 
 C_FOLDER = Path(__file__).with_name("c")
 
@@ -90,3 +97,107 @@ def _prune_definitions(text: str) -> str:
             return re.sub(r"\n{3,}", "\n\n", text)
         for match in sorted(unused, key=lambda match: -match.start()):
             text = text[: match.start()] + text[match.end() :]
+
+
+STEP_CONSTANTS: Sequence[tuple[str, str]] = (
+    ("modeling.time_grid", "SAME_STEP_TOLERANCE:SAME"),
+    ("modeling.signals.base", "NEAR_TOLERANCE:NEAR"),
+    ("solvers.residuals", "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH CLEAR STRICTER"),
+    ("solvers.rounding_errors", "PROBES FRAGILE WORTH INSIDE SUM_ERROR SPREAD MIXED STIRRED"),
+    (
+        "solvers.active_set",
+        "MAX_INDEX_SETS:MOST_INDEX_SETS PRIMAL_DUAL_SWEEPS CANCELLED EQUILIBRATIONS NOUGHT "
+        "REGULARISED PIVOTS_EACH PIVOTS_MORE GONE PREFERRED PIVOT_ERROR MIN_PIVOT:LEAST_PIVOT TIED "
+        "RANK POLISHED",
+    ),
+    ("solvers.mlcp", "SEMISMOOTH_ITERATIONS GAUSS_SEIDEL_SWEEPS SWEPT CONVERGED ACCEPTED ARMIJO MIN_DAMPED_STEP:LEAST_STEP"),
+    ("solvers.constant_matrices", "ILL_CONDITIONED"),
+    ("solvers.linearisation", "NEWTON_ITERATIONS REFINEMENTS HALVINGS EARLY"),
+    ("solvers.linearisation", "ENOUGH"),
+    ("solvers.newton", "GAIN EXTRA_ROW_OPERATIONS:BESIDE"),
+    ("solvers.time_stepper", "NEARBY_SETS"),
+    ("solvers.sparse", "PIVOTED_SETS PATIENCE SHIFT"),
+    ("solvers.sparse", "SINGULAR_PIVOT"),
+    ("solvers.structure", "MONOTONE_ERROR"),
+    ("solvers.catching_up", "USED CUT_ITERATIONS CUT_TOLERANCE ACTS BISECTIONS"),
+    ("modeling.laws.ellipsoid", "MULTIPLIER_ITERATIONS"),
+    ("codegen.features", "AFFINE_ITERATIONS FRAGILE_REFINEMENTS"),
+    ("codegen.structs", "READY"),
+)
+BODIES_CONSTANTS: Sequence[tuple[str, str]] = (
+    ("solvers.residuals", "REACH"),
+    ("solvers.contact_search", "FARTHER"),
+    ("codegen.structs", "READY"),
+)
+PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
+    (
+        "event_driven.integrator",
+        "MIN_RTOL:LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT MAX_UNDECIDED_MOTION:TOLD HARDLY",
+    ),
+    ("event_driven.piece_bounds", "SHORTENINGS CAUTION"),
+    ("event_driven.problem", "SAME_TIME"),
+    ("event_driven.piece", "TINY_PIECES TINY MANY FASTER SPACINGS"),
+    (
+        "event_driven.modes",
+        "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER MAX_NUDGES:LATER ULP MAX_NUDGE:MOST_CREEP FEW GERM_DIFFERENCE:APART",
+    ),
+    ("event_driven.state_updates", "PROJECTIONS"),
+    ("event_driven.modes", "TIE"),
+    ("event_driven.bernstein", "NONE NARROW ITERATIONS EXACT"),
+    ("event_driven.event_location", "POLISHING POLISHED ON_ONE TAIL LOST DIP STEEP INSTANT MIN_PART:LEAST_PART"),
+    ("event_driven.event_location", "ALMOST CLOSER WIDER MAX_DISCS:MOST_DISCS MAX_MULTIPLICITY:MOST_MULTIPLE DEGREE NEAR"),
+    ("event_driven.step_size", "BEYOND LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL"),
+    ("event_driven.step_size", "POINT SEEN SEEN_ROW"),
+    ("event_driven.disc_arithmetic", "MAX_EXPONENT:MOST_EXPONENT PRODUCT_ROUNDINGS FUNCTION_ROUNDINGS"),
+    ("event_driven.recurrences", "TWO_OVER_ROOT_PI"),
+    (
+        "event_driven.piece_bounds",
+        "RADIUS_OF_BALL WIDE_RADIUS CLOSE_RADIUS PROVED NEARLY SHRINKINGS SLOWLY QUICKLY AT_REST "
+        "CANCELLED AS_NOW MAX_STILL_PIECES:MOST_STILL CAPS CAP_OCTAVES FAR GROWS",
+    ),
+    ("event_driven.piece", "NEAR_0 STEEPER"),
+    ("event_driven.collocation", "SMALLEST COVER_RADIUS COVER_DEGREE"),
+    ("event_driven.multipliers", "ROUNDING NEGLIGIBLE"),
+    ("event_driven.multipliers", "SINGULAR MAX_MINOR_ROWS:MOST_MINORS BALANCING NOTHING SHORT"),
+    ("event_driven.system", "NEWTON NEWTON_CONVERGED:SETTLED HELD_ORDERS LITTLE RESTS AT_ZERO"),
+    ("event_driven.system", "STAYS"),
+    ("event_driven.radau", "WORTH STAY SMOOTH INSIDE OCTAVES_MORE SAFE ENDINGS ENDED MOVED MAX_WAIT_OCTAVES:MOST_WAIT"),
+    ("event_driven.radau", "STAGE_ITERATIONS STAGE_CONVERGED:STAGE_SETTLED SLOW STAGE_NEAR STAGE_ROUNDING ORDERS_OF_TWO"),
+    ("codegen.structs", "READY"),
+)
+
+
+def step_defines() -> str:
+    """What a step uses, as lines of C; ``fragments.prune_unused`` leaves out what a scene does not."""
+    return _define_lines(STEP_CONSTANTS)
+
+
+def bodies_defines() -> str:
+    """What the step of many bodies uses."""
+    return _define_lines(BODIES_CONSTANTS)
+
+
+def piece_defines() -> str:
+    """What event-driven integration uses."""
+    return _define_lines(PIECE_CONSTANTS)
+
+
+def _define_lines(table: Sequence[tuple[str, str]]) -> str:
+    return "".join(define_line(module, name) for module, names in table for name in names.split())
+
+
+@cache
+def define_line(module: str, constant: str) -> str:
+    """``#define name value``, with the comment that the constant has in its module; ``constant`` is NAME, or NAME:NAME_IN_C."""
+    name, _, in_c = constant.partition(":")
+    owner = import_module(f"nsmodel.{module}")
+    value = getattr(owner, name)
+    text = _short_float(value) if isinstance(value, float) else str(value) if value < 2**31 else f"{value}UL"
+    comment = re.search(rf"^(?:\w+, )*{name}\b[^#\n]*(?:# (.*))?$", inspect.getsource(owner), re.MULTILINE)
+    about = f" /* {comment[1]} */" if comment and comment[1] else ""
+    return f"#define {in_c or name} {text}{about}\n"
+
+
+def _short_float(value: float) -> str:
+    short = f"{value:g}"
+    return short if "e" in short and float(short) == value else c_number(value).text

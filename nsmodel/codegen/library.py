@@ -1,4 +1,12 @@
-"""A generated library in Python: built with the machine's C compiler, loaded with ctypes."""
+"""A generated library in Python: built with the machine's C compiler, loaded with ctypes.
+
+A solver of a generated library in Python.
+
+Compiled steps in the user's cache folder: one file each, named by what it was made from and by its own content.
+
+What is loaded runs with the user's rights, so nothing is loaded that another user may have put there: the folder and the file
+belong to this user, nobody else may write them, and neither is a link. At most MOST files are kept, those used last.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +19,214 @@ import os
 import platform
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
+import time
 import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from nsmodel.cache_folder import LIBRARY_SUFFIX
-from nsmodel.codegen.solver import Solver
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.source import LibrarySource, write_source
+from nsmodel.codegen.step_spec import StepSpec, make_step_spec, spec_for_all_values
 from nsmodel.errors import CodegenError
+from nsmodel.files.cache_folder import LIBRARY_SUFFIX, cache_folder
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.fingerprint import fingerprint, versions
+from nsmodel.modeling.time_grid import TimeGrid
+
+DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class Solver:
+    """One solver of a library: the C interface with arrays.
+
+    ``step`` and the setters return a status as in C: 0 done; else see ``library.status_text``, and nothing has changed. Arrays
+    of a wrong size, and functions that the library does not have, raise CodegenError. Solvers are independent: threads may
+    step different ones at the same time.
+    """
+
+    def __init__(self, library: Library) -> None:
+        """Allocate and initialise: the start, step and parameters of the model."""
+        self.library, sizes = library, library.about["sizes"]
+        self._nx, self._nl, self._m = sizes["NX"], sizes["NL"], sizes["M"]
+        self._np, self._nu = sizes["NP"], sizes.get("NU", 0)
+        self._nz, self._nw = sizes.get("NZ", 0), sizes.get("NW", 0)
+        self._address = ctypes.c_void_p(library.function("create", ctypes.c_void_p)())
+        if not self._address.value:
+            raise CodegenError(f"{library.about['name']}: no memory for a solver")
+
+    def __del__(self) -> None:
+        """Free the memory."""
+        if getattr(self, "_address", None) and not self.library.mapped.closed:  # garbage goes in any order
+            self.library.function("free", None, ctypes.c_void_p)(self._address)
+            self._address = None
+
+    def _call(self, name: str, *values: Any) -> int:
+        kinds = [DOUBLES if isinstance(value, np.ndarray) else ctypes.c_double for value in values]
+        given = [value.ctypes.data_as(DOUBLES) if isinstance(value, np.ndarray) else value for value in values]
+        return self.library.function(name, ctypes.c_int, ctypes.c_void_p, *kinds)(self._address, *given)
+
+    def _set(self, name: str, value: Any, size: int) -> int:
+        array = np.ascontiguousarray(value, float).ravel()
+        if array.size != size:
+            raise CodegenError(f"{name}: {array.size} numbers given; expected {size}")
+        return self._call(f"set_{name}", array)
+
+    def set_time(self, t: float) -> int:
+        """Put the time of the state; return the status."""
+        return self._call("set_time", float(t))
+
+    def set_step(self, h: float) -> int:
+        """Put the time step; return the status."""
+        return self._call("set_step", float(h))
+
+    def set_state(self, x: Any) -> int:
+        """Put the state (n,); return the status."""
+        return self._set("state", x, self._nx)
+
+    def set_velocity(self, v: Any) -> int:
+        """Put an oscillator's velocity (n,); return the status."""
+        return self._set("velocity", v, self._nx)
+
+    def set_force(self, r: Any) -> int:
+        """Put the reaction (n,) at the state, which a step with gamma < 1 starts from; return the status."""
+        return self._set("force", r, self._nx)
+
+    def set_parameters(self, p: Any) -> int:
+        """Put the parameters, in the order of ``about['parameters']``; return the status. The state stays."""
+        return self._set("parameters", p, self._np)
+
+    def set_inputs(self, u: Any) -> int:
+        """Put the inputs (nu,) from now on; return the status."""
+        return self._set("inputs", u, self._nu)
+
+    def set_inputs_between(self, begin: Any, end: Any) -> int:
+        """Put the inputs (nu,) at the begin and at the end of the next step; those after it have its end. Return the status."""
+        both = [np.ascontiguousarray(value, float).ravel() for value in (begin, end)]
+        for array in both:
+            if array.size != self._nu:
+                raise CodegenError(f"inputs: {array.size} numbers given; expected {self._nu}")
+        return self._call("set_inputs_between", *both)
+
+    def set_memory(self, z: Any) -> int:
+        """Put the memory of blocks (nz,); return the status."""
+        return self._set("memory", z, self._nz)
+
+    def set_held(self, w: Any) -> int:
+        """Put what blocks hold (nw,), outputs and duties in force; return the status."""
+        return self._set("held", w, self._nw)
+
+    def sample(self) -> int:
+        """Let the blocks act that are due at the time of the state, before the step from there; return the status."""
+        return self._call("sample")
+
+    def set_budget(self, work: int) -> int:
+        """Put the most work of a step, beyond which it is not solved; return the status."""
+        return self.library.function("set_budget", ctypes.c_int, ctypes.c_void_p, ctypes.c_long)(self._address, work)
+
+    def set_present(self, body: int, present: bool) -> int:
+        """Let one of many bodies, at its state, take part or not; return the status."""
+        function = self.library.function("set_present", ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_int)
+        return function(self._address, body, bool(present))
+
+    def reset(self) -> int:
+        """Go back to the start; return the status."""
+        return self._call("reset")
+
+    def step(self) -> int:
+        """Go from t to t + h; return the status."""
+        return self._call("step")
+
+    def _get(self, name: str, size: int, kind: Any = ctypes.c_double) -> np.ndarray:
+        out = np.zeros(size, kind)
+        if size:
+            pointer = ctypes.POINTER(kind)
+            self.library.function(f"get_{name}", None, ctypes.c_void_p, pointer)(self._address, out.ctypes.data_as(pointer))
+        return out
+
+    @property
+    def t(self) -> float:
+        """Time of the state."""
+        return self.library.function("get_time", ctypes.c_double, ctypes.c_void_p)(self._address)
+
+    @property
+    def x(self) -> np.ndarray:
+        """The state (n,)."""
+        return self._get("state", self._nx)
+
+    @property
+    def v(self) -> np.ndarray:
+        """The velocity (n,) of an oscillator: the last difference of positions over the step in use."""
+        return self._get("velocity", self._nx)
+
+    @property
+    def force(self) -> np.ndarray:
+        """The reaction (n,) at the state, which a step with gamma < 1 starts from."""
+        return self._get("force", self._nx)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """The inputs (nu,) that the next step begins with; after a step those of its end."""
+        return self._get("inputs", self._nu)
+
+    @property
+    def next_tick(self) -> float:
+        """The first time after that of the state at which a block ticks or a pulse begins or ends."""
+        return self.library.function("next_tick", ctypes.c_double, ctypes.c_void_p)(self._address)
+
+    @property
+    def memory(self) -> np.ndarray:
+        """The memory of blocks (nz,)."""
+        return self._get("memory", self._nz)
+
+    @property
+    def held(self) -> np.ndarray:
+        """What blocks hold (nw,): outputs and duties in force."""
+        return self._get("held", self._nw)
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """The multipliers of the last step, as the model declares them."""
+        return self._get("multipliers", self._nl)
+
+    @property
+    def y(self) -> np.ndarray:
+        """The outputs of the last step."""
+        return self._get("outputs", self._nl)
+
+    @property
+    def index_set(self) -> np.ndarray:
+        """The index set of the last step (m,): 0 where y = 0; -1, 1 where l is at its lower, upper end."""
+        return self._get("index_set", self._m, ctypes.c_byte)
+
+    @property
+    def residual(self) -> float:
+        """The residual of the last step: certified, or of the last answer that a step that failed had tried, infinite if none."""
+        return self.library.function("get_residual", ctypes.c_double, ctypes.c_void_p)(self._address)
+
+    @property
+    def iterations(self) -> int:
+        """Linearisations of the last step, or rounds of its projection."""
+        return self.library.function("get_iterations", ctypes.c_int, ctypes.c_void_p)(self._address)
+
+    @property
+    def work(self) -> int:
+        """Linear systems solved, index sets tried and sweeps of the last step; for many bodies systems factored or solved."""
+        return self.library.function("get_work", ctypes.c_long, ctypes.c_void_p)(self._address)
+
+    @property
+    def status(self) -> int:
+        """The status of the last step."""
+        return self.library.function("get_status", ctypes.c_int, ctypes.c_void_p)(self._address)
+
 
 SHARED_FLAGS = (
     ("-shared", "-static-libgcc") if LIBRARY_SUFFIX == ".dll" else ("-fPIC", "-shared")
@@ -207,3 +413,192 @@ class Library:
     def status_text(self, status: int) -> str:
         """What a status means."""
         return self.function("status_text", ctypes.c_char_p, ctypes.c_int)(status).decode()
+
+
+STEP_NAME = "step"
+MAX_LIBRARIES = 64  # Libraries that are kept; those that this process has loaded are kept besides.
+BUILD_PREFIX = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+def cached_steps(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
+    """The compiled steps of a bound model on a grid, built where they are not there, or not whole.
+
+    Raises:
+        CodegenError: the model has no C counterpart, the compiler fails, or the folder cannot be used.
+    """
+
+    def files() -> dict[str, str]:
+        return _spec_source_texts(make_step_spec(model, None, grid, tolerance))
+
+    return cached_library(steps_key(model, grid, tolerance, compiler), files, COMPILER_FLAGS)
+
+
+def cached_steps_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
+    """The same for all values of the parameters of a model.
+
+    Raises:
+        CodegenError: besides, where the code would depend on values (see `all_values`).
+    """
+
+    def files() -> dict[str, str]:
+        return _spec_source_texts(spec_for_all_values(model, grid, tolerance))
+
+    return cached_library(steps_key_for_all(model, grid, tolerance, compiler), files, COMPILER_FLAGS)
+
+
+def cached_steps_in_lanes(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
+    """The same with many runs in step (see `lanes`).
+
+    Raises:
+        CodegenError: as above; not asked for models that lanes refuse.
+    """
+
+    def files() -> dict[str, str]:
+        return _source_texts(write_source(spec_for_all_values(model, grid, tolerance), STEP_NAME, "", in_lanes=True))
+
+    return cached_library(library_key([steps_key_for_all(model, grid, tolerance, compiler), LANES_FLAGS]), files, LANES_FLAGS)
+
+
+def _spec_source_texts(spec: StepSpec) -> dict[str, str]:
+    return _source_texts(write_source(spec, STEP_NAME, ""))
+
+
+def _source_texts(source: LibrarySource) -> dict[str, str]:
+    return {"rollout.c": source.rollout, f"{STEP_NAME}.h": source.header, f"{STEP_NAME}.c": source.code}
+
+
+def cached_library(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...]) -> Path:
+    """The library of a key, whose content must be part of its name; where there is none the first of the files is compiled.
+
+    Raises:
+        CodegenError: the compiler fails, or the folder cannot be used.
+    """
+    folder = cache_folder()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _check_trusted(folder)
+        for path in sorted(folder.glob(f"{key}-*{LIBRARY_SUFFIX}")):
+            with contextlib.suppress(FileNotFoundError):  # another process has just removed it
+                if _is_private_file(path) and path.name == _library_name(key, path):
+                    os.utime(path)  # used last
+                    return path
+                path.unlink()  # cut short, changed, or put there by somebody else
+        _evict_old_libraries(folder)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=BUILD_PREFIX) as place:
+            return _build_library(Path(place), files(), folder, key, flags)
+    except OSError as error:
+        raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
+
+
+def is_cached(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> bool:
+    """Whether ``cached`` finds the compiled steps; nothing is built or changed."""
+    return has_cached_library(steps_key(model, grid, tolerance, compiler))
+
+
+def is_cached_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> bool:
+    """The same of ``cached_steps_for_all``."""
+    return has_cached_library(steps_key_for_all(model, grid, tolerance, compiler))
+
+
+def has_cached_library(key: str) -> bool:
+    """Whether ``kept`` finds the library of a key, to the look of it."""
+    try:
+        return any(map(_is_private_file, cache_folder().glob(f"{key}-*{LIBRARY_SUFFIX}")))
+    except (OSError, CodegenError):
+        return False
+
+
+def _check_trusted(folder: Path) -> None:
+    """Refuse a folder in which another user may have put libraries.
+
+    Raises:
+        CodegenError: names the folder, what is wrong, and how to mend it.
+    """
+    if not hasattr(os, "geteuid"):
+        return
+    above, here = folder.parent.stat(), folder.lstat()
+    another = "name another with XDG_CACHE_HOME"
+    wrong = None
+    if not stat.S_ISDIR(here.st_mode):
+        wrong = f"it is a link, which may lead anywhere; remove it, or {another}"
+    elif here.st_uid != os.geteuid():
+        wrong = f"it belongs to another user (number {here.st_uid}, you are {os.geteuid()}); {another}"
+    elif here.st_mode & WRITABLE_BY_OTHERS:
+        wrong = f"others may write to it (mode {stat.S_IMODE(here.st_mode):o}); empty it and chmod 700 {folder}, or {another}"
+    elif above.st_uid not in (0, os.geteuid()) or (above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX):
+        wrong = f"others may exchange it, as {folder.parent} is theirs to write; {another}"
+    if wrong:
+        raise CodegenError(f"the cache folder {folder} is not used, as what is loaded from it runs with your rights: {wrong}")
+
+
+def _is_private_file(path: Path) -> bool:
+    """Whether a library is a file of this user that nobody else may write, and no link."""
+    found = path.lstat()
+    own = not hasattr(os, "geteuid") or (found.st_uid == os.geteuid() and not found.st_mode & WRITABLE_BY_OTHERS)
+    return stat.S_ISREG(found.st_mode) and own
+
+
+def _evict_old_libraries(folder: Path) -> None:
+    """Make room for one more library, and remove what killed builds have left; other processes may do the same."""
+    loaded = loaded_library_paths()
+    with contextlib.suppress(OSError):
+        for path in folder.glob(f"{BUILD_PREFIX}*"):
+            if time.time() - path.lstat().st_mtime > 2 * TIMEOUT:
+                shutil.rmtree(path, ignore_errors=True)
+        libraries = sorted(folder.glob(f"*{LIBRARY_SUFFIX}"), key=lambda path: path.lstat().st_mtime_ns, reverse=True)
+        for path in [path for path in libraries if path not in loaded][MAX_LIBRARIES - 1 :]:
+            with contextlib.suppress(OSError):  # another process has removed it, or has it loaded
+                path.unlink()
+
+
+def steps_key(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> str:
+    """A hash of all that the compiled steps depend on; the end of the run is not part of it."""
+    endless = grid if grid.steps is not None else replace(grid, last=grid.h)
+    return library_key([fingerprint(model, endless), grid.step(0), grid.has_varying_steps, tolerance, *build_identity(compiler)])
+
+
+def steps_key_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> str:
+    """The same of a model whose parameters are symbols: their names and order count, no value does."""
+    return library_key([steps_key(model, grid, tolerance, compiler), "all values", *map(str, ca.symvar(model.p))])
+
+
+def build_identity(compiler: str) -> list[object]:
+    """What a library depends on beside the model."""
+    return [versions(), _package_hash(), compiler, COMPILER_FLAGS, platform.machine(), platform.system()]
+
+
+def library_key(parts: list[object]) -> str:
+    """A hash of what a library is made from."""
+    return _short_hash(repr(parts).encode())
+
+
+def _build_library(place: Path, files: Mapping[str, str], folder: Path, key: str, flags: tuple[str, ...]) -> Path:
+    """Compile in ``place``; the library appears in ``folder`` whole, whoever else builds the same one."""
+    for name, text in files.items():
+        (place / name).write_text(text, encoding="utf-8")
+    library = place / f"library{LIBRARY_SUFFIX}"
+    compile_library(place / next(iter(files)), library, flags)
+    library.chmod(0o700)
+    named = folder / _library_name(key, library)
+    try:
+        return library.replace(named)
+    except PermissionError:
+        if not named.exists():
+            raise
+        return named  # the same, built by another process, which has it loaded
+
+
+def _library_name(key: str, path: Path) -> str:
+    return f"{key}-{_short_hash(path.read_bytes())}{LIBRARY_SUFFIX}"
+
+
+@cache
+def _package_hash() -> str:
+    """A hash of nsmodel itself: what a changed one writes does not meet what an older one has built."""
+    package = Path(__file__).parents[1]
+    return _short_hash(b"\0".join(path.read_bytes() for path in sorted([*package.rglob("*.py"), *package.rglob("*.[ch]")])))
+
+
+def _short_hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:24]

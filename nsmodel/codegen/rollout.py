@@ -13,18 +13,24 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import cached_per_object
 from nsmodel.codegen import structs
-from nsmodel.codegen.cache import STEP_NAME, cached_steps, cached_steps_for_all, cached_steps_in_lanes
-from nsmodel.codegen.library import Library, compiler, no_compiler_error
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, NOT_SOLVED, SOLVER_NAMES, STATUSES
+from nsmodel.codegen.library import (
+    STEP_NAME,
+    Library,
+    cached_steps,
+    cached_steps_for_all,
+    cached_steps_in_lanes,
+    compiler,
+    no_compiler_error,
+)
+from nsmodel.codegen.structs import BAD_ARITHMETIC, NOT_SOLVED, SOLVER_NAMES, STATUSES
 from nsmodel.errors import CodegenError
-from nsmodel.grid import TimeGrid
-from nsmodel.identity import ALL_VALUES_SUFFIX
-from nsmodel.model.base import Model
-from nsmodel.once import cached_per_object
-from nsmodel.scheme import one_step_problem
-from nsmodel.solve.layout import RowLayout
-from nsmodel.solve.stepper import StepResult, WarmStart
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.fingerprint import ALL_VALUES_SUFFIX
+from nsmodel.modeling.time_grid import TimeGrid
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.step import RowLayout, StepResult, WarmStart
 
 NO_ENTRIES = slice(0, 0)
 MAX_LOADED = 32  # Libraries that are kept loaded while no run has them.
@@ -184,7 +190,7 @@ class Rollout:
         return self._single_stepper
 
     def step(self, t: float, h: float, state: np.ndarray, warm: WarmStart, layout: RowLayout) -> StepResult | None:
-        """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
+        """One step as the contract of `solvers.step` has it; None where it is not certified. The grid must have given steps."""
         totals, row, codes = _TotalsStruct(least=-np.inf), np.empty(layout.width), np.empty(warm.index.size, np.int8)
         x, l, index = (np.ascontiguousarray(part) for part in (state, warm.l, warm.index))
         inputs = x[layout.inputs]

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, blocks, constants, fixed, inclusion, lanes, newton, residual, sets, statuses, structs
-from nsmodel.codegen.bounds import MAX_WORK, work_bound
-from nsmodel.codegen.expression import c_number
+from nsmodel.codegen import blocks, constant_steps, fragments, laws, simd_batch, structs, varying_steps
+from nsmodel.codegen import structs as statuses
+from nsmodel.codegen.expressions import c_number, c_table, looped_c_function
+from nsmodel.codegen.features import MAX_WORK, flags_of, sizes_of, work_bound
 from nsmodel.codegen.fragments import (
     C_FOLDER,
     DEFINE_PATTERN,
@@ -23,16 +24,13 @@ from nsmodel.codegen.fragments import (
     read_fragment,
     resolve_conditions,
 )
-from nsmodel.codegen.loops import looped_c_function
-from nsmodel.codegen.needs import flags_of, sizes_of
-from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, StepSpec
-from nsmodel.codegen.tables import c_table
-from nsmodel.model.driven import initial_inputs
-from nsmodel.proof.sure import not_none
-from nsmodel.scheme import initial_rows, state_constraints, symbolic_start_state
-from nsmodel.solve.build import completed_start_state
-from nsmodel.solve.layout import RowLayout
-from nsmodel.solve.newton import WORKING_SET_ABOVE
+from nsmodel.codegen.step_spec import BANDED, FIXED, INCLUSION, StepSpec
+from nsmodel.modeling.variants import initial_inputs
+from nsmodel.proof.verdict import not_none
+from nsmodel.solvers.newton import WORKING_SET_ABOVE
+from nsmodel.solvers.one_step_problem import initial_rows, state_constraints, symbolic_start_state
+from nsmodel.solvers.step import RowLayout
+from nsmodel.solvers.time_stepper import completed_start_state
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_WO
     has = {"batch": spec.for_all_values, "lanes": in_lanes, "adaptive": "ADAPTIVE" in run_flags and not in_lanes}
     loops = ["rollout.c", *(f"{name}.c" for name in ("adaptive", "batch", "lanes") if has[name])]
     if in_lanes:
-        own, more = lanes.lanes_code(spec)
+        own, more = simd_batch.lanes_code(spec)
         functions, replacements = f"{functions}\n{own}", replacements | more
     rollout = prefix_names(functions, name) + "\n" + "".join(read_fragment(file, run_flags, replacements) for file in loops)
     rollout = f'#include "{name}.c"\n\n{_missing_definitions(rollout, code)}{rollout}'
@@ -94,7 +92,7 @@ def _has_work_arrays(group: str, flags: frozenset[str], sizes: dict[str, int]) -
 def _missing_definitions(text: str, code: str) -> str:
     """The constants and the common functions that ``text`` uses and ``code`` does not have."""
     common = resolve_conditions((C_FOLDER / "common.c").read_text(encoding="utf-8"), frozenset())
-    used = prune_unused(constants.step_defines() + common + "\n" + text)
+    used = prune_unused(fragments.step_defines() + common + "\n" + text)
     wanted = [
         match[0] for pattern in (DEFINE_PATTERN, FUNCTION_PATTERN) for match in pattern.finditer(used) if match[0] not in text
     ]
@@ -130,14 +128,14 @@ def _step_replacements(
     known = " or ".join(c_number(h).text for h in spec.known_lengths if h)
     moved = "last difference of positions" if problem.difference else "velocity"
     last = moved if problem.velocity else "reaction of the last step"
-    layout = inclusion.packed_layout(spec)
+    layout = varying_steps.packed_layout(spec)
     behind = [f"the {last}"] if {"VELOCITY", "FORCE"} & flags else []
     behind += ["the inputs at the begin and at the end of a step"] if problem.inputs else []
     carried = "".join(f", then {what}" for what in behind)
     return {
         "NAME": name,
         "GUARD": compiler_guard(),
-        "CONSTANTS": constants.step_defines(),
+        "CONSTANTS": fragments.step_defines(),
         "SOLVERS": statuses.solver_enum(),
         "STATUSES": prefix_names(statuses.status_enum(), name),
         "STATUS_CASES": prefix_names(statuses.status_cases(), name),
@@ -156,10 +154,10 @@ def _step_replacements(
         else "a finite number > 0",
         "UNIT_T": f", {comment_text(model.units['t'])}" if "t" in model.units else "",
         "SIZES": "",
-        "MATRICES": "".join(f", s->newton.{key}" for key in newton.evaluated_outputs(spec)),
+        "MATRICES": "".join(f", s->newton.{key}" for key in varying_steps.evaluated_outputs(spec)),
         "COLUMNS": _column_enum(layout, problem.records),
         "WIDTH": str(layout.width),
-        "ROW_RESIDUAL": residual.row_residual_code(),
+        "ROW_RESIDUAL": laws.row_residual_code(),
         "TOTALS": prefix_names(structs.STEP_TOTALS.c(), name),
         "CONTROL": prefix_names(structs.ADAPTIVE_CONTROL.c(), name),
         "CELLS": prefix_names(structs.BATCH_CELLS.c(), name),
@@ -209,7 +207,7 @@ def _step_tables(spec: StepSpec, flags: frozenset[str]) -> str:
             lines += [c_table("lower", law.lower, "MODEL_M", "ends of the law"), c_table("upper", law.upper, "MODEL_M")]
             lines.append("#define LOWER lower\n#define UPPER upper\n")
     if "CURVED" in flags:
-        lines.append(sets.curved_sets_code(inclusion.curved_set_law(spec), "CURVED_OF_PARAMETERS" in flags))
+        lines.append(laws.curved_sets_code(varying_steps.curved_set_law(spec), "CURVED_OF_PARAMETERS" in flags))
     if spec.parameters:
         lines.append(c_table("default_p", list(spec.parameters.values()), "MODEL_NP"))
     lines.append(f"#define START_STEPS {1 if spec.model.tied_to_step else 0}\n")
@@ -226,16 +224,16 @@ def _step_functions(spec: StepSpec, flags: frozenset[str]) -> str:
         parts.append(looped_c_function("law_of_parameters", {"s->p": problem.p}, _law_bounds(spec), "the ends of the law"))
     if "FIXED" in flags:
         parts.append(
-            fixed.fixed_code(
+            constant_steps.fixed_code(
                 problem, spec.structure, spec.law, not_none(spec.matrices), spec.known_lengths, spec.has_several_lengths
             )
         )
     if "BANDED" in flags:
-        parts.append(banded.banded_code(problem, spec.structure, h, not_none(spec.band)))
+        parts.append(constant_steps.banded_code(problem, spec.structure, h, not_none(spec.band)))
     if "NEWTON" in flags:
-        parts.append(newton.newton_code(spec, known))
+        parts.append(varying_steps.newton_code(spec, known))
     if "INCLUSION" in flags:
-        parts.append(inclusion.inclusion_code(spec))
+        parts.append(varying_steps.inclusion_code(spec))
     if "BLOCKS" in flags:
         parts.append(blocks.blocks_code(spec.model, spec.places))
     out = {"x_next": problem.next_state}
@@ -271,7 +269,7 @@ def _solution_symbols(spec: StepSpec) -> dict[str, ca.SX]:
 def _law_bounds(spec: StepSpec) -> dict[str, ca.SX]:
     """The ends of the law as expressions of the parameters; the numbers of curved blocks."""
     law = spec.problem.law
-    given = sets.curved_block_numbers(law)
+    given = laws.curved_block_numbers(law)
     return {"lower": ca.densify(law.lower), "upper": ca.densify(law.upper)} | ({"numbers": given} if given.numel() else {})
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError
-from nsmodel.model.arguments import describe_argument
+from nsmodel.modeling.parameters import describe_argument
 
 
 def checked_array(value: Any, label: str, expected: str, kind: type[NsmodelError] = ModelError) -> np.ndarray:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import short_repr
 from nsmodel.crowd.geometry import LEAF_SIZE, cross, crossed_segments
 from nsmodel.crowd.given import checked_array, checked_number
 from nsmodel.crowd.room import Room
 from nsmodel.errors import ModelError, UsageError
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 CUT_OFF = 1.0  # Nobody takes up more room than a disc of this radius, m.
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import former_names, short_repr
 from nsmodel.crowd.given import checked_number
 from nsmodel.crowd.paths import DesiredVelocity
 from nsmodel.errors import ModelError
-from nsmodel.later import former_names
-from nsmodel.model.arguments import describe_argument
+from nsmodel.modeling.parameters import describe_argument
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import short_repr
 from nsmodel.crowd.geometry import MAX_CHUNK_NUMBERS, distances, has_free_path, nearest_points
 from nsmodel.crowd.given import checked_array, checked_number, per_person_values
 from nsmodel.crowd.room import Room, RoomGrid
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.model.arguments import describe_argument
+from nsmodel.modeling.parameters import describe_argument
 
 MAX_ARC_PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
 CORNER_DISTANCE = 1 / np.cos(MAX_ARC_PIECE / 2)  # Distance of the corners of the tangents, in clearances.

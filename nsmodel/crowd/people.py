@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import short_repr
 from nsmodel.classes.bodies.groups import Bodies, Family, Items
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.crowd.geometry import LEAF_SIZE, contains, crosses_any, nearest_points, polygon_sides
@@ -18,8 +18,8 @@ from nsmodel.crowd.noise import Noise, NoisyVelocity
 from nsmodel.crowd.paths import CORNER_DISTANCE, DesiredVelocity, desired_velocity
 from nsmodel.crowd.room import Room, checked_polygon
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import describe_argument
-from nsmodel.proof.sure import not_none
+from nsmodel.modeling.parameters import describe_argument
+from nsmodel.proof.verdict import not_none
 
 MAX_PUSH_ROUNDS = 4000  # Of pushing apart, before `place` gives up.
 WEDGED_ROUNDS = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.

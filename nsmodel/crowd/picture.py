@@ -10,8 +10,8 @@ import numpy as np
 
 from nsmodel.crowd.geometry import nearest_points, polygon_sides
 from nsmodel.errors import ModelError
-from nsmodel.grid import is_number
-from nsmodel.model.arguments import describe_argument
+from nsmodel.modeling.parameters import describe_argument
+from nsmodel.modeling.time_grid import is_number
 
 COLOUR_TOLERANCE = 60  # Colours are the same where no channel differs by more, of 255.
 MAX_BLUR_PIXELS = 2  # So many pixels between a wall and a door may have a colour in between.

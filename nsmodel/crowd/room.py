@@ -11,13 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import former_names, short_repr
 from nsmodel.crowd import picture
 from nsmodel.crowd.geometry import contains, distances, nearest_points, polygon_sides
 from nsmodel.crowd.given import checked_array, checked_number
 from nsmodel.errors import ModelError
-from nsmodel.later import former_names
-from nsmodel.model.arguments import describe_argument
+from nsmodel.modeling.parameters import describe_argument
 
 GRID_MARGIN = 1.0  # What a grid shows of the outside, m.
 TOUCH_DISTANCE = 1e-3  # An exit ends at a wall that is as near as this, m.

@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
-from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.model.base import Model
-from nsmodel.solve.certificate import EPS
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers import impacts
+from nsmodel.solvers.residuals import EPS
 
 SUM_ROUNDING = 64 * EPS  # relative rounding of a sum of a few terms
 

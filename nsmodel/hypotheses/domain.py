@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.convex_read import read_potential_parts
-from nsmodel.proof.graph import rewrite_nodes
+from nsmodel.modeling.convex_split import read_potential_parts
+from nsmodel.proof.expression_graph import rewrite_nodes
 
 
 def potential_without_domain(phi: ca.SX, x: ca.SX, label: str) -> ca.SX:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import short_repr
 from nsmodel.hypotheses.scope import Scope, intersect_scopes
-from nsmodel.pickled import Picklable
+from nsmodel.modeling.pickling import Picklable
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
 INSIDE_BOX_CLAUSE = "as long as the solution and the scheme's iterates and predictors stay inside the box"

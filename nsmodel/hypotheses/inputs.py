@@ -18,11 +18,10 @@ from nsmodel.hypotheses.findings import UNKNOWN, Consequence
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import IntervalBox
 from nsmodel.hypotheses.uniform import depends_on_symbol
-from nsmodel.model.base import Model
-from nsmodel.model.inputs import signal_label, signals_by_name
-from nsmodel.signals.bounds import SignalJump, SizedBounds, Within
-from nsmodel.signals.signal import ConstantSignal, Signal
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.inputs import signal_label, signals_by_name
+from nsmodel.modeling.signals.base import ConstantSignal, Signal, SignalJump, SizedBounds, Within
+from nsmodel.simulation.trajectory import Trajectory
 
 BOUNDS_ADVICE = "give bounds={{'{0}': within(low, high)}} or --bound {0}=LOW:HIGH"
 UNUSED_SIGNAL = ConstantSignal(np.zeros(1))  # What an input of which nothing of a model depends is taken for.

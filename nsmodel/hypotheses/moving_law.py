@@ -20,11 +20,11 @@ from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, F
 from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
-from nsmodel.laws import Law
-from nsmodel.model.base import Model
-from nsmodel.proof import extremum, interval
-from nsmodel.signals.function import Expression
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.signals.function import Expression
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.simulation.trajectory import Trajectory
 
 LAW_BOUNDS_HYPOTHESIS = Hypothesis(
     "ends", "the law is a set at all times: lower <= upper for all inputs that are meant", "definition of the law"
@@ -75,7 +75,7 @@ def check_law_bounds(model: Any, region: Region, quick: bool) -> Finding:
     unsure = ""
     for end in moved:
         for side in (end.lower, end.upper):
-            if not (side.is_constant() or np.isfinite(interval.enclose(side, z, lower, upper)).all()):
+            if not (side.is_constant() or np.isfinite(interval_bounds.enclose(side, z, lower, upper)).all()):
                 unsure = unsure or f"an end of '{end.name}' is not seen to be finite"
         if end.has_infinite_end:
             continue

@@ -10,12 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import short_repr
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.scope import IntervalBox, Scope
-from nsmodel.model.base import Model
-from nsmodel.pickled import Picklable
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.pickling import Picklable
+from nsmodel.simulation.trajectory import Trajectory
 
 BOX_GROWTH = 1.5  # The box is this much wider than the runs.
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from nsmodel.brief import short_repr
-from nsmodel.pickled import Picklable
+from nsmodel._utils import short_repr
+from nsmodel.modeling.pickling import Picklable
 
 IntervalBox = Mapping[str, tuple[float, float]]
 MAX_WRITTEN_INTERVALS = 6  # Intervals that are written out.

@@ -15,7 +15,7 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding
 from nsmodel.hypotheses.region import Region
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
 
 ROUND_UP_FACTOR = 1 + 1e-12
 

@@ -14,8 +14,9 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, plain_witness
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import IntervalBox, Scope, intersect_scopes
-from nsmodel.model.base import Model
-from nsmodel.proof import polynomial, polynomial_signs
+from nsmodel.modeling.base import Model
+from nsmodel.proof import polynomial
+from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.extremum import samples
 from nsmodel.proof.verdict import HypothesisPart
 

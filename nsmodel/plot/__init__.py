@@ -7,7 +7,7 @@ of the index set belongs to the step that *ends* at t_k, and is drawn from t_{k-
 
 from typing import TYPE_CHECKING
 
-from nsmodel.later import lazy_attributes as _later
+from nsmodel._utils import lazy_attributes as _later
 
 if TYPE_CHECKING:
     from nsmodel.plot.chain import space_time

@@ -10,8 +10,7 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.sweep.groups import is_evenly_spaced
-from nsmodel.sweep.variable import CELL_FAILED, DRAWN_DIMS, STATUS_NAMES, Variable
+from nsmodel.sweep.variable import CELL_FAILED, DRAWN_DIMS, STATUS_NAMES, Variable, is_evenly_spaced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import model_type, multiplier_names, state_names
 from nsmodel.errors import PlotError
+from nsmodel.modeling.columns import model_type, multiplier_names, state_names
 from nsmodel.plot import style
 from nsmodel.plot.strip import MAX_MAP_ROWS, MAX_ROWS, buckets
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 MIN_CHAIN_LENGTH = MAX_ROWS + 10  # Members from which on pictures of a whole run are maps.
 SIGNED, POSITIVE_COLOURS, STICK_COLOUR = "RdBu_r", "viridis", "#6B727B"

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from nsmodel.columns import state_names
 from nsmodel.errors import NsmodelError
+from nsmodel.modeling.columns import state_names
 from nsmodel.plot import style
 
 if TYPE_CHECKING:
-    from nsmodel.model.base import Model
-    from nsmodel.scheme.continuous import ContinuousProblem
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.event_driven.problem import ContinuousProblem
+    from nsmodel.modeling.base import Model
+    from nsmodel.simulation.trajectory import Trajectory
 
 
 ENERGY_ON_LINES = "on lines between the ends of pieces"  # Of an energy between them, where the model is not at hand.
@@ -24,8 +24,8 @@ ENERGY_ON_LINES = "on lines between the ends of pieces"  # Of an energy between 
 
 def continuous_problem_of_run(run: Trajectory, model: Model | None) -> ContinuousProblem | None:
     """The model of a run in continuous time; None where it has no such form, or there is no model."""
-    from nsmodel.model.base import Model
-    from nsmodel.run.event_driven import event_driven_problem
+    from nsmodel.modeling.base import Model
+    from nsmodel.simulation.event_driven import event_driven_problem
 
     if not isinstance(model, Model):
         return None

@@ -14,7 +14,7 @@ from nsmodel.plot import style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 PRESSURE_COLOURS = "YlOrBr"
 CALM_COLOUR = "#B9CDE0"  # A disc of a run that knows no pressure.

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import model_type, output_names
+from nsmodel.files.storage import replace_atomically
+from nsmodel.modeling.columns import model_type, output_names
 from nsmodel.plot import crowd, style
 from nsmodel.plot.chain import draw_chain, find_chains, state_chains
 from nsmodel.plot.plane import class_plots, phase
 from nsmodel.plot.strip import MAX_ROWS, index_map, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
 from nsmodel.plot.window import Window, window
-from nsmodel.storage import replace_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
     FigurePanel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from nsmodel.crowd.measure import present
 from nsmodel.errors import MissingExtraError, PlotError
+from nsmodel.files.storage import replace_atomically
 from nsmodel.plot import style
-from nsmodel.proof.sure import not_none
-from nsmodel.storage import replace_atomically
+from nsmodel.proof.verdict import not_none
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.plot.crowd import PRESSURE_COLOURS, CrowdArtists, plane_axis_labels
 
 MAX_GIF_FPS = 50  # Frames a second that a GIF is shown with.

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.classes.registry import class_named
-from nsmodel.columns import model_type, state_names
 from nsmodel.errors import PlotError
+from nsmodel.modeling.columns import model_type, state_names
 from nsmodel.plot import style
 from nsmodel.plot.band import MAX_SWINGS, swing_count
 from nsmodel.plot.rounding import is_rounding
@@ -17,8 +17,8 @@ from nsmodel.plot.rounding import is_rounding
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.model.base import Model
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.modeling.base import Model
+    from nsmodel.simulation.trajectory import Trajectory
 
     GapFunction = Callable[..., np.ndarray]
 

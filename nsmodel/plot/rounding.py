@@ -15,18 +15,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.columns import multiplier_names
-from nsmodel.model.quantity import Quantity
+from nsmodel.modeling.columns import ColumnNames, evaluate_quantity, multiplier_names, read_quantity
+from nsmodel.modeling.outputs import Quantity
 from nsmodel.plot import style
 from nsmodel.plot.continuous import continuous_problem_of_run, continuous_states
-from nsmodel.proof.graph import stack_column
-from nsmodel.quantities import ColumnNames, evaluate_quantity, read_quantity
-from nsmodel.solve.rounding import UNIT_ROUND_OFF, rounding_error_bound
+from nsmodel.proof.expression_graph import stack_column
+from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF, rounding_error_bound
 
 if TYPE_CHECKING:
-    from nsmodel.model.base import Model
-    from nsmodel.scheme.continuous import ContinuousProblem
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.event_driven.problem import ContinuousProblem
+    from nsmodel.modeling.base import Model
+    from nsmodel.simulation.trajectory import Trajectory
 
 ROUNDING_FACTOR = 64  # Times UNIT: rounding, and what a run makes of it.
 SAMPLED_ROWS = 200  # Rows at which rows are evaluated.

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import state_names
 from nsmodel.errors import PlotError
+from nsmodel.modeling.columns import state_names
 from nsmodel.plot import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 
 def draw_discs(ax: Axes, run: Trajectory, scene: dict[str, Any], row: int) -> Axes:

@@ -12,7 +12,7 @@ from nsmodel.plot import style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.stress.result import Stress
+    from nsmodel.study.stress_result import Stress
 
 VERDICT_COLOURS = {"right": style.LOWER, "stopped": style.UPPER, "wrong": style.ALERT}
 VERDICT_LABELS = {"right": "right", "stopped": "stopped, with the reason", "wrong": "wrong"}

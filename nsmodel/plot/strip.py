@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel import laws
-from nsmodel.columns import model_type
 from nsmodel.errors import PlotError
+from nsmodel.modeling import laws
+from nsmodel.modeling.columns import model_type
 from nsmodel.plot import style
 from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
     StateLabels = dict[int, tuple[str, str]]  # index-set code: (colour, words)
 

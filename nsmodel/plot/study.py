@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 from nsmodel.study.text import short_number
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import units_of
 from nsmodel.errors import PlotError
-from nsmodel.proof.sure import not_none
+from nsmodel.modeling.columns import units_of
+from nsmodel.proof.verdict import not_none
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 MAX_POINTS = 20_000
 STEADY_TOLERANCE = 1e-13  # The part of themselves by which values change that stand still.

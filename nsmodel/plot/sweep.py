@@ -11,10 +11,9 @@ import numpy as np
 from nsmodel.errors import PlotError
 from nsmodel.plot import cells, style
 from nsmodel.plot.sweep_map import sweep_map
-from nsmodel.proof.sure import not_none
-from nsmodel.sweep.groups import Over
+from nsmodel.proof.verdict import not_none
 from nsmodel.sweep.statistics import statistics
-from nsmodel.sweep.variable import TIME_DIM, Variable, as_variable
+from nsmodel.sweep.variable import TIME_DIM, Over, Variable, as_variable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

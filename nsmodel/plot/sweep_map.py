@@ -8,7 +8,7 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.plot import cells, style
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 from nsmodel.sweep.statistics import statistics
 from nsmodel.sweep.variable import (
     CELL_DONE,

@@ -8,18 +8,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.columns import input_names, multiplier_names, output_names, state_names
-from nsmodel.defaults import DEFAULT_TOLERANCE
+from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel.errors import PlotError
+from nsmodel.modeling.columns import (
+    input_names,
+    multiplier_names,
+    output_names,
+    quantity_at_step_ends,
+    read_quantity,
+    state_names,
+)
 from nsmodel.plot import band, continuous, style
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
-from nsmodel.quantities import quantity_at_step_ends, read_quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.model.base import Model
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.modeling.base import Model
+    from nsmodel.simulation.trajectory import Trajectory
 
 MAX_LINES = 12
 MIN_RESIDUAL = 1e-20  # Residuals below are as good as 0.

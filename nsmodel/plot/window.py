@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel import windows
-from nsmodel.archive import LIST_PREFIXES
 from nsmodel.errors import PlotError
+from nsmodel.files.archive import LIST_PREFIXES
+from nsmodel.simulation import windows
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 Window = tuple[float | None, float | None]
 WINDOW_POINTS = 2000  # Rows of an event-driven run, which are read off its polynomials.

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.proof.components import connected_components
+from nsmodel.proof.verdict import connected_components
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
 MIN_CHOLESKY_SIZE = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.

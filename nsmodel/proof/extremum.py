@@ -7,12 +7,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.branch_and_bound import BoxBounds
-from nsmodel.proof.components import connected_components
-from nsmodel.proof.interval import mean_value_form, natural_extension, validated_boxes
-from nsmodel.proof.search import SearchGoal, SearchSpace, Supremum, search_supremum
-from nsmodel.proof.search import samples as samples
-from nsmodel.proof.straight_line import Program
+from nsmodel.proof.expression_graph import Program
+from nsmodel.proof.global_search import BoxBounds, SearchGoal, SearchSpace, Supremum, search_supremum
+from nsmodel.proof.global_search import samples as samples
+from nsmodel.proof.interval_bounds import mean_value_form, natural_extension, validated_boxes
+from nsmodel.proof.verdict import connected_components
 
 MAX_SLOPE_ENTRIES = 64  # A matrix of more entries is bounded without slopes.
 

@@ -15,8 +15,8 @@ from typing import NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.interval import MeanValueBounds, mean_value_form
-from nsmodel.proof.straight_line import program
+from nsmodel.proof.expression_graph import program
+from nsmodel.proof.interval_bounds import MeanValueBounds, mean_value_form
 
 MAX_NEWTON_STEPS, MAX_WIDENINGS, WIDENING_GROWTH = 30, 12, 4.0
 MAX_EQUATIONS = 60  # Equations; more are left alone.

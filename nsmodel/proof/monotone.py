@@ -13,10 +13,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.graph import apply_operation, fold_graph, rewrite_nodes
-from nsmodel.proof.straight_line import is_double
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial
+from nsmodel.proof import polynomial as polynomial_signs
+from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, rewrite_nodes
 
 SWITCHING_KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
@@ -67,12 +67,12 @@ def is_continuous_by_pieces(h: ca.SX, s: ca.SX, low: float, high: float) -> bool
             return False
         if points.get(point):
             at = np.array([float(point)])
-            sides = interval.enclose(ca.vertcat(left, right, ca.substitute(h, s, float(point))), s, at, at)
+            sides = interval_bounds.enclose(ca.vertcat(left, right, ca.substitute(h, s, float(point))), s, at, at)
             if len(set(np.concatenate([side.ravel() for side in sides]))) > 1:
                 return False
     for piece, (a, b) in zip(pieces, pairwise(ends), strict=True):
         bounds = np.array([-np.inf if a is None else float(a)]), np.array([np.inf if b is None else float(b)])
-        if not interval.is_continuous(piece, s, *bounds):
+        if not interval_bounds.is_continuous(piece, s, *bounds):
             return False
     return True
 
@@ -117,7 +117,7 @@ def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotoni
         at = np.array([float(point)])
         if Fraction(float(point)) != point:
             return Monotonicity(None)
-        gap = interval.enclose(right - left, s, at, at)
+        gap = interval_bounds.enclose(right - left, s, at, at)
         jump = JumpPoint(point, float(np.min(gap[0])), float(np.max(gap[1])), set(steps) == {ca.OP_SIGN})
         if jump.high < 0:
             return Monotonicity(False, (jump,))
@@ -270,7 +270,7 @@ def _is_nondecreasing_between(h: ca.SX, s: ca.SX, low: Fraction | None, high: Fr
         defined = len(bottom) == 1 or not polynomial_signs.real_roots(bottom, low, high)
         if defined:
             return polynomial_signs.negative_point(rate, low, high) is None
-    if not interval.is_continuous(h, s, a, b):
+    if not interval_bounds.is_continuous(h, s, a, b):
         return False
     if (
         a[0] < 0 < b[0]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.proof import conic_program, exact, polynomial
+from nsmodel.proof import conic, exact, polynomial
 from nsmodel.proof.polynomial import Polynomial
 
 MAX_GRAM_MONOMIALS = 45
@@ -236,8 +236,8 @@ def _most_definite_gram(space: _GramSpace, r: int) -> tuple[np.ndarray, float] |
         np.column_stack([-np.diag(weight), unit]),
     ])  # fmt: skip
     right = np.concatenate([b, [1.0], np.zeros(len(pairs))])
-    cones = [conic_program.zero_cone(len(A)), conic_program.nonnegative_cone(1), conic_program.semidefinite_cone(r)]
-    solution = conic_program.solve_conic_program(np.append(np.zeros(len(pairs)), -1.0), rows, right, cones)
+    cones = [conic.zero_cone(len(A)), conic.nonnegative_cone(1), conic.semidefinite_cone(r)]
+    solution = conic.solve_conic_program(np.append(np.zeros(len(pairs)), -1.0), rows, right, cones)
     x = np.array(solution.x)
     if not np.isfinite(x).all() or str(solution.status) not in ("Solved", "AlmostSolved", "InsufficientProgress"):
         return None
@@ -289,8 +289,8 @@ def _largest_constant(m: list[MonomialPowers], target: dict[MonomialPowers, Frac
     level[rows[zero]] = 1.0
     weight = np.array([1.0 if i == j else np.sqrt(2.0) for i, j in pairs])
     whole = np.vstack([np.column_stack([A, level]), np.column_stack([-np.diag(weight), np.zeros(len(pairs))])])
-    cones = [conic_program.zero_cone(len(A)), conic_program.semidefinite_cone(r)]
-    solution = conic_program.solve_conic_program(
+    cones = [conic.zero_cone(len(A)), conic.semidefinite_cone(r)]
+    solution = conic.solve_conic_program(
         np.append(np.zeros(len(pairs)), -1.0), whole, np.concatenate([b, np.zeros(len(pairs))]), cones
     )
     best = float(solution.x[-1])
@@ -303,7 +303,7 @@ def _largest_constant(m: list[MonomialPowers], target: dict[MonomialPowers, Frac
 
 def _coupled_parts(p: Polynomial) -> list[Polynomial]:
     """The parts of p that share no variable, without its affine terms' own ones."""
-    from nsmodel.proof.components import overlapping_groups
+    from nsmodel.proof.verdict import overlapping_groups
 
     terms = [(monomial, number) for monomial, number in p.items() if sum(power for _, power in monomial) > 1]
     groups = overlapping_groups([{variable for variable, _ in monomial} for monomial, _ in terms])

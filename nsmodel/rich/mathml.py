@@ -13,7 +13,7 @@ import html
 import re
 from collections.abc import Iterable
 
-from nsmodel.words import one_line
+from nsmodel._utils import one_line
 
 TOKEN = re.compile(r"\\begin\{[a-z]+\}|\\end\{[a-z]+\}|\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|\s+|.", re.DOTALL)
 LETTERS = {

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nsmodel.brief import join_within_width, truncate_text
+from nsmodel._utils import join_within_width, truncate_text
 from nsmodel.hypotheses.report.typeset import model_equations
-from nsmodel.model.facts import model_facts
+from nsmodel.modeling.description import model_facts
 from nsmodel.rich import page
 
 if TYPE_CHECKING:
-    from nsmodel.model.base import Model
+    from nsmodel.modeling.base import Model
 
 MAX_ROW_TEXT = 320  # Characters of a row.
 MAX_FORMULA_LENGTH = 2500  # Characters of LaTeX in one formula.

@@ -12,9 +12,8 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-from nsmodel.brief import truncate_text
+from nsmodel._utils import escape_invisible, one_line, truncate_text
 from nsmodel.rich.mathml import mathml
-from nsmodel.words import escape_invisible, one_line
 
 MAX_TEXT_LENGTH = 200  # Characters of one text.
 GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"

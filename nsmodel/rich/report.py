@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from nsmodel.brief import truncate_text
+from nsmodel._utils import truncate_text
 from nsmodel.hypotheses.report import table
 from nsmodel.hypotheses.report.typeset import model_equations
 from nsmodel.proof.verdict import HOLDS, VERDICTS

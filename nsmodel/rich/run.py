@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nsmodel import summary
 from nsmodel.plot.figures import thumbnail
 from nsmodel.rich import page
+from nsmodel.simulation import summary
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 RUN_DPI = 90
 WARNINGS = 4  # More are folded.

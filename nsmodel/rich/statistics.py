@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from nsmodel.rich import page
 
 if TYPE_CHECKING:
-    from nsmodel.sweep.shares import Share
-    from nsmodel.sweep.statistics import Statistics
+    from nsmodel.sweep.statistics import Share, Statistics
 
 
 def html(found: Statistics | Share) -> str:

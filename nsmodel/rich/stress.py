@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nsmodel.rich import page
-from nsmodel.stress.result import STOPPED, WRONG
+from nsmodel.study.stress_result import STOPPED, WRONG
 
 if TYPE_CHECKING:
-    from nsmodel.stress.result import Cell, Stress
+    from nsmodel.study.stress_result import Cell, Stress
 
 STRESS_ROWS = 24  # More are folded.
 

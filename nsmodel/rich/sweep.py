@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from nsmodel.brief import describe_shortly, join_within_width
+from nsmodel._utils import describe_shortly, join_within_width
 from nsmodel.rich import page
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import short_repr
 from nsmodel.errors import UsageError
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 
 POINT_DONE, POINT_FAILED, POINT_LEFT_OUT = "done", "failed", "left out"
 SCHEME_LINE, SOLVER_LINE, PEER_LINE = "scheme", "solver", "peer"

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from nsmodel.errors import UsageError
-from nsmodel.model.base import Model
-from nsmodel.simulate import prepare
-from nsmodel.solve.choose import STEP_SOLVERS
-from nsmodel.solve.qp import QP_SOLVERS as QP_SOLVERS
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers.mlcp import QP_SOLVERS as QP_SOLVERS
+from nsmodel.solvers.plan import STEP_SOLVERS
 from nsmodel.study.lines import SCHEME_LINE, SOLVER_LINE
-from nsmodel.trajectory import Trajectory
 
 THETA_GAMMA_WEIGHTS = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5))  # theta, gamma
 STUDY_RTOLS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)

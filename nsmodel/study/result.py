@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.brief import wrap_lines
+from nsmodel._utils import escape_invisible, html_repr, one_line, wrap_lines
 from nsmodel.errors import UsageError
-from nsmodel.notebook import html_repr
-from nsmodel.pickled import Picklable
-from nsmodel.storage import write_csv
+from nsmodel.files.storage import write_csv
+from nsmodel.modeling.pickling import Picklable
 from nsmodel.study.lines import ERROR_MEASURES, POINT_DONE, Cost, Line, Point, least_cost
 from nsmodel.study.reference import Reference, ReferenceRows
 from nsmodel.study.text import cost_text, study_text
-from nsmodel.words import escape_invisible, one_line
 
 POINT_NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
 

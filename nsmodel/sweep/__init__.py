@@ -2,13 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from nsmodel.later import lazy_attributes as _later
+from nsmodel._utils import lazy_attributes as _later
 
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
     from nsmodel.sweep.run import SweepInterrupted, sweep
-    from nsmodel.sweep.shares import Share, share
-    from nsmodel.sweep.statistics import Quantile, Statistics, difference, statistics
+    from nsmodel.sweep.statistics import Quantile, Share, Statistics, difference, share, statistics
     from nsmodel.sweep.variable import Variable
 
 __all__ = [
@@ -20,8 +19,7 @@ _later(
     {
         "nsmodel.sweep.result": ["Sweep"],
         "nsmodel.sweep.run": ["SweepInterrupted", "sweep"],
-        "nsmodel.sweep.shares": ["Share", "share"],
-        "nsmodel.sweep.statistics": ["Quantile", "Statistics", "difference", "statistics"],
+        "nsmodel.sweep.statistics": ["Quantile", "Share", "Statistics", "difference", "share", "statistics"],
         "nsmodel.sweep.variable": ["Variable"],
     },
 )

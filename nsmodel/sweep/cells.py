@@ -1,4 +1,7 @@
-"""Cells are run: many at once in C, or each by `simulate`."""
+"""Cells are run: many at once in C, or each by `simulate`.
+
+Which way cells are run: many at once in C, or each alone, and why.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,24 @@ import pickle
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import former_names
+from nsmodel.classes.registry import class_of
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
-from nsmodel.later import former_names
-from nsmodel.model.base import Model
-from nsmodel.proof.graph import OpaqueExpression
-from nsmodel.scheme.continuous import NotEventDriven
-from nsmodel.simulate import simulate
-from nsmodel.sweep.asked import (
+from nsmodel.event_driven.problem import NotEventDriven
+from nsmodel.modeling.base import Model
+from nsmodel.proof.expression_graph import OpaqueExpression
+from nsmodel.simulation.options import METHODS
+from nsmodel.simulation.simulate import simulate
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers.one_step_problem import one_step_problem
+from nsmodel.solvers.plan import build_seconds, interpreted_step_seconds
+from nsmodel.solvers.structure import read_step_structure
+from nsmodel.sweep.request import (
     ALONE_BACKEND,
     BATCH_BACKEND,
     CELL_BACKENDS,
@@ -26,12 +35,12 @@ from nsmodel.sweep.asked import (
     EVENT_DRIVEN_FACTS,
     PIECES_BACKEND,
     CellResults,
+    Reduction,
     RowSelection,
     SweepRequest,
+    run_column,
 )
-from nsmodel.sweep.outputs import Reduction, run_column
 from nsmodel.sweep.variable import CELL_DONE, CELL_FAILED, CELL_NOT_RUN, CELL_REFUSED
-from nsmodel.trajectory import Trajectory
 
 UNKNOWN_INDEX_SET = -2  # Index set of a row that is not there.
 MAX_OPEN_GROUPS = 8  # Models that a process keeps ready.
@@ -166,7 +175,7 @@ def _make_library(request: SweepRequest, group: CellGroup) -> Any:
 
             return StepBatch(group.model, request.grid(group.model, group.step), request.options["tolerance"])
         if request.way == PIECES_BACKEND:
-            from nsmodel.codegen.piece_batch import PieceBatch
+            from nsmodel.codegen.event_driven_batch import PieceBatch
 
             T = float(group.rows.times[-1])
             return PieceBatch(group.model, T, request.options["rtol"], request.options.get("atol"), group.rows.times.tolist())
@@ -300,6 +309,86 @@ def _refused_cells(cells: int, why: str) -> CellResults:
     found = unrun_facts(cells)
     found["status"][:], found["way"][:] = CELL_REFUSED, CELL_BACKENDS.index(ALONE_BACKEND)
     return CellResults(found, dict.fromkeys(range(cells), why))
+
+
+RUN_SETUP_SECONDS = 5e-3  # Seconds that a run takes beside its steps.
+PIECES_BUILD_SECONDS, PIECE_SECONDS, PIECES_PER_RUN = (
+    1.5,
+    1e-3,
+    20,
+)  # Seconds for building event-driven runs; for a piece without; guessed.
+
+
+class BackendChoice(NamedTuple):
+    """What is asked, with the way; how the cells are run, for settings and in words."""
+
+    request: SweepRequest
+    way: str
+    description: str
+
+
+def choose_backend(
+    request: SweepRequest, group: CellGroup, cells: int, models: int, resumed_backend: str | None = None
+) -> BackendChoice:
+    """Decide for all cells, by what the first group is; the same wherever it is asked.
+
+    ``there``: the way of the sweep that is gone on with, which goes on as it began, unless ``compiled`` says otherwise.
+    """
+    goes_on = request.options["compiled"] == "auto" and resumed_backend is not None
+    why = _reason_to_run_alone(request, group, cells / models, costs=not goes_on or resumed_backend == ALONE_BACKEND)
+    if goes_on and resumed_backend == ALONE_BACKEND:
+        why = why or "as it began"
+    together = PIECES_BACKEND if request.is_event_driven else BATCH_BACKEND
+    if why is None:
+        own = open_group(replace(request, way=together), group.packed())
+        if own.batch is None:
+            why = own.why
+        else:
+            unknown = [name for name in _read_columns(request) if name not in own.batch.columns()]
+            if not unknown:
+                each = ", for each model" if models > 1 else ""
+                return BackendChoice(replace(request, way=together), own.batch.way, f"{own.batch.way}{each}")
+            why = f"'{unknown[0]}' is a column of whole runs"
+    return BackendChoice(replace(request, way=ALONE_BACKEND), ALONE_BACKEND, f"each cell by simulate: {why}")
+
+
+def _read_columns(request: SweepRequest) -> list[str]:
+    """The columns that are read."""
+    return [*request.keep, *(one.name for one in request.outputs.values() if isinstance(one, Reduction))]
+
+
+def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, *, costs: bool) -> str | None:
+    """Why cells are not run together; None where they are, if there is a library."""
+    options = request.options
+    if options["compiled"] is False:
+        return "compiled=False"
+    if options["solver"] != "auto":
+        return f"the solver {options['solver']} is asked for"
+    if not group.names:
+        return "no parameter varies within a model"
+    if class_of(group.model).optional("walk") is not None:
+        return "many bodies"
+    whole = [name for name, one in request.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
+    if whole:
+        return f"the output '{whole[0]}' is of a whole run"
+    if request.is_event_driven and options["method"] == METHODS[2]:
+        return "the steps of each are chosen by error control"
+    if options["compiled"] is True or not costs:
+        return None
+    took, build = _estimate_seconds(request, group)
+    return None if cells * took > build else "they take less time than building a library"
+
+
+def _estimate_seconds(request: SweepRequest, group: CellGroup) -> tuple[float, float]:
+    """About how long a run takes alone, and a library."""
+    if request.is_event_driven:
+        return RUN_SETUP_SECONDS + PIECE_SECONDS * PIECES_PER_RUN, PIECES_BUILD_SECONDS
+    problem = one_step_problem(group.model)
+    structure = read_step_structure(problem) if problem.prediction is None else None
+    path = "kernel" if structure is not None and structure.constant and structure.affine else "newton"
+    return RUN_SETUP_SECONDS + request.grid(group.model, group.step).N * interpreted_step_seconds(path, structure), build_seconds(
+        "newton", structure, problem
+    )
 
 
 __getattr__ = former_names(__name__, Group="CellGroup")

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel import memory
+from nsmodel import _utils
+from nsmodel._utils import former_names
 from nsmodel.errors import UsageError
-from nsmodel.grid import is_number
-from nsmodel.later import former_names
-from nsmodel.model.parameters import _scalar_names
+from nsmodel.modeling.parameters import _scalar_names
+from nsmodel.modeling.time_grid import is_number
 
 SAMPLE, REPLICATE, SEED, STEP, INPUTS = "sample", "replicate", "seed", "step", "inputs"
 MIN_CELL_BYTES = 32  # Bytes that a cell takes while a sweep is made, whatever is kept of it: its number, its places, its status.
@@ -138,12 +138,12 @@ def make_design(
 
 def check_memory(dims: Sequence[str], shape: Sequence[int], each: float) -> None:
     """Raise UsageError for so many cells that their numbers, of ``each`` bytes a cell, are more than this machine has memory."""
-    size, most = prod(shape), memory.usable_memory()
+    size, most = prod(shape), _utils.usable_memory()
     if most is not None and size * each > most:
         of = " x ".join(f"{dim} {count:,}" for dim, count in zip(dims, shape, strict=True))
         raise UsageError(
-            f"{size:,} cells ({of}) take {memory.format_bytes(size * each)} of memory, and there are "
-            f"{memory.format_bytes(most)}; give fewer values, or sweep them in parts"
+            f"{size:,} cells ({of}) take {_utils.format_bytes(size * each)} of memory, and there are "
+            f"{_utils.format_bytes(most)}; give fewer values, or sweep them in parts"
         )
 
 

@@ -11,32 +11,35 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel import lock
-from nsmodel.defaults import DEFAULT_TOLERANCE
+from nsmodel._utils import DEFAULT_TOLERANCE, former_names
 from nsmodel.errors import UsageError
-from nsmodel.grid import check_times
-from nsmodel.identity import content_digest, fingerprint, versions
-from nsmodel.later import former_names
-from nsmodel.model.parameters import Values
-from nsmodel.run.interrupt import PendingSignals, deferred_signals
-from nsmodel.run.options import Options
-from nsmodel.run.told import model_metadata
-from nsmodel.simulate import simulate
-from nsmodel.solve.choose import STEP_SOLVERS
-from nsmodel.sweep import dataset, same
-from nsmodel.sweep.asked import ALONE_BACKEND, CELL_BACKENDS, CellResults, SweepRequest
-from nsmodel.sweep.cells import missing_value
-from nsmodel.sweep.choice import BackendChoice, choose_backend
+from nsmodel.modeling.fingerprint import content_digest, fingerprint, versions
+from nsmodel.modeling.parameters import Values
+from nsmodel.modeling.time_grid import check_times
+from nsmodel.simulation import run_folder
+from nsmodel.simulation.loop import PendingSignals, deferred_signals
+from nsmodel.simulation.options import Options
+from nsmodel.simulation.propagator import model_metadata
+from nsmodel.simulation.simulate import simulate
+from nsmodel.solvers.plan import STEP_SOLVERS
+from nsmodel.sweep import result as dataset
+from nsmodel.sweep import store as same
+from nsmodel.sweep.cells import BackendChoice, choose_backend, missing_value
 from nsmodel.sweep.design import SweepDesign, check_memory, make_design
-from nsmodel.sweep.engine import check_workers, make_engine
-from nsmodel.sweep.files import DIM_PREFIX, VALUE_PREFIX
-from nsmodel.sweep.outputs import Reduction, read_outputs
+from nsmodel.sweep.executor import check_workers, make_engine, run_chunks
+from nsmodel.sweep.groups import ModelGroups, ModelSource
+from nsmodel.sweep.request import ALONE_BACKEND, CELL_BACKENDS, CellResults, Reduction, SweepRequest, read_outputs
 from nsmodel.sweep.result import Sweep, make_sweep
-from nsmodel.sweep.source import ModelSource
-from nsmodel.sweep.store import CellsInMemory, SweepStore, missing_cells, read_sweep_manifest, unrun_results
-from nsmodel.sweep.tasks import ModelGroups
+from nsmodel.sweep.store import (
+    DIM_PREFIX,
+    VALUE_PREFIX,
+    CellsInMemory,
+    SweepStore,
+    missing_cells,
+    read_sweep_manifest,
+    unrun_results,
+)
 from nsmodel.sweep.variable import CELL_NOT_RUN
-from nsmodel.sweep.work import run_chunks
 
 WORKING_BYTES = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
 EXPORT_WRITERS = {".nc": dataset.write_netcdf, ".zarr": dataset.write_zarr}
@@ -152,7 +155,7 @@ def sweep(
     of = _SweepRun(
         design, groups, choose_backend(request, groups.first, design.size, groups.count, resumed_backend), low_discrepancy
     )
-    with lock.hold_folder(folder):
+    with run_folder.hold_folder(folder):
         store = of.open_folder(folder, resume=resume)
         found = of.go(store, workers, progress=progress, retry=retry)
         if export:

@@ -4,13 +4,19 @@
 came, each whole or not there. Once all cells are there, ``sweep.npz`` holds them in their order, and nothing of who computed
 which when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds
 may be added later; it has the digest of its sweep and of what varies at its cells, and is taken by no other sweep.
+
+Whether a sweep goes on with one that is there: the same, or with more points or seeds.
+
+What the files of sweeps hold: the names in them, and what is refused in one that was changed.
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
+from functools import cached_property, partial
 from itertools import pairwise
 from math import prod
 from pathlib import Path
@@ -18,18 +24,202 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.archive import ArchiveMember, write_archive, write_npz
 from nsmodel.errors import StorageError
-from nsmodel.fields import SWEEP_MANIFEST_FIELDS
-from nsmodel.manifest import MANIFEST_FILE, read_manifest, with_checksum
-from nsmodel.storage import FORMAT_STAMP, atomic_stream, path_inside, read_json, write_json
-from nsmodel.stored import Archive, map_archive, read_archive
-from nsmodel.sweep import same
-from nsmodel.sweep.asked import CellResults
+from nsmodel.files.archive import DIGEST_DIGITS, Archive, ArchiveMember, map_archive, read_archive, write_archive, write_npz
+from nsmodel.files.archive import chunk_digest as digest_of_bytes
+from nsmodel.files.metadata import (
+    MANIFEST_FILE,
+    SWEEP_FIELDS,
+    SWEEP_MANIFEST_FIELDS,
+    SWEEP_PART_FIELDS,
+    check_field_types,
+    read_manifest,
+    settings_digest,
+    with_checksum,
+)
+from nsmodel.files.storage import FORMAT_STAMP, atomic_stream, path_inside, read_json, write_json
+from nsmodel.modeling.fingerprint import content_digest
 from nsmodel.sweep.cells import check_same_shape, missing_value, unrun_arrays, unrun_facts
-from nsmodel.sweep.design import SweepDesign
-from nsmodel.sweep.files import CELL_ARRAY, DESIGN_FILE, DIM_PREFIX, SWEEP_FILE, VALUE_PREFIX, check_part_file, check_sweep_file
-from nsmodel.sweep.variable import CELL_FAILED, CELL_NOT_RUN
+from nsmodel.sweep.design import REPLICATE, SAMPLE, SEED, SweepDesign
+from nsmodel.sweep.request import CELL_BACKENDS, CELL_FACTS, EVENT_DRIVEN_FACTS, CellResults
+from nsmodel.sweep.variable import CELL_FAILED, CELL_NOT_RUN, STATUS_NAMES
+
+EXTENDABLE_DIMS = (SAMPLE, SEED, REPLICATE)  # Dimensions that may become longer: what is there keeps its place in them.
+
+
+def design_document(design: SweepDesign) -> dict[str, Any]:
+    """What varies, for a manifest: names and, of what is no number, texts that tell values apart."""
+    return {
+        "dims": list(design.dims),
+        "sizes": list(design.shape),
+        "columns": [[one.kind, one.name, list(one.along)] for one in design.columns],
+        "items": {one.name: _value_texts(one.values) for one in design.columns if not one.numeric},
+        "entropy": design.entropy,
+    }
+
+
+def design_numbers(design: SweepDesign) -> dict[str, np.ndarray]:
+    """What varies as numbers."""
+    return {f"{one.kind}:{one.name}": one.values for one in design.columns if one.numeric}
+
+
+class SweepBinding:
+    """What binds files to a sweep, whose cells may become more.
+
+    Attributes:
+        sweep: the digest of all that its numbers depend on but the values of cells.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], design: SweepDesign) -> None:
+        about = design_document(design)
+        self.sweep = settings_digest(settings, about["dims"], about["columns"], about["entropy"])
+        self._design = design
+
+    @cached_property
+    def _varied_bytes(self) -> list[tuple[tuple[int, ...], np.ndarray]]:
+        """What varies as bytes: the dimensions of each column, and its values, or digests of what is no number."""
+        return [
+            (one.along, one.values.astype(one.values.dtype.newbyteorder("<")) if one.numeric else _value_digests(one.values))
+            for one in self._design.columns
+        ]
+
+    def of(self, cells: np.ndarray, shape: tuple[int, ...]) -> dict[str, Any]:
+        """What binds numbers to cells (K,) of the sweep, counted in a shape that it had: metadata of a file."""
+        places, found = np.unravel_index(cells, shape), hashlib.sha256()
+        for place in places:
+            found.update(np.ascontiguousarray(place, "<i8").data)
+        for along, values in self._varied_bytes:
+            found.update(np.ascontiguousarray(values[tuple(places[axis] for axis in along)]).data)
+        return {"sweep": self.sweep, "values": found.hexdigest()[:DIGEST_DIGITS], "shape": list(shape)}
+
+
+def _value_digests(values: np.ndarray) -> np.ndarray:
+    texts = [digest_of_bytes(text.encode(errors="backslashreplace")) for text in _value_texts(values)]
+    return np.array(texts, f"S{DIGEST_DIGITS}").reshape(values.shape)
+
+
+def design_difference(saved: dict[str, Any], numbers: dict[str, np.ndarray], design: SweepDesign) -> str | None:
+    """Name the first thing in which the sweep that is there is another; None where this one goes on with it."""
+    now, names = design_document(design), design_numbers(design)
+    for key in ("dims", "columns", "entropy"):
+        if saved[key] != now[key]:
+            return f"other {key} ({saved[key]} there, {now[key]} now)"
+    for dim, before, after in zip(saved["dims"], saved["sizes"], now["sizes"], strict=True):
+        if after < before:
+            return f"{before} values of {dim}, {after} now"
+        if after > before and dim not in EXTENDABLE_DIMS:
+            return f"{before} values of {dim}, {after} now; only samples and seeds may be added to"
+    for column in design.columns:
+        lead = tuple(saved["sizes"][axis] for axis in column.along)
+        part = tuple(slice(0, size) for size in lead)
+        if not column.numeric:
+            if saved["items"].get(column.name) != _value_texts(column.values[part]):
+                return f"other values of {column.name}"
+            continue
+        old, new = numbers.get(f"{column.kind}:{column.name}", np.zeros(())), names[f"{column.kind}:{column.name}"][part]
+        if old.shape != new.shape:
+            return f"values of {column.name} of shape {old.shape}, {new.shape} now"
+        where = np.argwhere(old != new)
+        if len(where):
+            at = tuple(where[0])
+            return f"{column.name}[{', '.join(map(str, at))}] = {old[at]!s}, {new[at]!s} now"
+    return None
+
+
+def _value_texts(values: np.ndarray) -> list[str]:
+    return [one if isinstance(one, str) else f"{one}"[:40] + content_digest([one]) for one in values.ravel().tolist()]
+
+
+SWEEP_FILE, DESIGN_FILE, CELL_ARRAY = "sweep.npz", "design.npz", "cell"
+DIM_PREFIX, VALUE_PREFIX = "dim:", "value:"  # What the arrays of the design are called.
+LABELS_KEY = "labels"  # And in the metadata the coordinates that are texts.
+FILE_METADATA_KEYS = ("messages", "shape", "dims", "along", LABELS_KEY)
+
+
+def check_sweep_file(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise StorageError for a file that holds no whole sweep; arrays are not read but for the times."""
+    path, about, layout = archive.path, archive.metadata, archive.layout
+    if "dims" not in about or "status" not in layout:
+        raise StorageError(f"{path} holds no sweep; a run's file is read with Trajectory.load")
+    check_field_types(about, SWEEP_FIELDS, path)
+    dims, shape, labels = about["dims"], tuple(about["shape"]), about.get(LABELS_KEY, {})
+    size, t = prod(shape), arrays.get("t", np.zeros((0, 0)))
+    check_message_cells(about, size, path)
+    if len(set(dims)) != len(dims) or len(dims) != len(shape):
+        raise StorageError(f"{path}: dims is {dims}; expected a name for each of {len(shape)} dimensions, each once")
+    if t.ndim != 1 or not len(t) or t.dtype.kind == "b" or not np.isfinite(t).all() or (np.diff(t) < 0).any():
+        raise StorageError(f"{path}: array 't' is no list of finite times, one after the other")
+    expected = {f"{DIM_PREFIX}{dim}": (length,) for dim, length in zip(dims, shape, strict=True) if dim not in labels}
+    for dim, length in zip(dims, shape, strict=True):
+        if len(labels.get(dim, range(length))) != length:
+            raise StorageError(f"{path}: {LABELS_KEY}['{dim}'] has {len(labels[dim])} texts; expected {length}")
+    for name, axes in about["along"].items():
+        if any(axis >= len(shape) for axis in axes) or len(set(axes)) < len(axes):
+            raise StorageError(f"{path}: along['{name}'] is {axes}; expected numbers of dimensions, 0 to {len(shape) - 1}")
+        expected[f"{VALUE_PREFIX}{name}"] = tuple(shape[axis] for axis in axes)
+    facts = {**CELL_FACTS, **(EVENT_DRIVEN_FACTS if "pieces" in layout else {})}
+    for name in [*expected, *facts, *about["keep"], *about["outputs"]]:
+        if name not in layout:
+            raise StorageError(f"{path} holds no array '{name}', which its metadata names")
+    for name, (dtype, found) in layout.items():
+        if name == "t":
+            continue
+        if dtype.kind not in ("iuf" if name.startswith((DIM_PREFIX, VALUE_PREFIX)) else "if"):
+            raise StorageError(f"{path}: array '{name}' is of type {dtype}; expected numbers")
+        lead = expected.get(name, (size,) + ((len(t),) if name in about["keep"] else ()))
+        if found[: len(lead)] != lead or (name.startswith(DIM_PREFIX) and len(found) > 1):
+            raise StorageError(f"{path}: array '{name}' has shape {found}; expected {lead}, and what a cell has behind it")
+        if name in facts and (dtype.str[1:], found) != (facts[name][0], (size,)):
+            raise StorageError(
+                f"{path}: array '{name}' is of type {dtype} and shape {found}; expected {facts[name][0]}, ({size},)"
+            )
+        if name.startswith((DIM_PREFIX, VALUE_PREFIX)) and name not in expected:
+            raise StorageError(f"{path}: array '{name}' is of nothing that the metadata say varies")
+
+
+def check_message_cells(about: Mapping[str, Any], size: int, path: Path) -> None:
+    """Raise StorageError for messages of cells that are not there."""
+    for cell in about["messages"]:
+        if not (cell.isascii() and cell.isdigit() and len(cell) < 19 and int(cell) < size):
+            raise StorageError(f"{path}: messages has the cell {cell!r:.40}; expected numbers, 0 to {size - 1}")
+
+
+def _check_codes(known: frozenset[int], name: str, values: np.ndarray) -> None:
+    unknown = set(np.unique(values).tolist()) - known
+    if unknown:
+        raise StorageError(
+            f"array '{name}' of a sweep has the code {min(unknown)}; expected one of {sorted(known)}: it was changed"
+        )
+
+
+def check_part_file(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise StorageError for a file that does not hold some cells of a sweep."""
+    path, about = archive.path, archive.metadata
+    check_field_types(about, SWEEP_PART_FIELDS, path)
+    for name in (CELL_ARRAY, *CELL_FACTS):
+        if name not in arrays:
+            raise StorageError(f"{path} holds no array '{name}': it is no part of a sweep")
+    cells, size = arrays[CELL_ARRAY], prod(about["shape"])
+    inside = cells.ndim == 1 and len(cells) > 0 and cells.dtype.kind in "iu" and cells.min() >= 0 and cells.max() < size
+    if not inside or len(np.unique(cells)) < len(cells):
+        raise StorageError(f"{path}: array '{CELL_ARRAY}' is no list of different cells, 0 to {size - 1}")
+    facts = {**CELL_FACTS, **EVENT_DRIVEN_FACTS}
+    for name, values in arrays.items():
+        kind = facts.get(name, (values.dtype.str[1:],))[0]
+        shape = cells.shape if name in facts else (len(cells), *values.shape[1:])
+        numbers = name == CELL_ARRAY or values.dtype.kind in "if"
+        if values.shape != shape or values.dtype.str[1:] != kind or not numbers:
+            raise StorageError(f"{path}: array '{name}' is {values.dtype}, {values.shape}; expected {kind}, {shape}")
+    check_message_cells(about, len(cells), path)
+    for name, check in CODE_CHECKS.items():
+        check(arrays[name])
+
+
+CODE_CHECKS = {
+    "status": partial(_check_codes, frozenset(STATUS_NAMES), "status"),
+    "way": partial(_check_codes, frozenset(range(-1, len(CELL_BACKENDS))), "way"),
+}
+
 
 _PART_NAME_PATTERN = re.compile(r"part-(\d+)\.npz")
 _BLOCK_BYTES = 1 << 22
@@ -40,7 +230,7 @@ QuantityTypes = Mapping[str, tuple[str, tuple[int, ...]]]
 class SweepStore:
     """The folder of a sweep of this design; no file is read, written or removed but in it, by its own name."""
 
-    def __init__(self, folder: Path, design: SweepDesign, settings: Mapping[str, Any], binding: same.SweepBinding) -> None:
+    def __init__(self, folder: Path, design: SweepDesign, settings: Mapping[str, Any], binding: SweepBinding) -> None:
         self.folder, self.design, self.shape, self.size = folder, design, design.shape, design.size
         self._settings, self._binding = settings, binding
         self._next = 1 + max(
@@ -54,8 +244,8 @@ class SweepStore:
 
     def begin(self) -> None:
         """Say what sweep it is, before any cell of it is there."""
-        write_npz(self._file(DESIGN_FILE), same.design_numbers(self.design), {"sweep": self._binding.sweep})
-        about = {"sweep": self._binding.sweep, "settings": self._settings, "design": same.design_document(self.design)}
+        write_npz(self._file(DESIGN_FILE), design_numbers(self.design), {"sweep": self._binding.sweep})
+        about = {"sweep": self._binding.sweep, "settings": self._settings, "design": design_document(self.design)}
         write_json(self._file(MANIFEST_FILE), with_checksum({**FORMAT_STAMP, **about, "shape": list(self.shape)}))
 
     def check_same_sweep(self) -> None:
@@ -70,7 +260,7 @@ class SweepStore:
             raise StorageError(
                 f"{archive.path} belongs to another sweep than {MANIFEST_FILE}; put it back from a copy, or give another folder"
             )
-        other = same.design_difference(manifest["design"], numbers, self.design)
+        other = design_difference(manifest["design"], numbers, self.design)
         if other is not None:
             raise StorageError(f"{self.folder}: the sweep there has {other}; give another folder")
         self.status()

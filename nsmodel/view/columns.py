@@ -9,18 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel import laws
-from nsmodel.archive import LIST_PREFIXES
-from nsmodel.columns import input_names, model_type, multiplier_names, output_names, state_names, units_of
+from nsmodel._utils import escape_invisible
 from nsmodel.crowd.measure import present
 from nsmodel.errors import PlotError
+from nsmodel.files.archive import LIST_PREFIXES
+from nsmodel.modeling import laws
+from nsmodel.modeling.columns import (
+    input_names,
+    model_type,
+    multiplier_names,
+    output_names,
+    quantity_at_step_ends,
+    read_quantity,
+    state_names,
+    units_of,
+)
 from nsmodel.plot import style
-from nsmodel.quantities import quantity_at_step_ends, read_quantity
 from nsmodel.view.packed import PackedRows, pack_codes, pack_column
-from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 MAX_PANEL_COLUMNS = 24  # Columns of a panel, bands of an index set.
 INITIAL_COLUMNS = 8  # Of them drawn when the page opens.

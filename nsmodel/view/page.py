@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from nsmodel.storage import encode_utf8, write_text
-from nsmodel.words import escape_invisible
+from nsmodel._utils import escape_invisible
+from nsmodel.files.storage import encode_utf8, write_text
 
 VIEW_FOLDER = Path(__file__).parent
 PAGE_TEMPLATE = """<!DOCTYPE html>

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsmodel._utils import escape_invisible
 from nsmodel.hypotheses.report import table
 from nsmodel.view.page import standalone_page, write_page
-from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report

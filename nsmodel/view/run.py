@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel import summary
-from nsmodel.columns import model_type, units_of
+from nsmodel._utils import escape_invisible
+from nsmodel.modeling.columns import model_type, units_of
 from nsmodel.plot import continuous
+from nsmodel.simulation import summary
 from nsmodel.view.columns import TimePanel, further_panels, index_set_bands, run_panels
 from nsmodel.view.packed import pack_numbers, packing_for
 from nsmodel.view.page import standalone_page, write_page
 from nsmodel.view.scene import disc_scene_data, forbidden_set_data
-from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 CURVE_POINTS = 20_000  # Read off the polynomials of an event-driven run.
 MAX_EVENTS = 100_000  # The most that are marked,

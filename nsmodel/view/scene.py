@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import state_names, units_of
+from nsmodel._utils import escape_invisible
 from nsmodel.crowd.measure import positions, present
+from nsmodel.modeling.columns import state_names, units_of
 from nsmodel.plot import style
 from nsmodel.plot.plane import class_plots
 from nsmodel.view.packed import pack_codes, pack_numbers
-from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+    from nsmodel.simulation.trajectory import Trajectory
 
 MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
 FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis,

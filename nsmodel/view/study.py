@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsmodel._utils import escape_invisible
 from nsmodel.study.lines import POINT_FAILED, POINT_LEFT_OUT, Line, Point
 from nsmodel.study.text import cost_text
 from nsmodel.view.page import standalone_page, write_page
-from nsmodel.words import escape_invisible
 
 if TYPE_CHECKING:
     from nsmodel.study.result import Study

@@ -19,9 +19,8 @@ from peers import programs
 
 import nsmodel
 from nsmodel.codegen.library import compiler
-from nsmodel.simulate import prepare
-from nsmodel.solve.band import FactoredJacobian
-from nsmodel.solve.sparse import SparseStepSolver
+from nsmodel.simulation.simulate import prepare
+from nsmodel.solvers.sparse import FactoredJacobian, SparseStepSolver
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "friction_chain.py"
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))

@@ -18,7 +18,7 @@ from peers import programs
 import nsmodel
 from nsmodel import codegen
 from nsmodel.codegen.library import compiler
-from nsmodel.simulate import prepare
+from nsmodel.simulation.simulate import prepare
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 FLAGS = ["-std=c99", "-O2"]

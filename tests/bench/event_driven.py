@@ -32,11 +32,11 @@ from events.smooth import smoothed
 from peers import in_scipy
 
 from nsmodel import UsageError, codegen
+from nsmodel.codegen.event_driven_runs import PIECE_FLAGS
 from nsmodel.codegen.library import MATH_LIBRARIES, SHARED_FLAGS
 from nsmodel.codegen.library import compiler as c_compiler
-from nsmodel.codegen.piece_runs import PIECE_FLAGS
-from nsmodel.run.event_driven import event_driven_problem
-from nsmodel.simulate import prepare
+from nsmodel.simulation.event_driven import event_driven_problem
+from nsmodel.simulation.simulate import prepare
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 TARGETS = (1e-4,) if SHORT else (1e-4, 1e-8, 1e-12)

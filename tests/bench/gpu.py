@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from lanes import drawn, friction
 
-from nsmodel.codegen.all_values import spec_for_all_values
 from nsmodel.codegen.batch import StepBatch
 from nsmodel.codegen.source import write_source
+from nsmodel.codegen.step_spec import spec_for_all_values
 from nsmodel.codegen.structs import BATCH_CELLS
-from nsmodel.grid import TimeGrid, make_grid
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.time_grid import TimeGrid, make_grid
 
 RUNS = 1000 if os.environ.get("NSMODEL_SHORT") else 1_000_000
 COMPARED = 64

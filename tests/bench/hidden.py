@@ -41,8 +41,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from nsmodel import simulate  # noqa: E402
-from nsmodel.proof.graph import fold_graph  # noqa: E402
-from nsmodel.run.event_driven import event_driven_problem  # noqa: E402
+from nsmodel.proof.expression_graph import fold_graph  # noqa: E402
+from nsmodel.simulation.event_driven import event_driven_problem  # noqa: E402
 from tests.search.hidden import KINDS, MOST_SECONDS, RIGHT, SAID, WRONG, Scene, X, first_order, pulse, t  # noqa: E402
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))

@@ -16,8 +16,8 @@ import numpy as np
 from nsmodel import FrictionOscillator, LureSystem, complementarity, relay
 from nsmodel.codegen.batch import BatchCells, StepBatch
 from nsmodel.codegen.library import compiler
-from nsmodel.grid import make_grid
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.time_grid import make_grid
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 REPEATS = 1 if SHORT else 9

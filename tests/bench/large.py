@@ -25,7 +25,7 @@ import numpy as np
 from peers import programs
 
 import nsmodel
-from nsmodel.simulate import prepare
+from nsmodel.simulation.simulate import prepare
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "crowd.py"
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))

@@ -16,7 +16,7 @@ import numpy as np
 from peers import programs
 
 import nsmodel
-from nsmodel.simulate import prepare
+from nsmodel.simulation.simulate import prepare
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))  # Whether all of it runs, once, on a few scenes.
 CASES = Path(__file__).resolve().parents[2] / "cases"

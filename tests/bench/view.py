@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 ARGUMENTS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking")
 COUNT, REPEATS = 60, 5

@@ -34,8 +34,8 @@ from nsmodel import (
     relay,
     second_order_cone,
 )
-from nsmodel.laws import Law
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.laws import Law
 
 Arguments = dict[str, Any]
 TRIES = 50

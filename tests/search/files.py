@@ -31,12 +31,11 @@ import numpy as np
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, Sweep, Trajectory, relay, simulate, sweep
-from nsmodel.archive import write_npz
-from nsmodel.chunks import ChunkStore
 from nsmodel.errors import NsmodelError, StorageError, UnverifiedWarning
-from nsmodel.manifest import with_checksum
-from nsmodel.storage import dumps, loads
-from nsmodel.stored import read_npz
+from nsmodel.files.archive import read_npz, write_npz
+from nsmodel.files.metadata import with_checksum
+from nsmodel.files.storage import dumps, loads
+from nsmodel.simulation.run_folder import ChunkStore
 from nsmodel.sweep.store import SweepStore
 
 REFUSED, EQUAL, USABLE, WRONG, THREW = "refused", "equal", "usable", "WRONG", "THREW"

@@ -42,7 +42,7 @@ from nsmodel import (
 )
 from nsmodel.codegen import library
 from nsmodel.errors import NsmodelError
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
 
 RIGHT, SAID, WRONG, SLOW = "right", "said", "WRONG", "slow"
 MOST_SECONDS = 60.0

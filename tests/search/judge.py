@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel import NsmodelError, StepError, simulate
-from nsmodel.scheme import one_step_problem
+from nsmodel.solvers.one_step_problem import one_step_problem
 
 from .digits import CONTEXT, Exact, Rounding, column, exact, floats
 from .models import Case
@@ -249,7 +249,7 @@ def _from_parts(case: Case, teller: Teller, known: tuple[float, float, np.ndarra
 
 def _last_predictor(model: Any, run: Run, t: float, h: float) -> np.ndarray | None:
     """x + h v with v as the selection gives it."""
-    from nsmodel.run.schemes import make_stepper
+    from nsmodel.simulation.fixed_grid import make_stepper
 
     stepper = make_stepper(model, "auto", 1e-9, h=h, state=run.x[-1])
     try:

@@ -17,9 +17,9 @@ import numpy as np
 from scipy import linalg
 from scipy.optimize import linprog
 
-from nsmodel.solve import active_set
-from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.nlp import NonlinearProgramme
+from nsmodel.solvers import active_set
+from nsmodel.solvers.fallbacks import NonlinearProgramme
+from nsmodel.solvers.residuals import NumericLaw
 
 from .digits import CONTEXT, Exact, Rounding, column, exact, floats, solve
 

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.brief import short_repr
+from nsmodel._utils import former_names, short_repr
 from nsmodel.errors import ModelError
-from nsmodel.later import former_names
-from nsmodel.model.arguments import describe_argument
-from nsmodel.pickled import Picklable
-from nsmodel.proof.graph import apply_operation, fold_graph, operation_codes
+from nsmodel.modeling.parameters import describe_argument
+from nsmodel.modeling.pickling import Picklable
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes
 
 _POLYNOMIAL_OPERATIONS = {
     ca.OP_INPUT,

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.grid import TimeGrid
+from nsmodel.modeling.time_grid import TimeGrid
 
 
 def given(model: ManyBodies, grid: TimeGrid) -> list[np.ndarray]:

@@ -13,10 +13,9 @@ import numpy as np
 from nsmodel.classes.bodies.groups import Bodies, Family, GroupMember, checked_entry_times, checked_member_numbers
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import describe_argument
-from nsmodel.model.base import Model
-from nsmodel.model.convert import to_sx
-from nsmodel.model.parameters import gather_values
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.conversion import to_sx
+from nsmodel.modeling.parameters import describe_argument, gather_values
 
 NO_SYMBOLS = ca.SX(0, 1)
 MAX_WRITTEN_OUT = 20_000  # Constraints that `written_out` puts into one model.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nsmodel.crowd.measure import maps
 from nsmodel.plot import crowd
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.contacts import Contacts
+from nsmodel.solvers.contacts import Contacts
 
 
 class BodiesRecord:

@@ -1,4 +1,4 @@
-"""The walk of many bodies: the step of `solve.many_bodies` over a grid, bodies that leave and enter, contacts that acted."""
+"""The walk of many bodies: the step of `solvers.contact_solver` over a grid, bodies that leave and enter, contacts that acted."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ import numpy as np
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.record import BodiesRecord
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
-from nsmodel.contacts import NO_CONTACTS, Contacts, sort_contacts
 from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import TimeGrid
-from nsmodel.hypotheses.quick import start_warnings
-from nsmodel.identity import run_settings
-from nsmodel.run.in_c import choose_step_backend
-from nsmodel.run.options import Options
-from nsmodel.run.walk import (
+from nsmodel.modeling.fingerprint import run_settings
+from nsmodel.modeling.time_grid import TimeGrid
+from nsmodel.simulation.options import Options
+from nsmodel.simulation.propagator import (
     GridProgress,
     ResumedBackend,
     buffered_row_count,
@@ -28,11 +25,13 @@ from nsmodel.run.walk import (
     overrun_warnings,
     update_exact_error,
 )
-from nsmodel.solve.certificate import EPS
-from nsmodel.solve.choose import Plan
-from nsmodel.solve.cost import CompilationCost, bodies_cost
-from nsmodel.solve.many_bodies import COLD_BODIES_START, BodiesStepper, BodiesStepResult, BodiesWarmStart, bodies_plan_lines
-from nsmodel.solve.near import least_gap, near_contact_rows
+from nsmodel.simulation.step_backend import choose_step_backend
+from nsmodel.solvers.contact_search import least_gap, near_contact_rows
+from nsmodel.solvers.contact_solver import COLD_BODIES_START, BodiesStepper, BodiesStepResult, BodiesWarmStart, bodies_plan_lines
+from nsmodel.solvers.contacts import NO_CONTACTS, Contacts, sort_contacts
+from nsmodel.solvers.initial_checks import start_warnings
+from nsmodel.solvers.plan import CompilationCost, Plan, bodies_cost
+from nsmodel.solvers.residuals import EPS
 from nsmodel.standstill import (
     MOVEMENT_ROUNDING,
     STANDSTILL_STEPS,
@@ -51,7 +50,7 @@ OVERRUN_FACTOR = 1e5  # A gap below 0 by more than so many times the rounding of
 
 
 class ManyBodiesPropagator(GridProgress):
-    """The walk of many bodies over a grid; see `run.walk.Propagator`.
+    """The walk of many bodies over a grid; see `simulation.propagator.Propagator`.
 
     It stands at (k, q, waiting, warm): ``q (N, d)`` is NaN where a body is not there, ``waiting (N,)`` who has not yet entered.
     It ends before the grid does where nobody is left, or where nothing will ever change again (see `standstill`).

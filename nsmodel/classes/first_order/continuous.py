@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
-from nsmodel.scheme.problem import rewrite_as_basic_law
+from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven
+from nsmodel.solvers.one_step_problem import rewrite_as_basic_law
 
 SINGULAR_MASS = "M is singular: its rows without x' are equations, which need steps; take method='time-stepping'"
 

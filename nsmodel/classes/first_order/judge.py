@@ -6,9 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.stress.measures import StepMagnitudes, StepResiduals, output_law_residual
-from nsmodel.stress.theta_gamma import theta_gamma_residual
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.study.reference_steps import StepMagnitudes, StepResiduals, output_law_residual, theta_gamma_residual
 
 
 def residuals(model: FirstOrderSystem, run: Trajectory) -> StepResiduals:

@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.laws import Law
-from nsmodel.model.arguments import describe_argument
-from nsmodel.model.base import LEFT_OUT, Model
-from nsmodel.model.convert import Converter
+from nsmodel.modeling.base import LEFT_OUT, Model
+from nsmodel.modeling.conversion import Converter
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.parameters import describe_argument
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

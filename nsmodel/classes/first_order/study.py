@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.model.base import Model
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def states(model: FirstOrderSystem, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:

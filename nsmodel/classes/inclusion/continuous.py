@@ -6,8 +6,8 @@ import casadi as ca
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
-from nsmodel.laws import complementarity, product
-from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.modeling.laws import complementarity, product
 
 
 def continuous_problem(model: MonotoneInclusion) -> ContinuousProblem:

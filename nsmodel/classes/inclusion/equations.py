@@ -18,8 +18,8 @@ from nsmodel.hypotheses.report.typeset import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.model.convex import ConvexSplit
-from nsmodel.proof.graph import stack_column
+from nsmodel.modeling.convex_split import ConvexSplit
+from nsmodel.proof.expression_graph import stack_column
 
 LATEX_SEPARATOR = r",\ "
 

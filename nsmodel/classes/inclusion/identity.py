@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.grid import TimeGrid
+from nsmodel.modeling.time_grid import TimeGrid
 
 
 def given(model: MonotoneInclusion, grid: TimeGrid) -> list[list[float]]:

@@ -7,7 +7,8 @@ import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.units import potential_expression
-from nsmodel.stress.measures import (
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.study.reference_steps import (
     EQUATION_TOLERANCE,
     EVALUATION_ROUNDING,
     LAW_TOLERANCE,
@@ -22,7 +23,6 @@ from nsmodel.stress.measures import (
     subgradient_residual,
     worst_ratio,
 )
-from nsmodel.trajectory import Trajectory
 
 
 def residuals(model: MonotoneInclusion, run: Trajectory) -> StepResiduals:

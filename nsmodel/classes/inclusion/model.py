@@ -13,11 +13,11 @@ import numpy as np
 
 from nsmodel.classes.first_order.model import checked_law
 from nsmodel.errors import ModelError
-from nsmodel.laws import Law
-from nsmodel.model.arguments import describe_argument
-from nsmodel.model.base import Model
-from nsmodel.model.convex import ConvexSplit, split_convex, split_discontinuities
-from nsmodel.pickled import Picklable
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.convex_split import ConvexSplit, split_convex, split_discontinuities
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.parameters import describe_argument
+from nsmodel.modeling.pickling import Picklable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.laws import Law, relay
-from nsmodel.model.convex import DOMAIN_KINDS
-from nsmodel.scheme.problem import subdifferential
+from nsmodel.modeling.convex_split import DOMAIN_KINDS
+from nsmodel.modeling.laws import Law, relay
+from nsmodel.solvers.one_step_problem import subdifferential
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from nsmodel.certificate.graph import exact_number_text
 from nsmodel.certificate.hints import ROUND_DOWN, StatedNumber, UnprovedFinding, cover_hint
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import Finding
-from nsmodel.proof import exact, feasibility
+from nsmodel.proof import conic, exact
 
 STATED = {"4.1": (StatedNumber("least eigenvalue", ROUND_DOWN, "least"),), "5.2": (StatedNumber("omega"),)}
 
@@ -108,7 +108,7 @@ def _point_in_range(model: LureSystem, x: np.ndarray | None) -> Any:
         A[:m, 1 + 4 * m :] = C
     else:
         A[:m, 0] += exact.matrix_product(C, exact.rational(x)[:, None]).ravel()
-    found = feasibility.decide_feasibility(feasibility.ConicSystem(A, tuple(positive))).point
+    found = conic.decide_feasibility(conic.ConicSystem(A, tuple(positive))).point
     if found is None:
         raise UnprovedFinding("no point was found")
     found = found / found[0]

@@ -6,8 +6,8 @@ import casadi as ca
 
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.classes.lure.schemes.theta_gamma import law_rows
-from nsmodel.laws import equality, product
-from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.modeling.laws import equality, product
 
 
 def continuous_problem(model: LureSystem) -> ContinuousProblem:

@@ -6,9 +6,15 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.stress.measures import StepMagnitudes, StepResiduals, output_law_residual, output_with_error, subgradient_residual
-from nsmodel.stress.theta_gamma import theta_gamma_residual
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.study.reference_steps import (
+    StepMagnitudes,
+    StepResiduals,
+    output_law_residual,
+    output_with_error,
+    subgradient_residual,
+    theta_gamma_residual,
+)
 
 
 def residuals(model: LureSystem, run: Trajectory) -> StepResiduals:

@@ -11,12 +11,11 @@ import casadi as ca
 
 from nsmodel.classes.first_order.model import check_weights, checked_law
 from nsmodel.errors import ModelError
-from nsmodel.laws import Law, product
-from nsmodel.model.arguments import describe_argument, numbered_row_names
-from nsmodel.model.base import Model
-from nsmodel.model.convert import Converter
-from nsmodel.model.convex import ConvexSplit, split_convex
-from nsmodel.model.parameters import declare_parameters
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.conversion import Converter
+from nsmodel.modeling.convex_split import ConvexSplit, split_convex
+from nsmodel.modeling.laws import Law, product
+from nsmodel.modeling.parameters import declare_parameters, describe_argument, numbered_row_names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.classes.first_order.study import states_with_input
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def states(model: LureSystem, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:

@@ -7,10 +7,10 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero, smooth_friction
-from nsmodel.laws import ball, complementarity, product
-from nsmodel.model.arguments import numbered_row_names
-from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven, SlipGrowth
-from nsmodel.scheme.problem import stationary_parts, subdifferential
+from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven, SlipGrowth
+from nsmodel.modeling.laws import ball, complementarity, product
+from nsmodel.modeling.parameters import numbered_row_names
+from nsmodel.solvers.one_step_problem import stationary_parts, subdifferential
 
 SAMPLE_VALUE = 0.7  # A value of parameters like any other.
 

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.stress.measures import (
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.study.reference_steps import (
     EQUATION_TOLERANCE,
     EVALUATION_ROUNDING,
     PROBE_LENGTHS,
@@ -17,7 +18,6 @@ from nsmodel.stress.measures import (
     step_ends,
     worst_ratio,
 )
-from nsmodel.trajectory import Trajectory
 
 
 def residuals(model: FrictionOscillator, run: Trajectory) -> StepResiduals:

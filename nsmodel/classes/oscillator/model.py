@@ -9,11 +9,11 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.laws import StateNames
-from nsmodel.model.arguments import describe_argument
-from nsmodel.model.base import Model
-from nsmodel.model.convex import ConvexSplit, split_convex
-from nsmodel.model.expressions import check_finite
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.convex_split import ConvexSplit, split_convex
+from nsmodel.modeling.expressions import check_finite
+from nsmodel.modeling.laws import StateNames
+from nsmodel.modeling.parameters import describe_argument
 
 
 class Friction(NamedTuple):

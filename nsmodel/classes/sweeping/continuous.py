@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.laws import complementarity
-from nsmodel.model.expressions import derivatives
-from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.modeling.expressions import derivatives
+from nsmodel.modeling.laws import complementarity
 
 
 def continuous_problem(model: SweepingProcess) -> ContinuousProblem:

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.stress.measures import (
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.study.reference_steps import (
     EQUATION_TOLERANCE,
     EVALUATION_ROUNDING,
     LAW_TOLERANCE,
@@ -20,7 +21,6 @@ from nsmodel.stress.measures import (
     step_ends,
     worst_ratio,
 )
-from nsmodel.trajectory import Trajectory
 
 
 def residuals(model: SweepingProcess, run: Trajectory) -> StepResiduals:

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.arguments import describe_argument
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.parameters import describe_argument
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

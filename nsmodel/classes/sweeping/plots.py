@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel import dense
 from nsmodel.errors import PlotError
+from nsmodel.event_driven import dense_output
 from nsmodel.plot import plane, style
 from nsmodel.plot.scene import draw_discs
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +55,7 @@ def gap(model: Any, run: Trajectory) -> tuple[plane.GapFunction, bool]:
 
     def least(t: np.ndarray | float, *q: np.ndarray) -> np.ndarray:
         times = np.broadcast_to(t, q[0].shape).reshape(1, -1)
-        u = dense.inputs_at(run.arrays, times[0]).T if model.u.numel() else np.zeros((0, times.size))
+        u = dense_output.inputs_at(run.arrays, times[0]).T if model.u.numel() else np.zeros((0, times.size))
         values = function.map(times.size)(times, np.stack([part.ravel() for part in q]), u)
         return np.ma.masked_invalid(np.array(values).reshape(q[0].shape))
 

@@ -22,7 +22,7 @@ from nsmodel.hypotheses.report.notation import (
     symbol_latex,
     vector_latex,
 )
-from nsmodel.proof.graph import fold_graph
+from nsmodel.proof.expression_graph import fold_graph
 
 T = TypeVar("T")
 MAX_FORMULA_SIZE = 250  # Formulas of more nodes are named, not written out.

@@ -16,7 +16,7 @@ from nsmodel.hypotheses.report.table import (
     witness_texts,
 )
 from nsmodel.hypotheses.report.typeset import model_equations
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nsmodel.brief import wrap_lines
+from nsmodel._utils import escape_invisible, html_repr, one_line, wrap_lines
 from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, Consequence, Finding
 from nsmodel.hypotheses.report import table
-from nsmodel.notebook import html_repr
-from nsmodel.pickled import Picklable
+from nsmodel.modeling.pickling import Picklable
 from nsmodel.proof.verdict import HOLDS, VERDICTS
-from nsmodel.words import escape_invisible, one_line
 
 
 @dataclass(frozen=True, repr=False)

@@ -33,7 +33,7 @@ def report_text(report: Report, width: int = 100) -> str:
 
 
 def report_data(report: Report) -> dict[str, Any]:
-    """Return all of the report as text, numbers, lists and dictionaries, as :func:`nsmodel.storage.dumps` writes them."""
+    """Return all of the report as text, numbers, lists and dictionaries, as :func:`nsmodel.files.storage.dumps` writes them."""
     return {
         "title": report.title,
         "model_class": report.model_class,

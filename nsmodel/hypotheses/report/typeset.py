@@ -13,8 +13,8 @@ from nsmodel.errors import ModelError
 from nsmodel.hypotheses.report import sympy_algebra
 from nsmodel.hypotheses.report.formula import SymbolNames, formulas, translate_expression
 from nsmodel.hypotheses.report.notation import bracketed, number_latex, symbol_latex, text_latex, vector_latex
-from nsmodel.laws import Law
-from nsmodel.model.base import Model
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.laws import Law
 
 if TYPE_CHECKING:
     import sympy

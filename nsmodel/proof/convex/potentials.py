@@ -8,14 +8,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, extremum, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
-from nsmodel.proof.convex import convexity
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.joints import exact_value
-from nsmodel.proof.convex.ridges import Ridges, find_ridges
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_squares, univariate
+from nsmodel.proof import polynomial as polynomial_signs
+from nsmodel.proof.convex import rules
+from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.piecewise import exact_value
+from nsmodel.proof.convex.rules import Ridges, find_ridges
+from nsmodel.proof.convex.sets import ConvexSet
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.graph import is_same_expression, rewrite_nodes
+from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, HypothesisPart
 
 EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
@@ -48,7 +49,7 @@ def is_convex_potential(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.nda
         return found._replace(how="by the rules of convex functions")
     H = ca.densify(ca.hessian(parts.smooth, C.x)[0])
     low, high = np.maximum(C.bounding_box[0], lower), np.minimum(C.bounding_box[1], upper)
-    if parts.convex or convexity.global_curvatures(g, C.x)[0].convex:
+    if parts.convex or rules.global_curvatures(g, C.x)[0].convex:
         return HypothesisPart(HOLDS, "by the rules of convex functions", {EIGENVALUE_BOUND_KEY: 0.0}, {})
     if _is_separable_convex(parts.smooth, C):
         return HypothesisPart(
@@ -99,7 +100,7 @@ def _split_smooth_part(g: ca.SX, x: ca.SX) -> SmoothSplit:
     scaled = [product for product in (_scale_exactly(factor, term) for factor, term in terms) if product is not None]
     if len(scaled) < len(terms):
         return SmoothSplit(g, False, True)
-    shapes = convexity.global_curvatures(ca.vertcat(*scaled), x)
+    shapes = rules.global_curvatures(ca.vertcat(*scaled), x)
     polynomials = polynomial.read_polynomials(ca.vertcat(*scaled), x)
     for term, shape, p in zip(scaled, shapes, polynomials, strict=True):
         if shape.convex and p is None and not _is_smooth_everywhere(term, x):
@@ -120,7 +121,7 @@ def _scale_exactly(factor: Fraction, term: ca.SX) -> ca.SX | None:
 
 def _is_smooth_everywhere(term: ca.SX, x: ca.SX) -> bool:
     unbounded = np.full(x.numel(), np.inf)
-    return interval.is_continuous(ca.vertcat(term, ca.gradient(term, x)), x, -unbounded, unbounded)
+    return interval_bounds.is_continuous(ca.vertcat(term, ca.gradient(term, x)), x, -unbounded, unbounded)
 
 
 def _is_separable_convex(smooth: ca.SX, C: ConvexSet) -> bool:
@@ -160,7 +161,7 @@ def _is_composed_convex(g: ca.SX, C: ConvexSet) -> bool:
             P is None
             or not polynomial.degree(p or {}) == 2
             or not exact.definiteness(P.H).psd
-            or float(np.min(interval.enclose(q, C.x, *_unbounded_box(C))[0])) < 0
+            or float(np.min(interval_bounds.enclose(q, C.x, *_unbounded_box(C))[0])) < 0
         ):
             continue
         r = ca.SX.sym("r")
@@ -171,11 +172,11 @@ def _is_composed_convex(g: ca.SX, C: ConvexSet) -> bool:
             continue
         terms = additive_terms(h)
         zero, cases = Fraction(0), [{} for _ in terms]
-        found = one_variable.second_derivative_signs(terms, r, zero, None, cases, zero)
+        found = univariate.second_derivative_signs(terms, r, zero, None, cases, zero)
         if found is None or min(found.signs) < 0:
             continue
         slope = ca.gradient(h, r)
-        if interval.is_continuous(ca.vertcat(h, slope), r, np.zeros(1), np.ones(1)):
+        if interval_bounds.is_continuous(ca.vertcat(h, slope), r, np.zeros(1), np.ones(1)):
             number = exact_value(slope, r, zero)
             if number is not None and number >= 0:
                 return True
@@ -190,7 +191,7 @@ def _check_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray,
     """Bounds of the eigenvalues of -D2 g: on the box that holds C, then on the box looked at."""
     gradient = ca.vertcat(smooth, ca.gradient(smooth, C.x))
     where = C.rows if C.rows.numel() else None
-    if interval.is_continuous(gradient, C.x, *C.bounding_box):
+    if interval_bounds.is_continuous(gradient, C.x, *C.bounding_box):
         found = extremum.largest_eigenvalue(-H, C.x, *C.bounding_box, where=where, bound_to=0.0, quick=True)
         if found.bound <= 0:
             return HypothesisPart(HOLDS, "bounds of the eigenvalues of the Hessian", {EIGENVALUE_BOUND_KEY: abs(found.bound)}, {})
@@ -203,7 +204,7 @@ def _check_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray,
     down = find_negative_curvature(gradient, H, C, found.at)
     if down:
         return HypothesisPart(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
-    proved = found.bound <= 0 and interval.is_continuous(gradient, C.x, *box)
+    proved = found.bound <= 0 and interval_bounds.is_continuous(gradient, C.x, *box)
     if proved or (split is not None and _is_convex_in_directions(split, C.x, box, quick=quick)):
         return HypothesisPart(
             HOLDS,
@@ -224,7 +225,7 @@ def _is_convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.
     if not split.s.numel() or split.s.numel() > MAX_DIRECTIONS:
         return not split.s.numel()
     ends = split.box(x, *box)
-    if not interval.is_continuous(ca.vertcat(split.h, ca.gradient(split.h, split.s)), split.s, *ends):
+    if not interval_bounds.is_continuous(ca.vertcat(split.h, ca.gradient(split.h, split.s)), split.s, *ends):
         return False
     H = ca.densify(ca.hessian(split.h, split.s)[0])
     return bool(extremum.largest_eigenvalue(-H, split.s, *ends, bound_to=0.0, quick=quick).bound <= 0)
@@ -244,7 +245,7 @@ def find_negative_curvature(gradient: ca.SX, H: ca.SX, C: ConvexSet, at: np.ndar
         *((at + sign * near * unit, near) for near in WITNESS_DISTANCES for sign in (1, -1)),
     ]:
         room = near / 8 * (1 + np.abs(place))
-        if (C.values(place[None]) >= 0).all() and interval.is_continuous(gradient, C.x, place - room, place + room):
+        if (C.values(place[None]) >= 0).all() and interval_bounds.is_continuous(gradient, C.x, place - room, place + room):
             found = _negative_curvature_at_point(H, C.x, place)
             if found:
                 return found
@@ -256,7 +257,7 @@ def _negative_curvature_at_point(H: ca.SX, x: ca.SX, at: np.ndarray) -> dict[str
     if not np.isfinite(values).all():
         return {}
     v = np.linalg.eigh((values + values.T) / 2)[1][:, 0]
-    _, high = interval.enclose(ca.DM(v).T @ H @ ca.DM(v), x, at, at)
+    _, high = interval_bounds.enclose(ca.DM(v).T @ H @ ca.DM(v), x, at, at)
     return {"x": np.asarray(at), "vector": v} if float(np.max(high)) < 0 else {}
 
 

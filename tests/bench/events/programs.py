@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from events.printed import model_text
-from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.event_driven.problem import ContinuousProblem
 
 HERE = Path(__file__).resolve().parent
 ROWS, ROOM, ORDERS = 241, 20_000, 32  # Rows of a run, room for events, the highest order of a series.

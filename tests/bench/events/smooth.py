@@ -8,7 +8,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.event_driven.problem import ContinuousProblem
 
 FORMULAS = {
     ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0}*{1}", ca.OP_DIV: "{0}/{1}", ca.OP_NEG: "-{0}",

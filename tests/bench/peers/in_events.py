@@ -11,7 +11,7 @@ from events import by_hand
 from events.programs import Programs, compiler, with_cvode
 from events.scenes import Scene, scenes
 
-from nsmodel.run.event_driven import event_driven_problem
+from nsmodel.simulation.event_driven import event_driven_problem
 from peers.in_scipy import measure
 from peers.programs import Run
 

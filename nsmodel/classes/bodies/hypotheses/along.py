@@ -15,8 +15,8 @@ from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses.constraint import HypothesisAnswer
 from nsmodel.hypotheses.along import FEASIBILITY_HYPOTHESIS, QUALIFICATION_HYPOTHESIS
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.solve.certificate import EPS
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers.residuals import EPS
 
 POSITION_ROUNDING = 1e-10  # A deficit below this part of the positions counts as rounding.
 MAX_CHECKED_ROWS = 100

@@ -22,8 +22,8 @@ from nsmodel.classes.sweeping.hypotheses.constraint import ON_THE_BOX, AnswersBy
 from nsmodel.classes.sweeping.hypotheses.qualification import QualificationResult
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, make_finding
 from nsmodel.hypotheses.region import Region, region_of
-from nsmodel.proof.search import searches_are_quick
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof.global_search import searches_are_quick
+from nsmodel.simulation.trajectory import Trajectory
 
 HYPOTHESES = sweeping.HYPOTHESES
 TWIN = False  # No two solutions are compared.

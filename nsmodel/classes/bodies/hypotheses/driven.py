@@ -13,7 +13,7 @@ from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.inputs import InputBounds
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope, intersect_scopes
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 PARTS = {"f": ("f",)}
 

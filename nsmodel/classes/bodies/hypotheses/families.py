@@ -19,8 +19,8 @@ from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import extremum
-from nsmodel.proof.graph import apply_operation, fold_graph, operation_codes, stack_column, symbol_hashes
-from nsmodel.proof.interval import enclose
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes, stack_column, symbol_hashes
+from nsmodel.proof.interval_bounds import enclose
 from nsmodel.proof.jumps import jump_nodes
 
 MAX_LISTED_MEMBERS = 1 << 17  # Members whose numbers are looked at one by one; of more, the ranges of their numbers.

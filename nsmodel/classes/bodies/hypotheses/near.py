@@ -1,4 +1,4 @@
-"""Which constraints are near 0 where the bodies are: rows of `solve.near`, those that matter to a hypothesis."""
+"""Which constraints are near 0 where the bodies are: rows of `solvers.contact_search`, those that matter to a hypothesis."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import numpy as np
 
 from nsmodel.classes.bodies.groups import Family
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows, uses_neighbour_search
-from nsmodel.proof import interval
-from nsmodel.proof.sure import not_none
-from nsmodel.solve.certificate import EPS
-from nsmodel.solve.near import least_gap, near_contact_rows
+from nsmodel.proof import interval_bounds
+from nsmodel.proof.verdict import not_none
+from nsmodel.solvers.contact_search import least_gap, near_contact_rows
+from nsmodel.solvers.residuals import EPS
 
 TERM_ROUNDING = 1e-10  # A deficit below this part of the terms of a constraint counts as rounding.
 BOUNDS_PER_CALL = 1 << 18  # Constraints that are bounded in one go.
@@ -57,7 +57,7 @@ def _reach_rounding(problem: BodiesProblem, t: float, family: Family) -> float:
     d, numbers = problem.d, np.unique(problem.numbers, axis=0)
     z = ca.vertcat(problem.model.t, *(member.symbols[d:] for member in family.moving))
     points = np.hstack([np.full((len(numbers), 1), t), numbers, numbers])
-    low, high = interval.enclose(not_none(family.reach), z, points, points)
+    low, high = interval_bounds.enclose(not_none(family.reach), z, points, points)
     return 4 * float(np.nan_to_num(high - low, posinf=0.0).max(initial=0.0))
 
 
@@ -110,7 +110,9 @@ def gap_bounds(problem: BodiesProblem, t: float, q: np.ndarray, rows: ContactRow
             columns.append(family.second.symbols)
             values += [q[second], problem.numbers[second]] if family.of_pairs else [family.second.group.table[second]]
         points = np.hstack(values)
-        low[own], high[own] = (np.ravel(end) for end in interval.enclose(ca.SX(family.g), ca.vertcat(*columns), points, points))
+        low[own], high[own] = (
+            np.ravel(end) for end in interval_bounds.enclose(ca.SX(family.g), ca.vertcat(*columns), points, points)
+        )
     return low, high
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 from nsmodel.classes.bodies.schemes.prediction_correction import ContactRows
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 
 MAX_WOLFE_GROUP = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
 INTERIOR_ITERATIONS = 60

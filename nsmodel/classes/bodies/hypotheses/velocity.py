@@ -23,11 +23,10 @@ from nsmodel.errors import StepError
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, missing_rate_reason
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import extremum, interval
-from nsmodel.proof.defined import check_defined_in_time
-from nsmodel.proof.discontinuity import jump_lower_bound
-from nsmodel.proof.graph import rewrite_nodes, stack_column
-from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_nodes
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.domain import check_defined_in_time
+from nsmodel.proof.expression_graph import rewrite_nodes, stack_column
+from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_lower_bound, jump_nodes
 
 MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first.
 MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
@@ -132,7 +131,7 @@ def _body_field_block(model: ManyBodies, region: Region, table: np.ndarray) -> F
         np.concatenate([[time], end(table[:, used], axis=0), p])
         for time, end, p in zip((region.t0, region.t1), (np.min, np.max), region.parameter_bounds(), strict=True)
     )
-    bounds = interval.enclose(stack_column(old for _, old in nodes), z, lower, upper) if nodes else (np.zeros(0),) * 2
+    bounds = interval_bounds.enclose(stack_column(old for _, old in nodes), z, lower, upper) if nodes else (np.zeros(0),) * 2
     s = ca.vertcat(chosen, stack_column(symbol for symbol, _ in nodes))
     s_lower, s_upper = (np.concatenate([end[1:], np.ravel(more)]) for end, more in zip((lower, upper), bounds, strict=True))
     box = (np.concatenate([[time], end]) for time, end in zip((region.t0, region.t1), (region.lower, region.upper), strict=True))
@@ -164,7 +163,7 @@ def _bodies_time_rate_bound(
     one = block.box(False)
     z = ca.vertcat(model.t, model.me.q, *(model.me.symbols[model.bodies.d + k] for k in _used_numbers(model)), model.p)
     lower, upper = (end[: z.numel()] for end in one)
-    if not interval.is_continuous(model.f, z, lower, upper):
+    if not interval_bounds.is_continuous(model.f, z, lower, upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
     lower, upper = (np.concatenate(ends) for ends in zip((lower, upper), motion.rates, strict=True))
     top = extremum.supremum(ca.norm_2(change), ca.vertcat(z, motion.v), lower, upper, quick=quick)

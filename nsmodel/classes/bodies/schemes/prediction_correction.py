@@ -16,8 +16,7 @@ import numpy as np
 from nsmodel.classes.bodies.groups import Family
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import StepError, UsageError
-from nsmodel.proof.buffered import attach_buffers
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import attach_buffers, not_none
 
 BATCH_SIZE = 4096  # Members evaluated in one call.
 LARGEST_TABLE = 20_000_000  # Rows that a step evaluates at most.

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.affine_step import SIGN_MARGIN, AffineStep, solve_affine_index_set
-from nsmodel.proof import exact, feasibility
+from nsmodel.proof import conic, exact
 
 MAX_SET_PAIRS = 800  # Pairs of index sets, times states, that are all decided.
 
@@ -34,9 +34,9 @@ def decide_solvability(step: AffineStep) -> InfeasibleState | bool | None:
     A = np.hstack([np.array([row for row, _ in conditions], dtype=object), exact.zeros(len(conditions), len(positive))])
     for place, k in enumerate(positive):
         A[k, m + place] = Fraction(-1)
-    zero = feasibility.implied_zeros(feasibility.ConicSystem(A, tuple(range(m, A.shape[1]))))
+    zero = conic.implied_zeros(conic.ConicSystem(A, tuple(range(m, A.shape[1]))))
     left = [j for j in range(A.shape[1]) if j not in zero]
-    inner = feasibility.decide_feasibility(feasibility.ConicSystem(A[:, left], tuple(range(m, len(left))))).point
+    inner = conic.decide_feasibility(conic.ConicSystem(A[:, left], tuple(range(m, len(left))))).point
     if inner is None:
         return None
     span = exact.nullspace(A[:, left])
@@ -119,4 +119,4 @@ def _gives_same_state(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.nd
             A[k, total] = Fraction(-1)
             columns.append(total)
             total += 1
-    return columns[-1] in feasibility.implied_zeros(feasibility.ConicSystem(A, tuple(columns)))
+    return columns[-1] in conic.implied_zeros(conic.ConicSystem(A, tuple(columns)))

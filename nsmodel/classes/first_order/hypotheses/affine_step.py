@@ -18,7 +18,7 @@ import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation, constant_matrix_values
 from nsmodel.proof import exact
-from nsmodel.solve.certificate import numeric_law
+from nsmodel.solvers.residuals import numeric_law
 
 MAX_STEP_INDEX_SETS = 750  # Index sets that are all decided.
 SIGN_MARGIN = 1e-9  # A sign counts where the number is this part of its terms, or exactly 0.

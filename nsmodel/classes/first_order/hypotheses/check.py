@@ -39,12 +39,12 @@ from nsmodel.hypotheses.findings import (
     make_finding,
 )
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import exact, interval
+from nsmodel.proof import exact, interval_bounds
 from nsmodel.proof.exact import MACHINE_EPSILON
+from nsmodel.proof.expression_graph import operation_codes
 from nsmodel.proof.extremum import spectral_norm
-from nsmodel.proof.graph import operation_codes
-from nsmodel.proof.search import searches_are_quick
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof.global_search import searches_are_quick
+from nsmodel.simulation.trajectory import Trajectory
 
 SICONOS_NOTES = "Siconos developer's notes"
 F_JACOBIANS = Hypothesis(
@@ -129,7 +129,7 @@ def _check_jacobians(at: SystemLinearisation) -> Finding:
         return make_finding(F_JACOBIANS, UNKNOWN, how, value, where, at.scope())
     how = f"Algorithmic differentiation is exact; difference quotients at {at.along} agree to this part of the largest entry"
     how += f" (at a kink of {', '.join(kinks)} it gives one of the one-sided derivatives)." if kinks else "."
-    if not kinks and interval.is_continuous(ca.veccat(*at.jacobians), at.z, at.lower, at.upper):
+    if not kinks and interval_bounds.is_continuous(ca.veccat(*at.jacobians), at.z, at.lower, at.upper):
         how = how[:-1] + f", and the Jacobians are continuous on {at.where}."
         return make_finding(F_JACOBIANS, HOLDS, how, value, where, at.scope())
     return make_finding(F_JACOBIANS, SAMPLED, how, value, where, at.scope())
@@ -260,7 +260,7 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
             return make_finding(F_W, HOLDS, how, value, scope=at.scope())
     signs = np.linalg.slogdet(finite)[0]
     clear = relative > 1e-9
-    if {-1, 1} <= set(signs[clear]) and len(finite) == len(W) and interval.is_continuous(at.G, at.z, at.lower, at.upper):
+    if {-1, 1} <= set(signs[clear]) and len(finite) == len(W) and interval_bounds.is_continuous(at.G, at.z, at.lower, at.upper):
         ends = [at.points[clear][np.flatnonzero(signs[clear] == sign)[0]] for sign in (1, -1)]
         how = f"det W is continuous on {at.where}, > 0 at one of these points and < 0 at the other: it vanishes between them."
         return make_finding(F_W, VIOLATED, how, value, {"names": at.names, "det > 0": ends[0], "det < 0": ends[1]})

@@ -17,8 +17,8 @@ from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, F
 from nsmodel.hypotheses.inputs import InputBounds, InputJump, missing_rate_reason, scheme_limit_consequence
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import IntervalBox, Scope
-from nsmodel.proof import extremum, interval
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.simulation.trajectory import Trajectory
 
 PARTS = {"f": ("f",), "g": ("g",), "h": ("h",), "law": ("law",)}
 F_INPUTS = Hypothesis(
@@ -102,7 +102,7 @@ def _input_rate_finding(
     z = ca.vertcat(at.z, model.p, motion.v)
     ends = np.concatenate([low, p_low, slowest]), np.concatenate([high, p_high, fastest])
     rates = {name: motion.velocity(part, model.t) for name, part in (("h", model.h), ("g", model.g))}
-    if not interval.is_continuous(ca.vertcat(model.h, model.g, *rates.values()), z, *ends):
+    if not interval_bounds.is_continuous(ca.vertcat(model.h, model.g, *rates.values()), z, *ends):
         return make_finding(F_INPUTS, UNKNOWN, "h and g are not seen to be continuous along the inputs")
     tops = {name: extremum.supremum(ca.sumsqr(rate), z, *ends, quick=quick).bound for name, rate in rates.items()}
     value = {f"|{name}'| at most": float(np.sqrt(max(top, 0.0))) * RATE_ROUND_UP for name, top in tops.items()}
@@ -121,7 +121,7 @@ def _output_jump(model: FirstOrderSystem, box: IntervalBox, edges: Sequence[Inpu
     start = np.array(ca.DM(ca.substitute(ca.vertcat(model.x0, model.lam0), model.p, middle))).ravel()
     for edge in edges:
         for point in (start, *points):
-            (a, b), (c, d) = (interval.enclose(rows, z, one, one) for one in edge.at(point))
+            (a, b), (c, d) = (interval_bounds.enclose(rows, z, one, one) for one in edge.at(point))
             gap = np.maximum(c - b, a - d).ravel()
             i = int(np.argmax(gap))
             if not gap[i] > 0:

@@ -31,9 +31,9 @@ from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, make_findin
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import IntervalBox, Scope, intersect_scopes
 from nsmodel.hypotheses.uniform import ParameterValues, box_middle, depends_on_symbol, findings_for_box, sample_values
-from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof import exact, extremum, interval_bounds
 from nsmodel.proof.jumps import jump_nodes
-from nsmodel.proof.multiaffine import matrix_corners
+from nsmodel.proof.parameter_hull import matrix_corners
 
 FIELDS_OF_SYSTEM = ("M", "f", "h", "g", "law")
 JACOBIAN_IDS = (F_JACOBIANS.id, F_W.id, F_MLCP.id, F_STEP.id)
@@ -118,7 +118,7 @@ def _affine_system(model: FirstOrderSystem, region: Region) -> AffineSystem | No
         return None
     offset, z = ca.substitute(stacked, inner, ca.DM.zeros(inner.numel())), ca.vertcat(model.t, model.p)
     ends = np.append(region.t0, low), np.append(region.t1, high)
-    if not np.isfinite(interval.enclose(offset, z, *ends)).all():
+    if not np.isfinite(interval_bounds.enclose(offset, z, *ends)).all():
         return None
     h, theta, gamma = (ca.SX.sym(name) for name in ("h", "theta", "gamma"))
     weights = [np.nan, model.theta, model.gamma]
@@ -139,7 +139,7 @@ def _jacobian_findings(model: FirstOrderSystem, region: Region, quick: bool) -> 
     ):
         return []
     ends = np.append(region.t0, low), np.append(region.t1, high)
-    if not np.isfinite(interval.enclose(added, ca.vertcat(model.t, model.p), *ends)).all():
+    if not np.isfinite(interval_bounds.enclose(added, ca.vertcat(model.t, model.p), *ends)).all():
         return []
     found = check(model.bind(box_middle(region.parameters)), replace(region, parameters={}), (), quick)[0]
     return [finding for finding in found if finding.id in JACOBIAN_IDS and finding.verdict == HOLDS]

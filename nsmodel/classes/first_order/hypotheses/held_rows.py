@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation, system_jacobians
-from nsmodel.laws import Law, box, product
-from nsmodel.laws.block import Intervals, SecondOrder
-from nsmodel.proof import exact, interval
+from nsmodel.modeling.laws import Law, box, product
+from nsmodel.modeling.laws.base import Intervals, SecondOrder
+from nsmodel.proof import exact, interval_bounds
 
 HELD_ROUNDS = 3  # With fewer multipliers more signs show.
 
@@ -30,7 +30,7 @@ def _held_values(at: SystemLinearisation) -> np.ndarray:
     out, place, around = np.full(at.model.law.size, np.nan), 0, _reachable_box(at)
     if around is None:
         return out
-    low, high = (end.ravel() for end in interval.enclose(at.model.h, at.z, *around))
+    low, high = (end.ravel() for end in interval_bounds.enclose(at.model.h, at.z, *around))
     for block in at.model.law.blocks:
         own = slice(place, place + block.size)
         place += block.size
@@ -54,7 +54,7 @@ def _reachable_box(at: SystemLinearisation) -> tuple[np.ndarray, np.ndarray] | N
     lower, upper = at.lower.copy(), at.upper.copy()
     lower[0] = min(lower[0] + at.steps.min(), at.upper[0])
     for widening in (2.0, 1.0):
-        force = [np.abs(end).ravel() for e in (at.model.f, at.model.g) for end in interval.enclose(e, at.z, lower, upper)]
+        force = [np.abs(end).ravel() for e in (at.model.f, at.model.g) for end in interval_bounds.enclose(e, at.z, lower, upper)]
         if not np.isfinite(force).all():
             return None
         reach = 1.001 * widening * h * np.abs(exact.doubles(inverse)) @ (np.maximum(*force[:2]) + np.maximum(*force[2:]))

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.hypotheses.impacts import ImpactStructure, impact_structure
-from nsmodel.solve.rounding import equilibrate_matrix
+from nsmodel.solvers.impacts import ImpactStructure, impact_structure
+from nsmodel.solvers.rounding_errors import equilibrate_matrix
 
 
 def system(model: FirstOrderSystem) -> ImpactStructure | None:

@@ -15,13 +15,13 @@ import numpy as np
 from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.hypotheses.region import BOX_GROWTH, Region
 from nsmodel.hypotheses.scope import Scope
-from nsmodel.laws import Law
-from nsmodel.laws.block import Halfspaces
-from nsmodel.proof import exact, feasibility
-from nsmodel.proof.defined import DefinednessResult, check_defined_in_time
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.laws.base import Halfspaces
+from nsmodel.proof import conic, exact
+from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
 from nsmodel.proof.extremum import samples
 from nsmodel.proof.jumps import ExpressionJump, find_jump, jump_nodes
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 MAX_SAMPLED_RUN_ROWS = 100  # of the runs that are looked at
 MAX_FACE_SETS = 500  # Sets of faces of a polyhedron that are looked at.
@@ -251,7 +251,7 @@ def _polyhedron_corners(shape: Halfspaces) -> np.ndarray:
     none = exact.zeros(0, m)
     if comb(len(K), m) > MAX_FACE_SETS or exact.rank(H) < m:
         return none
-    if feasibility.decide_feasibility(feasibility.ConicSystem(H.T, tuple(range(len(K))))).point is None:  # some H d >= 0, d != 0
+    if conic.decide_feasibility(conic.ConicSystem(H.T, tuple(range(len(K))))).point is None:  # some H d >= 0, d != 0
         return none
     found = []
     for rows in map(list, combinations(range(len(K)), m)):

@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
-from nsmodel.laws import CurvedSet, Law
-from nsmodel.scheme.problem import rewrite_as_basic_law
-from nsmodel.solve.certificate import numeric_law
+from nsmodel.modeling.laws import CurvedSet, Law
+from nsmodel.solvers.one_step_problem import rewrite_as_basic_law
+from nsmodel.solvers.residuals import numeric_law
 
 ModeBlock = tuple[CurvedSet | None, tuple[int, ...]]  # the set, None for a row of a box, and its rows of l
 StepMode = tuple[str, ...]  # of each block: "free", "lower", "upper"; "inside", "touched"; "vertex"

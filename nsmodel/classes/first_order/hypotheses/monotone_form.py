@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
 from nsmodel.classes.lure.hypotheses.jacobian_hull import simplify_factors
-from nsmodel.proof import interval
+from nsmodel.proof import interval_bounds
 
 MAX_FORM_BOXES, MAX_PART_BOXES = 2000, 300  # in which the form is bounded, on the whole box and on a part of it
 FORM_ROOM = 1e-9  # of the form's size, that its least eigenvalue is above 0 by: far more than constants in it are rounded by
@@ -45,7 +45,7 @@ def monotone_form_on_box(at: SystemLinearisation, h: float, *, extended: bool) -
     J = {name: tidy_matrix(getattr(at.jacobians, name), at.z) for name in "ACDKB"}
     for rows in rows_of_blocks(at):
         for k in rows if len(rows) == 1 else ():
-            low, high = (float(end.item()) for end in interval.enclose(J["D"][k, k], at.z, at.lower, at.upper))
+            low, high = (float(end.item()) for end in interval_bounds.enclose(J["D"][k, k], at.z, at.lower, at.upper))
             if np.isfinite(low) and not np.isfinite(high):
                 J["D"][k, k] = low
     uses = [any(ca.depends_on(matrix, symbol) for matrix in J.values() if matrix.numel()) for symbol in ca.vertsplit(at.z)]
@@ -103,7 +103,7 @@ def is_form_definite(
         count += len(boxes[0])
         if count > most:
             return False
-        low, high = (end.reshape(len(boxes[0]), -1) for end in interval.enclose(stacked, form.z, *boxes))
+        low, high = (end.reshape(len(boxes[0]), -1) for end in interval_bounds.enclose(stacked, form.z, *boxes))
         if not np.isfinite([low, high]).all():
             return False
         size = _form_matrices(form, np.maximum(abs(low), abs(high)), abs(L), abs(N), abs(theta), 1.0, of_x)

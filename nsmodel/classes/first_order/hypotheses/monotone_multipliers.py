@@ -12,7 +12,7 @@ from nsmodel.classes.first_order.hypotheses.monotone_form import (
     MonotoneForm,
     rows_of_blocks,
 )
-from nsmodel.proof import conic_program
+from nsmodel.proof import conic
 
 PROGRAM_POINTS = 24  # at which the program asks for a definite form
 
@@ -78,20 +78,20 @@ def _maximise_definiteness(seen: _SampledForm, n: int, m: int) -> np.ndarray | N
         columns = _unknown_columns(seen, *point)
         data.append(np.column_stack([*(-column for column in columns), _stack_triangle(np.eye(n + m))]))
         right.append(np.zeros(len(columns[0])))
-        cones.append(conic_program.semidefinite_cone(n + m))
+        cones.append(conic.semidefinite_cone(n + m))
     for sign in (1.0, -1.0):
         data.append(np.hstack([sign * np.eye(unknowns), np.zeros((unknowns, 1))]))
         bound = np.full(unknowns, 1e3)
         if sign < 0:
             bound[n * n + n * m :] = -1e-3
         right.append(bound)
-        cones.append(conic_program.nonnegative_cone(unknowns))
+        cones.append(conic.nonnegative_cone(unknowns))
     cost = np.zeros(unknowns + 1)
     cost[-1] = -1.0
     data.append(np.append(np.zeros(unknowns), 1.0)[None, :])
     right.append(np.array([1.0]))
-    cones.append(conic_program.nonnegative_cone(1))
-    solution = conic_program.solve_conic_program(cost, np.vstack(data), np.concatenate(right), cones)
+    cones.append(conic.nonnegative_cone(1))
+    solution = conic.solve_conic_program(cost, np.vstack(data), np.concatenate(right), cones)
     answer = np.array(solution.x)
     return answer[:-1] if str(solution.status) in ("Solved", "AlmostSolved") and answer[-1] > 1e-7 else None
 

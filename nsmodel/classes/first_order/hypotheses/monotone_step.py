@@ -36,9 +36,9 @@ from nsmodel.classes.first_order.hypotheses.monotone_form import (
 from nsmodel.classes.first_order.hypotheses.monotone_multipliers import suggest_multipliers
 from nsmodel.classes.lure.hypotheses.pairing import well_conditioned_block
 from nsmodel.classes.lure.hypotheses.passivity import decide_storage
-from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof import exact, extremum, interval_bounds
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.graph import operation_codes
+from nsmodel.proof.expression_graph import operation_codes
 
 MAX_REGION_PARTS = 10  # of the box that are looked at
 MAX_FORM_UNKNOWNS = 9  # states and multipliers
@@ -65,7 +65,9 @@ def prove_unique_on_region(at: SystemLinearisation, regular: bool) -> Uniqueness
     stacked = ca.vertcat(at.model.f, at.model.h, at.model.g)
     if at.model.law.size + len(at.model.names) > MAX_FORM_UNKNOWNS or len(at.steps) > 3:
         return None
-    if not (operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval.is_continuous(stacked, at.z, at.lower, at.upper)):
+    if not (
+        operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval_bounds.is_continuous(stacked, at.z, at.lower, at.upper)
+    ):
         return None
     found: list[UniquenessProof] = []
     for h in map(float, at.steps):
@@ -154,7 +156,7 @@ def _prove_in_parts(at: SystemLinearisation, h: float, regular: bool) -> Uniquen
         return None
     ranges = []
     for weight, expression in ((at.model.theta, at.model.f), (at.model.gamma, at.model.g)):
-        low, high = interval.enclose(expression, at.z, at.lower, at.upper)
+        low, high = interval_bounds.enclose(expression, at.z, at.lower, at.upper)
         ranges.append(weight * (high - low).ravel())
     reach = 1.001 * h * np.abs(exact.doubles(inverse)) @ sum(ranges)
     uses = [any(ca.depends_on(J, symbol) for J in at.jacobians if J.numel()) for symbol in ca.vertsplit(at.z[1 : n + 1])]

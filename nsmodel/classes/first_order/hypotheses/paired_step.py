@@ -22,10 +22,10 @@ import numpy as np
 from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
 from nsmodel.classes.first_order.hypotheses.monotone_form import MonotoneForm, is_form_definite, is_law_bounded, tidy_matrix
 from nsmodel.classes.first_order.hypotheses.monotone_step import EVERYWHERE_CONTINUOUS, UniquenessProof, uniqueness_proof
-from nsmodel.laws.block import Halfspaces, Intervals, RoundSet
-from nsmodel.proof import exact, feasibility, interval, polynomial
+from nsmodel.modeling.laws.base import Halfspaces, Intervals, RoundSet
+from nsmodel.proof import conic, exact, interval_bounds, polynomial
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.graph import is_same_expression, operation_codes, rewrite_nodes
+from nsmodel.proof.expression_graph import is_same_expression, operation_codes, rewrite_nodes
 from nsmodel.proof.polynomial import Monomial
 
 MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # states, and step lengths
@@ -163,7 +163,7 @@ def prove_unique_paired(at: SystemLinearisation, regular: bool) -> UniquenessPro
     """
     stacked = ca.vertcat(at.model.f, at.model.h, at.model.g)
     if len(at.model.names) > MAX_PAIRED_STATES or not (
-        operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval.is_continuous(stacked, at.z, at.lower, at.upper)
+        operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval_bounds.is_continuous(stacked, at.z, at.lower, at.upper)
     ):
         return None
     parts = read_paired_form(at)
@@ -177,7 +177,7 @@ def prove_unique_paired(at: SystemLinearisation, regular: bool) -> UniquenessPro
 def _is_D_psd(at: SystemLinearisation, parts: PairedForm) -> bool:
     """Whether D is psd on the box: each of its terms is."""
     for factor, matrix in parts.D:
-        low, _ = interval.enclose(factor, at.z, at.lower, at.upper)
+        low, _ = interval_bounds.enclose(factor, at.z, at.lower, at.upper)
         if ca.depends_on(factor, at.model.x) or low.item() < 0 or not exact.definiteness(matrix).psd:
             return False
     return True
@@ -187,7 +187,7 @@ def _prove_at_step(at: SystemLinearisation, parts: PairedForm, h: float, regular
     model, n, m = at.model, len(at.model.names), at.model.law.size
     lower, upper = at.lower.copy(), at.upper.copy()
     lower[0] = min(lower[0] + h, upper[0])
-    low, high = (float(end.item()) for end in interval.enclose(parts.beta, at.z, lower, upper))
+    low, high = (float(end.item()) for end in interval_bounds.enclose(parts.beta, at.z, lower, upper))
     timed, signed = not ca.depends_on(parts.beta, model.x), low > 0 or high < 0
     if not signed and not (timed and low >= 0):
         return None
@@ -234,8 +234,8 @@ def _has_no_cancellation(
     at: SystemLinearisation, parts: PairedForm, W: ca.SX, S: ca.SX, lower: np.ndarray, upper: np.ndarray
 ) -> bool:
     """Whether the terms of S'W are no more than TERMS times what they add up to: far from what the room of the form leaves."""
-    _, terms = interval.enclose(parts.terms, at.z, lower, upper)
-    low, high = interval.enclose(ca.densify(W), at.z, lower, upper)
+    _, terms = interval_bounds.enclose(parts.terms, at.z, lower, upper)
+    low, high = interval_bounds.enclose(ca.densify(W), at.z, lower, upper)
     middle = ca.Function("middle", [at.z], [S.T @ W])((np.where(np.isfinite(lower + upper), lower + upper, 0.0)) / 2)
     size = np.abs(np.array(middle)).max()
     if not all(np.isfinite(end).all() for end in (terms, low, high)):
@@ -277,7 +277,7 @@ def _is_finite_somewhere(at: SystemLinearisation, parts: PairedForm) -> bool:
     return (
         not rows
         or (parts.d is not None and not parts.d.any())
-        or feasibility.decide_feasibility(feasibility.ConicSystem(A, positive)).point is not None
+        or conic.decide_feasibility(conic.ConicSystem(A, positive)).point is not None
     )
 
 
@@ -333,9 +333,9 @@ def _force_bounds(
     if inverse is None:
         return None
     force = h * model.gamma * parts.beta * (ca.DM(exact.doubles(parts.B)) @ model.lam)
-    low, high = (end.ravel() for end in interval.enclose(force, at.z, lower, upper))
-    f_low, f_high = interval.enclose(h * (model.theta * model.f + model.gamma * model.g), at.z, lower, upper)
-    W_low, W_high = interval.enclose(ca.densify(W), at.z, lower, upper)
+    low, high = (end.ravel() for end in interval_bounds.enclose(force, at.z, lower, upper))
+    f_low, f_high = interval_bounds.enclose(h * (model.theta * model.f + model.gamma * model.g), at.z, lower, upper)
+    W_low, W_high = interval_bounds.enclose(ca.densify(W), at.z, lower, upper)
     if not all(np.isfinite(end).all() for end in (low, high, f_low, f_high, W_low, W_high)):
         return None
     distance = 1.001 * np.abs(exact.doubles(inverse)) @ (f_high - f_low).ravel()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.hypotheses.quick import check_law_sets
+from nsmodel.solvers.initial_checks import check_law_sets
 
 
 def check_start(model: FirstOrderSystem) -> None:

@@ -10,7 +10,7 @@ from nsmodel.classes.first_order.hypotheses.step_matrix import ROUNDING_LABEL, P
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.proof import exact
 from nsmodel.proof.extremum import largest_eigenvalue
-from nsmodel.solve.structure import is_eigenvalue_nonnegative, least_eigenvalue
+from nsmodel.solvers.structure import is_eigenvalue_nonnegative, least_eigenvalue
 
 MAX_INVERSE_SIZE = 4  # States and multipliers up to which W^{-1} is written out.
 MAX_MLCP_STEPS = 5  # Different step lengths that are decided one by one.

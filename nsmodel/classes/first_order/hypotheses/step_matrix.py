@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.laws import Law
-from nsmodel.laws.block import Halfspaces, Intervals
-from nsmodel.proof import exact, polynomial_signs
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.laws.base import Halfspaces, Intervals
+from nsmodel.proof import exact, polynomial
 
 ENTRY_ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
 ROUNDING_LABEL = "change by rounding, 1 where singular"
@@ -120,9 +120,7 @@ def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> RegularSteps:
         return RegularSteps(True, least, vector, bound)
     if len(X) > MAX_ROOT_STATES:
         return RegularSteps(None, least, vector, bound)
-    return RegularSteps(
-        not polynomial_signs.real_roots(_determinant_coefficients(X), Fraction(0), Fraction(h)), least, vector, bound
-    )
+    return RegularSteps(not polynomial.real_roots(_determinant_coefficients(X), Fraction(0), Fraction(h)), least, vector, bound)
 
 
 def change_by_rounding(M: np.ndarray, G: np.ndarray, h: float) -> float:

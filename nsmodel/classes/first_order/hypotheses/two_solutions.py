@@ -20,7 +20,7 @@ import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import SystemLinearisation
 from nsmodel.classes.first_order.hypotheses.modes import StepMode, StepModes
-from nsmodel.proof import interval, krawczyk
+from nsmodel.proof import interval_bounds, krawczyk
 
 MAX_STEP_MODES = 2500  # that are tried at one state
 MODE_SAMPLES, TRIED_STATES, TRIED_ROWS = (
@@ -259,7 +259,7 @@ class _TwoSolutionSearch(StepModes):
         zero = krawczyk.enclose_zero(F, z, start, size)
         if zero is None or (zero.lower[len(u) :] != start[len(u) :]).any() or (zero.upper[len(u) :] != start[len(u) :]).any():
             return None
-        low, _ = interval.enclose(conditions, z, zero.lower, zero.upper) if conditions.numel() else (np.ones(1), None)
+        low, _ = interval_bounds.enclose(conditions, z, zero.lower, zero.upper) if conditions.numel() else (np.ones(1), None)
         return zero if (low > 0).all() else None
 
     def _are_disjoint(self, a: krawczyk.ZeroEnclosure, b: krawczyk.ZeroEnclosure, change: np.ndarray) -> bool:

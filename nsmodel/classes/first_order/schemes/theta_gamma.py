@@ -4,7 +4,7 @@
     R_y       = y - h(t_{k+1}, x, l) = 0
     R_r       = r - g(t_{k+1}, x, l) = 0,          -y ∈ N_K(l)
 
-Newton's linearisation in (x, r, l), which `solve.newton` performs with exact Jacobians A = f_x, C = h_x, D = h_l, K = g_x,
+Newton's linearisation in (x, r, l), which `solvers.newton` performs with exact Jacobians A = f_x, C = h_x, D = h_l, K = g_x,
 B = g_l, eliminates x and r:
 
     W      = M - h th A - h ga K
@@ -20,7 +20,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, moving_law_outputs, rewrite_as_basic_law, with_carried_inputs
+from nsmodel.solvers.one_step_problem import (
+    OneStepProblem,
+    SchemeOrder,
+    moving_law_outputs,
+    rewrite_as_basic_law,
+    with_carried_inputs,
+)
 
 
 def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:

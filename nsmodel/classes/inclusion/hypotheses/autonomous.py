@@ -33,14 +33,14 @@ from nsmodel.hypotheses.findings import (
     make_finding,
 )
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import exact, extremum, interval, polynomial
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.convex import potentials
-from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex_set
-from nsmodel.proof.graph import symbol_hashes
+from nsmodel.proof.convex.sets import ConvexSet, has_interior, is_convex_set
+from nsmodel.proof.expression_graph import symbol_hashes
+from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.proof.jumps import find_jump
-from nsmodel.proof.search import searches_are_quick
 from nsmodel.proof.verdict import HypothesisPart
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 M_T = Hypothesis("M-T", "T = S + N_C is maximal monotone", f"{CATCHING_UP_PAPER}, Section 2, (5)")
 M_C = Hypothesis("M-C", "C = cl dom T is closed and convex, with interior", f"{CATCHING_UP_PAPER}, Section 2")
@@ -127,7 +127,7 @@ def operator_monotonicity(
         ca.substitute(model.operator, model.sign_symbols, ca.sign(model.sign_arguments)) if field.l.numel() else model.operator
     )
     S = -field.rest
-    if field.jumps or not interval.is_continuous(S, x, *C.bounding_box):
+    if field.jumps or not interval_bounds.is_continuous(S, x, *C.bounding_box):
         if field.jumps and not _has_separate_switches(model):
             return _jump_monotonicity(field)
         full = signed_operator if field.jumps else S
@@ -230,7 +230,7 @@ def _smooth_monotonicity(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarr
     where = C.rows if C.rows.numel() else None
     low, high = np.maximum(C.bounding_box[0], box[0]), np.minimum(C.bounding_box[1], box[1])
     for local, ends, fast in ((False, C.bounding_box, True), (True, (low, high), quick)):
-        if not interval.is_continuous(S, C.x, *ends):
+        if not interval_bounds.is_continuous(S, C.x, *ends):
             continue
         sup = extremum.largest_eigenvalue(-symmetric, C.x, *ends, where=where, bound_to=0.0, quick=fast)
         if sup.bound <= 0:
@@ -244,7 +244,7 @@ def _smooth_monotonicity(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarr
     if pair is not None:
         return pair
     sup = extremum.largest_eigenvalue(-symmetric, C.x, low, high, where=where, quick=True)
-    if sup.at is None or sup.count < MIN_EIGENVALUE_SAMPLES or not interval.is_continuous(S, C.x, low, high):
+    if sup.at is None or sup.count < MIN_EIGENVALUE_SAMPLES or not interval_bounds.is_continuous(S, C.x, low, high):
         return HypothesisPart(UNKNOWN, "S is not proved continuous on the box, and its Jacobian could not be looked at", {}, {})
     how = f"no negative eigenvalue of the symmetric Jacobian of S at {sup.count} points of the box"
     return HypothesisPart(SAMPLED, how, {label: -sup.value}, {"x": sup.at}, True)

@@ -9,7 +9,7 @@ from nsmodel.classes.inclusion.hypotheses.autonomous import HYPOTHESES
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.region import Region
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 __all__ = ["HYPOTHESES", "TWIN", "check"]
 

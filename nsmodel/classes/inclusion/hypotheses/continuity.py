@@ -13,9 +13,9 @@ from nsmodel.hypotheses.findings import (
     UNKNOWN,
     VIOLATED,
 )
-from nsmodel.proof import interval
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.graph import rewrite_nodes
+from nsmodel.proof import interval_bounds
+from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.proof.expression_graph import rewrite_nodes
 from nsmodel.proof.jumps import SWITCH_OPERATIONS
 from nsmodel.proof.verdict import HypothesisPart
 
@@ -36,7 +36,7 @@ def field_continuity(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarr
         (False, " on C", C.bounding_box),
         (True, "", (np.maximum(C.bounding_box[0], box[0]), np.minimum(C.bounding_box[1], box[1]))),
     ):
-        if interval.is_continuous(F, x, low, high):
+        if interval_bounds.is_continuous(F, x, low, high):
             return HypothesisPart(HOLDS, f"no operation of F jumps or has a pole{place}{note}", value, {}, local)
     jump = _find_field_jump(model.field, C, box, x0)
     if jump is not None:
@@ -64,11 +64,11 @@ def _find_field_jump(F: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray],
             d = size * (1 + np.linalg.norm(point)) * slope / np.linalg.norm(slope)
             ends = point - d, point + d
             cell = np.minimum(*ends), np.maximum(*ends)
-            signs = [interval.enclose(u, C.x, end, end) for end in ends]
+            signs = [interval_bounds.enclose(u, C.x, end, end) for end in ends]
             crosses = float(np.max(signs[0][1])) < 0 < float(np.min(signs[1][0]))
             if not crosses or any(C.interior_margin(end) is None for end in ends):
                 continue
-            left, right = (interval.enclose(part, C.x, *cell) for part in (below, above))
+            left, right = (interval_bounds.enclose(part, C.x, *cell) for part in (below, above))
             gaps = np.maximum(np.maximum(left[0] - right[1], right[0] - left[1]), 0.0)
             if gaps.max() > 0 and np.isfinite([*left, *right]).all():
                 how = "F jumps across a switching surface inside C: bounds of both sides around the point do not meet"

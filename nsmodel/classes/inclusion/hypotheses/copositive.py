@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from nsmodel.proof import conic_program, exact
+from nsmodel.proof import conic, exact
 
 MAX_CONE_ROWS, MAX_CONE_STATES = 14, 12
 MULTIPLIER_CAP = 1e4
@@ -65,8 +65,8 @@ def _largest_copositive_margin(S: np.ndarray, basis: list[np.ndarray]) -> tuple[
     psd = np.column_stack([packed(np.eye(n)), *(packed(matrix / s) for matrix, s in zip(basis, scale, strict=True))])
     A = np.vstack([psd, np.eye(m + 1), -np.eye(m + 1)[1:]])
     b = np.concatenate([packed(S / size), np.ones(1), np.full(m, MULTIPLIER_CAP), np.zeros(m)])
-    cones = [conic_program.semidefinite_cone(n), conic_program.nonnegative_cone(2 * m + 1)]
-    x = np.array(conic_program.solve_conic_program(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
+    cones = [conic.semidefinite_cone(n), conic.nonnegative_cone(2 * m + 1)]
+    x = np.array(conic.solve_conic_program(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
     if not np.isfinite(x).all() or x[0] <= 1e-7:
         return None
     return float(x[0]) * size * (1 - 1e-6), x[1:] * size / np.array(scale)

@@ -16,11 +16,19 @@ from nsmodel.classes.inclusion.hypotheses.recession import recession_directions
 from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
 from nsmodel.hypotheses.findings import VIOLATED
 from nsmodel.proof import polynomial
-from nsmodel.proof.at_infinity import START_EXPONENTS, asymptotic_orders, polynomial_order, propagate_orders
-from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.orders import AsymptoticOrder, add_orders, constant_order, multiply_orders
-from nsmodel.proof.straight_line import program
+from nsmodel.proof.asymptotics import (
+    START_EXPONENTS,
+    AsymptoticOrder,
+    add_orders,
+    asymptotic_orders,
+    constant_order,
+    multiply_orders,
+    polynomial_order,
+    propagate_orders,
+)
+from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.sets import ConvexSet, has_interior
+from nsmodel.proof.expression_graph import program
 from nsmodel.proof.verdict import HypothesisPart
 
 NEAR_TIME, FAR_TIME = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.

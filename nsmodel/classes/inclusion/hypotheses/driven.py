@@ -18,8 +18,8 @@ from nsmodel.classes.inclusion.set_valued import set_constraints
 from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.inputs import InputBounds, scheme_limit_consequence, unknown_consequence
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import interval
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof import interval_bounds
+from nsmodel.simulation.trajectory import Trajectory
 
 PARTS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
@@ -83,5 +83,5 @@ def _starts_inside(model: MonotoneInclusion, region: Region, motion: InputBounds
     names = list(region.parameters)
     for name, value in motion.start.items():
         low[names.index(name)] = high[names.index(name)] = value
-    size = float(np.max(np.abs(interval.enclose(model.x0, model.p, low, high)), initial=0.0))
-    return bool((interval.enclose(at_start, model.p, low, high)[0] >= -START_TOLERANCE * (1 + size)).all())
+    size = float(np.max(np.abs(interval_bounds.enclose(model.x0, model.p, low, high)), initial=0.0))
+    return bool((interval_bounds.enclose(at_start, model.p, low, high)[0] >= -START_TOLERANCE * (1 + size)).all())

@@ -44,10 +44,10 @@ from nsmodel.hypotheses.uniform import (
     sample_values,
     unaffected_findings,
 )
-from nsmodel.model.convex import split_convex
-from nsmodel.proof import interval
-from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer_set
-from nsmodel.proof.mixtures import mixture_corners
+from nsmodel.modeling.convex_split import split_convex
+from nsmodel.proof import interval_bounds
+from nsmodel.proof.convex.sets import MovingSet, has_interior_for_all, is_convex_for_all, outer_set
+from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HypothesisPart
 
 SET_FIELDS = ("lower", "upper", "constraints")
@@ -88,14 +88,14 @@ def findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Find
 def _contains_zero(C: MovingSet) -> bool:
     """Whether 0 lies in C(p) for all p."""
     zero = np.zeros(C.x.numel())
-    low, _ = interval.enclose(C.rows, ca.vertcat(C.x, C.p), np.append(zero, C.lower), np.append(zero, C.upper))
+    low, _ = interval_bounds.enclose(C.rows, ca.vertcat(C.x, C.p), np.append(zero, C.lower), np.append(zero, C.upper))
     return float(np.min(low)) >= 0
 
 
 def consequences(model: MonotoneInclusion, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters."""
     low, high = region.parameter_bounds()
-    ends = interval.enclose(model.x0, model.p, low, high)
+    ends = interval_bounds.enclose(model.x0, model.p, low, high)
     return autonomous_consequences(model, own, np.max(np.abs(ends), axis=0).ravel(), ())
 
 

@@ -13,12 +13,12 @@ from nsmodel.classes.inclusion.hypotheses import curves
 from nsmodel.classes.inclusion.hypotheses.recession import recession_directions
 from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
-from nsmodel.proof import exact, extremum, interval, polynomial
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.ridges import find_ridges
-from nsmodel.proof.growth_calculus import growth_bound, linear_growth_bound
-from nsmodel.proof.sectors import sector
-from nsmodel.proof.straight_line import program
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial
+from nsmodel.proof.affine_reduction import sector
+from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.rules import find_ridges
+from nsmodel.proof.expression_graph import program
+from nsmodel.proof.growth import growth_bound, linear_growth_bound
 from nsmodel.proof.verdict import HypothesisPart
 
 NORM_ROUND_UP = 1 + 1e-12  # Norms and eigenvalues in doubles are enlarged by this where they are bounds.
@@ -91,7 +91,7 @@ def term_bound(
     term: ca.SX, field: SelectedField, z: ca.SX, low: np.ndarray, high: np.ndarray, scale: float | None
 ) -> tuple[float, float]:
     """(a, b) with |term| <= a + b |x|: bounded, Lipschitz, or with a ``scale`` by the growth calculus; else inf."""
-    reach = float(np.max(np.abs(interval.enclose(term, z, low, high))))
+    reach = float(np.max(np.abs(interval_bounds.enclose(term, z, low, high))))
     if np.isfinite(reach):
         return reach, 0.0
     found = _lipschitz_term_bound(term, field, z, low, high)
@@ -105,14 +105,14 @@ def term_bound(
 def _lipschitz_term_bound(term: ca.SX, field: SelectedField, z: ca.SX, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
     """(a, b) with |term| <= a + b |x|, where it is continuous with bounded slopes on the hull of C."""
     n = field.x.numel()
-    if field.jumps or not interval.is_continuous(term, z, low, high):
+    if field.jumps or not interval_bounds.is_continuous(term, z, low, high):
         return np.inf, np.inf
     base = np.clip(np.zeros(n), low, high)
     code = program(term, z)
     with np.errstate(all="ignore"):
-        ends = interval.reverse_slopes(code, interval.run_program(code, low[None, :], high[None, :]), (0,), 1)
+        ends = interval_bounds.reverse_slopes(code, interval_bounds.run_program(code, low[None, :], high[None, :]), (0,), 1)
     gradient = np.maximum(np.abs(ends[0]), np.abs(ends[1])).ravel()
-    at = float(np.max(np.abs(interval.enclose(term, z, base, base))))
+    at = float(np.max(np.abs(interval_bounds.enclose(term, z, base, base))))
     steep = float(np.linalg.norm(gradient)) * NORM_ROUND_UP if np.isfinite(gradient).all() else np.inf
     return at + steep * float(np.linalg.norm(base)) * NORM_ROUND_UP if np.isfinite(steep) else np.inf, steep
 
@@ -211,7 +211,7 @@ def linear_growth(field: SelectedField, region: tuple[np.ndarray, np.ndarray], *
         if np.isfinite(sup.bound):
             a_1 = float(np.sqrt(max(sup.bound, 0.0))) * NORM_ROUND_UP + others
             return HypothesisPart(HOLDS, "C is bounded: the largest |F - S| on its box", {"a_1": a_1, "a_2": 0.0}, {})
-    elif interval.is_continuous(field.rest, z, low, high):
+    elif interval_bounds.is_continuous(field.rest, z, low, high):
         found_bound = _lipschitz_bound(field, others)
         if found_bound is not None:
             how = "F - S is Lipschitz on C but for a bounded part, by bounds of its Jacobian"
@@ -245,7 +245,7 @@ def _lipschitz_bound(field: SelectedField, others: float) -> dict[str, float] | 
         box, outside = split_box(base, half, low[:n], high[:n])
         ends = [(np.concatenate([a, low[n:]]), np.concatenate([b, high[n:]])) for a, b in (box, *outside)]
         slope = max((extremum.spectral_norm(J, z, *end, quick=True).bound for end in ends[1:]), default=0.0)
-        _, top = interval.enclose(ca.sumsqr(field.rest), z, *ends[0])
+        _, top = interval_bounds.enclose(ca.sumsqr(field.rest), z, *ends[0])
         M = float(np.max(top))
         if np.isfinite(slope) and np.isfinite(M):
             return {
@@ -262,7 +262,7 @@ def velocity_bound(field: SelectedField, region: tuple[np.ndarray, np.ndarray]) 
     low[:n], high[:n] = np.maximum(low[:n], region[0]), np.minimum(high[:n], region[1])
     if (low > high).any():
         return None
-    _, top = interval.enclose(ca.sumsqr(field.rest), z, low, high)
+    _, top = interval_bounds.enclose(ca.sumsqr(field.rest), z, low, high)
     value = float(np.max(top))
     return (
         float(np.sqrt(value)) * NORM_ROUND_UP + sum(term.size for term in field.aligned) * NORM_ROUND_UP

@@ -33,12 +33,12 @@ from nsmodel.hypotheses.findings import (
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, InputJump, missing_rate_reason
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
-from nsmodel.proof import extremum, interval
-from nsmodel.proof.convex.moving_sets import INTERIOR_MARGIN, MovingSet, has_interior_for_all, outer_set
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.convex.sets import INTERIOR_MARGIN, MovingSet, has_interior_for_all, outer_set
+from nsmodel.proof.global_search import quick_searches
 from nsmodel.proof.jumps import find_jump
-from nsmodel.proof.search import quick_searches
 from nsmodel.proof.verdict import HypothesisPart
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 SET_MOTION = Hypothesis("M-H", "t -> C(t) is Lipschitz continuous in the Hausdorff distance", "Moreau 1977")
 EXISTENCE_SOURCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at each t (uniqueness)"
@@ -149,7 +149,7 @@ def _bound_jump(model: MonotoneInclusion, C: MovingSet, edge: InputJump) -> tupl
     for word, ends in (("lower", model.lower), ("upper", model.upper)):
         for name, end in zip(model.names, ca.vertsplit(ends), strict=True):
             if ca.depends_on(end, C.p):
-                (a, b), (c, d) = (np.ravel(interval.enclose(end, C.p, side, side)) for side in edge.at(np.zeros(0)))
+                (a, b), (c, d) = (np.ravel(interval_bounds.enclose(end, C.p, side, side)) for side in edge.at(np.zeros(0)))
                 if max(c - b, a - d) > 0:
                     return float(max(c - b, a - d)), {"bound": f"{word} {name}", "below": (a + b) / 2, "above": (c + d) / 2}
     return None
@@ -159,7 +159,7 @@ def _point_jump(C: MovingSet, edge: InputJump, region: Region) -> tuple[float, d
     """A point of C on one side of the jump that is not in C on the other, and by how much."""
     z = ca.vertcat(C.x, C.p)
     for x in extremum.samples(region.lower, region.upper, JUMP_SAMPLES):
-        before, after = (interval.enclose(C.rows, z, side, side) for side in edge.at(x))
+        before, after = (interval_bounds.enclose(C.rows, z, side, side) for side in edge.at(x))
         for (inside, _), (_, outside) in ((before, after), (after, before)):
             if (inside >= 0).all() and (outside < 0).any():
                 return float(-np.min(outside)), {"x": x}
@@ -170,7 +170,7 @@ def _moving_bound_jump(model: MonotoneInclusion, passing: MovingSetRates) -> Hyp
     """A bound that jumps: C does, where it is a box; where nothing jumps that is for the others to bound."""
     C, of = passing.C, ca.vertcat(model.t, passing.motion.u)
     ends = ca.vertcat(*(end for end in (*ca.vertsplit(model.lower), *ca.vertsplit(model.upper)) if ca.depends_on(end, of)))
-    if model.constraints or not ends.numel() or interval.is_continuous(ends, C.p, C.lower, C.upper):
+    if model.constraints or not ends.numel() or interval_bounds.is_continuous(ends, C.p, C.lower, C.upper):
         return None
     jump = find_jump(ends, C.p, C.lower, C.upper, lambda points: np.ones(len(points), bool))
     if jump is None:
@@ -220,7 +220,7 @@ def _hausdorff_bound(passing: MovingSetRates, box: tuple[np.ndarray, np.ndarray]
     C, (low, high) = passing.C, box
     z, lower, upper = passing.box(C.x, low, high)
     rates = passing.speed(C.rows)
-    if not interval.is_continuous(ca.vertcat(C.rows, rates), z, lower, upper):
+    if not interval_bounds.is_continuous(ca.vertcat(C.rows, rates), z, lower, upper):
         return None
     fastest = max(_max_rate(rate, z, lower, upper) for rate in ca.vertsplit(rates))
     if C.rows.numel() == 1 and (kappa := _normal_speed(C, rates, z, lower, upper, fastest, quick)) is not None:

@@ -11,8 +11,8 @@ from nsmodel.classes.inclusion.hypotheses.growth import affine_field
 from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
 from nsmodel.classes.inclusion.hypotheses.switches import monotone_part
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
-from nsmodel.proof import exact, extremum, interval
-from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
+from nsmodel.proof import exact, extremum, interval_bounds
+from nsmodel.proof.convex.sets import ConvexSet, has_interior
 from nsmodel.proof.verdict import HypothesisPart
 
 
@@ -57,7 +57,7 @@ def one_sided_lipschitz(
     tries += whole[1:] or ([("S being monotone, ", alone, box, quick)] if alone is not None else [])
     tries += [(given, -falling.rest, box, quick) for given in ridges]
     for given, G, (low, high), fast in tries:
-        if (low > high).any() or not interval.is_continuous(G, field.x, low, high):
+        if (low > high).any() or not interval_bounds.is_continuous(G, field.x, low, high):
             continue
         J = ca.jacobian(G, field.x)
         sup = extremum.largest_eigenvalue((J + J.T) / 2, field.x, low, high, quick=fast)

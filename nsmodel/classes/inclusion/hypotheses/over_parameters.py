@@ -11,10 +11,9 @@ import numpy as np
 from nsmodel.classes.inclusion.hypotheses.growth import NORM_ROUND_UP
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.hypotheses.domain import potential_without_domain
-from nsmodel.proof import extremum, interval
-from nsmodel.proof.convex import convexity
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.moving_sets import MovingSet
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.convex import rules
+from nsmodel.proof.convex.sets import ConvexSet, MovingSet
 from nsmodel.proof.jumps import jump_nodes
 from nsmodel.proof.verdict import HOLDS, HypothesisPart
 
@@ -81,12 +80,12 @@ def _proved_parts(
     """(id, how, values) of what is proved there; ``monotone``: S is known to be."""
     model, C, phi, S, quick = on.grounds.model, on.grounds.C, on.phi, on.S, on.grounds.quick
     z, low, high = on.box
-    if interval.is_continuous(model.field, z, low, high):
+    if interval_bounds.is_continuous(model.field, z, low, high):
         yield "M-A1", "no operation of F jumps or has a pole", {"kinks": 0}
-    if phi is not None and convexity.curvatures(phi, z, low, high, of=C.x)[0].convex:
+    if phi is not None and rules.curvatures(phi, z, low, high, of=C.x)[0].convex:
         monotone = True
         yield "M-T", "T = dphi, phi convex by the rules of convex functions", {EIGENVALUE_LABEL: 0.0}
-    if not interval.is_continuous(ca.vertcat(model.field, S), z, low, high):
+    if not interval_bounds.is_continuous(ca.vertcat(model.field, S), z, low, high):
         return
     J, slope = ca.jacobian(model.field - S, C.x), ca.jacobian(S, C.x)
     if switching.monotone and not monotone:
@@ -107,7 +106,7 @@ def _proved_growth(on: _JacobianDomain, J: ca.SX, L: float, jump: float) -> Iter
     steep = extremum.spectral_norm(J, z, low, high, quick=True).bound
     base = np.clip(np.zeros(C.n), *on.states)
     ends = np.append(base, moving.lower), np.append(base, moving.upper)
-    at = np.max(np.abs(interval.enclose(model.field - on.S, z, *ends)), axis=0)
+    at = np.max(np.abs(interval_bounds.enclose(model.field - on.S, z, *ends)), axis=0)
     M = float(np.linalg.norm(at)) * NORM_ROUND_UP + jump
     if not np.isfinite(M + L):
         return

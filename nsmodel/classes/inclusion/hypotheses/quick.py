@@ -8,7 +8,7 @@ import numpy as np
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import set_constraints
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.quick import (
+from nsmodel.solvers.initial_checks import (
     check_start_inside,
     check_term_weights,
     parameter_values_text,

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from nsmodel.proof import exact
-from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.sets import ConvexSet
 
 RANDOM_DIRECTIONS = 64
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nsmodel.hypotheses.findings import Consequence, measured_consequence
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def refinement_consequences(h: float, runs: Sequence[Trajectory]) -> list[Consequence]:

@@ -17,9 +17,9 @@ import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
-from nsmodel.proof import exact, interval, polynomial
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.solve.certificate import numeric_law
+from nsmodel.proof import exact, interval_bounds, polynomial
+from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.solvers.residuals import numeric_law
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _fix_multipliers(
     fixed: set[int] = set()
     if not l.numel():
         return G, fixed
-    low, high = (np.asarray(end).ravel() for end in interval.enclose(u, C.x, *C.bounding_box))
+    low, high = (np.asarray(end).ravel() for end in interval_bounds.enclose(u, C.x, *C.bounding_box))
     for k in range(l.numel()):
         if k not in curved and (low[k] > 0 or high[k] < 0):
             G = ca.substitute(G, l[k], lower[k] if low[k] > 0 else upper[k])

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, make_consequence
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 CATCHING_UP_PAPER = "catching-up 2026"
 CLOSED_GRAPH = "the steps' velocities are bounded, and the graph of T is closed (Brezis 1973, Chapter II)"

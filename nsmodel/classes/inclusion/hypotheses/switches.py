@@ -12,13 +12,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import extremum, interval, jumps, polynomial
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.ridges import Ridges, find_ridges
-from nsmodel.proof.graph import is_same_expression
+from nsmodel.proof import extremum, interval_bounds, jumps, polynomial
+from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.rules import Ridges, find_ridges
+from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.proof.expression_graph import is_double, is_same_expression
 from nsmodel.proof.monotone import JumpPoint, decide_monotonicity, extract_constant_factor, is_continuous_by_pieces
-from nsmodel.proof.straight_line import is_double
 
 SEARCH_SIZE = 1e3  # Pairs of points are looked for up to this distance from 0 where C is not bounded.
 
@@ -143,6 +142,9 @@ def nonmonotone_pair(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray])
             continue
         both = np.concatenate([one[k], other[k]])
         z = ca.vertcat(C.x, second)
-        if interval.is_continuous(product, z, both, both) and float(np.max(interval.enclose(product, z, both, both)[1])) < 0:
+        if (
+            interval_bounds.is_continuous(product, z, both, both)
+            and float(np.max(interval_bounds.enclose(product, z, both, both)[1])) < 0
+        ):
             return {"x": one[k], "y": other[k]}
     return None

@@ -31,7 +31,8 @@ from nsmodel.classes.inclusion.hypotheses.tangent_form import (
     sector_tangent_form,
 )
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
-from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs, sum_of_squares
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_squares
+from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.verdict import HypothesisPart
 
 DECAY_RATES = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
@@ -261,7 +262,7 @@ def _cube_bound(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> f
         for end in (1.0,) if level is not None else (-1.0, 1.0):  # A form of even degree is even.
             low, high = -np.ones(n), np.ones(n)
             low[i] = high[i] = end
-            natural = float(np.max(interval.enclose(expr, x, low, high)[1]))
+            natural = float(np.max(interval_bounds.enclose(expr, x, low, high)[1]))
             if level is not None and natural > level:
                 natural = extremum.supremum(expr, x, low, high, bound_to=level).bound
             worst = max(worst, natural)
@@ -294,14 +295,14 @@ def _decay_by_jacobian(field: SelectedField, base: np.ndarray) -> DecayBound | N
     low, high = field.C.bounding_box
     J = ca.jacobian(field.rest, field.x)
     S = (J + J.T) / 2
-    if not interval.is_continuous(field.rest, field.x, low, high):
+    if not interval_bounds.is_continuous(field.rest, field.x, low, high):
         return None
     for half in (0.0, 1.0):
         box, outside = split_box(base, half, low, high)
         bounds = [extremum.largest_eigenvalue(S, field.x, *part, quick=True).bound for part in outside]
         L = max(bounds, default=-np.inf)
         if -np.inf < L < 0:
-            at = interval.enclose(field.rest + ca.DM(field.shift), field.x, *box)
+            at = interval_bounds.enclose(field.rest + ca.DM(field.shift), field.x, *box)
             M = float(np.linalg.norm(np.maximum(np.abs(at[0]), np.abs(at[1])))) * NORM_ROUND_UP
             D, d = half * float(np.sqrt(base.size)) * NORM_ROUND_UP, float(np.linalg.norm(base)) * NORM_ROUND_UP
             if np.isfinite(M):

@@ -13,17 +13,14 @@ import numpy as np
 from nsmodel.classes.inclusion.hypotheses import growth
 from nsmodel.classes.inclusion.hypotheses.growth import NORM_ROUND_UP
 from nsmodel.classes.inclusion.hypotheses.selected_field import SelectedField
-from nsmodel.proof import exact, extremum, interval, polynomial
-from nsmodel.proof.at_infinity import asymptotic_orders, polynomial_order
-from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.least_value import minimise_potential
-from nsmodel.proof.convex.ridges import Ridges, find_ridges
-from nsmodel.proof.graph import apply_operation, fold_graph, is_same_expression, symbol_hashes
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial
+from nsmodel.proof.affine_reduction import sector
+from nsmodel.proof.asymptotics import asymptotic_orders, polynomial_order, value_interval
+from nsmodel.proof.convex.lower_bounds import additive_terms, minimise_potential
+from nsmodel.proof.convex.rules import Ridges, find_ridges
+from nsmodel.proof.convex.sets import ConvexSet, has_interior
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, is_same_expression, symbol_hashes
 from nsmodel.proof.monotone import extract_constant_factor
-from nsmodel.proof.orders import value_interval
-from nsmodel.proof.sectors import sector
-from nsmodel.proof.straight_line import is_double
 
 
 class TangentForm(NamedTuple):
@@ -247,7 +244,7 @@ def _radial_bound(factor: Fraction, term: ca.SX, i: int, field: SelectedField, k
             if np.isfinite(inner):
                 return top, max(inner - top, 0.0) * 2.0**k * NORM_ROUND_UP
     z, low, high = field.variables
-    top = float(np.max(interval.enclose(psi, z, low, high)[1]))
+    top = float(np.max(interval_bounds.enclose(psi, z, low, high)[1]))
     return (top, 0.0) if np.isfinite(top) else None
 
 
@@ -335,6 +332,6 @@ def is_point_in_set(C: ConvexSet, point: np.ndarray) -> bool:
         if p is not None:
             if polynomial.evaluate_polynomial(p, x) < 0:
                 return False
-        elif not float(np.min(interval.enclose(C.rows[i], C.x, point, point)[0])) >= 0:
+        elif not float(np.min(interval_bounds.enclose(C.rows[i], C.x, point, point)[0])) >= 0:
             return False
     return True

@@ -18,8 +18,8 @@ import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
-from nsmodel.laws import complementarity
-from nsmodel.scheme.problem import OneStepProblem, Prediction, with_carried_inputs
+from nsmodel.modeling.laws import complementarity
+from nsmodel.solvers.one_step_problem import OneStepProblem, Prediction, with_carried_inputs
 
 
 def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:

@@ -18,10 +18,10 @@ import casadi as ca
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.schemes.catching_up import initial_rows, kept_within
 from nsmodel.classes.inclusion.set_valued import Selection, set_constraints, velocity_selection
-from nsmodel.laws import complementarity, product, relay
+from nsmodel.modeling.laws import complementarity, product, relay
 from nsmodel.proof import polynomial
-from nsmodel.proof.graph import stack_column
-from nsmodel.scheme.problem import OneStepProblem, with_carried_inputs
+from nsmodel.proof.expression_graph import stack_column
+from nsmodel.solvers.one_step_problem import OneStepProblem, with_carried_inputs
 
 __all__ = ["initial_rows", "kept_within", "one_step_problem"]
 

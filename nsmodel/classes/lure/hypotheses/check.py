@@ -32,11 +32,10 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import intersect_scopes
-from nsmodel.proof import exact, interval
-from nsmodel.proof.absolutely_continuous import is_absolutely_continuous
-from nsmodel.proof.defined import DefinednessResult, check_defined_in_time
+from nsmodel.proof import exact, interval_bounds
+from nsmodel.proof.domain import DefinednessResult, check_defined_in_time, is_absolutely_continuous
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 _HYPOTHESES_BY_ID = {
     hypothesis.id: hypothesis
@@ -114,7 +113,7 @@ def _forcing_regularity_reason(model: LureSystem, region: Region) -> str:
     last = max(region.t1, float(model.t_end or 0.0))  # a run may have stopped before
     z, (low, high) = ca.vertcat(t, model.p), region.parameter_bounds()
     ends = np.append(region.t0, low), np.append(last, high)
-    if interval.is_continuous(f, z, *ends) and np.isfinite(interval.enclose(ca.jacobian(f, t), z, *ends)).all():
+    if interval_bounds.is_continuous(f, z, *ends) and np.isfinite(interval_bounds.enclose(ca.jacobian(f, t), z, *ends)).all():
         return ""
     defined = DefinednessResult(UNKNOWN, "") if model.p.numel() else check_defined_in_time(f, t, region.t0, last)
     if defined.verdict == VIOLATED:

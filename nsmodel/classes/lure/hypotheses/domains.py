@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.laws import Law, LawFactor
-from nsmodel.laws.block import ExactSet, Intervals, RoundSet, SecondOrder
-from nsmodel.proof import exact, feasibility
-from nsmodel.proof.feasibility import ConicSystem
+from nsmodel.modeling.laws import Law, LawFactor
+from nsmodel.modeling.laws.base import ExactSet, Intervals, RoundSet, SecondOrder
+from nsmodel.proof import conic, exact
+from nsmodel.proof.conic import ConicSystem
 
 TAU_COLUMN = [0]  # the column of tau
 ColumnPart = tuple[list[int], Any]  # columns and the matrix (., columns) that they are multiplied with
@@ -206,7 +206,7 @@ def implicit_equalities(H: np.ndarray, K: np.ndarray) -> list[int]:
     Raises:
         Empty: no l has H l >= K.
     """
-    zero = feasibility.implied_zeros(slack_system(H, K)) if len(K) else []
+    zero = conic.implied_zeros(slack_system(H, K)) if len(K) else []
     if 0 in zero:
         raise EmptyDomain("it is empty: its conditions contradict each other")
     return [j - 1 - H.shape[1] for j in zero]

@@ -24,8 +24,8 @@ from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
 from nsmodel.hypotheses.moving_law import law_time_as_input
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import interval
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof import interval_bounds
+from nsmodel.simulation.trajectory import Trajectory
 
 PARTS = {"f": ("f",), "e": ("e",), "law": ("law",)}
 INTEGRABLE_SOURCE = f"{LURE_PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
@@ -60,7 +60,7 @@ def consequences(
         made = [replace(item, source=BOUNDED_SOURCE) if item.name == "well posed" else item for item in made]
     low, high = region.parameter_bounds()
     last = max(region.t1, float(model.t_end or 0.0))
-    bounded = interval.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))
+    bounded = interval_bounds.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))
     return made if np.isfinite(bounded).all() else [unknown_consequence(item, "f is not seen to be bounded") for item in made]
 
 

@@ -43,7 +43,7 @@ from nsmodel.hypotheses.uniform import (
 )
 from nsmodel.proof import exact, extremum, polynomial
 from nsmodel.proof.jumps import jump_nodes
-from nsmodel.proof.multiaffine import matrix_corners
+from nsmodel.proof.parameter_hull import matrix_corners
 
 LAW_FIELDS = ("law", "phi")
 HYPOTHESIS_FIELDS = {

@@ -18,11 +18,11 @@ from nsmodel.classes.lure.hypotheses.passivity import LURE_PAPER, Passivity
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof import exact, extremum, interval_bounds
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.graph import operation_codes
+from nsmodel.proof.expression_graph import operation_codes
 from nsmodel.proof.jumps import find_jump, jump_nodes
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 
 HYPOMONOTONE = Hypothesis(
     "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{LURE_PAPER}, Assumption 5.2"
@@ -129,7 +129,7 @@ def _rate_on_box(
     exactly = exact.matrix_product(exact.rational(S).T, P)
     left, E = exact.doubles(exactly), exact.matrix_product(exactly, S) - exact.eye(n)
     e = _slightly_above(sum(abs(entry) for entry in E.ravel()))
-    size = np.abs(interval.enclose(J, x, region.lower, region.upper)).max(axis=0).reshape(n, n)
+    size = np.abs(interval_bounds.enclose(J, x, region.lower, region.upper)).max(axis=0).reshape(n, n)
     if not (e < 0.5 and np.isfinite(size).all()):
         return rate if certain else None
     top = extremum.largest_eigenvalue(ca.DM(left) @ J @ ca.DM(S), x, region.lower, region.upper, quick=quick, bound_to=None)
@@ -194,7 +194,7 @@ def _jump_finding(A: ca.SX, x: ca.SX) -> Finding | None:
 
 def is_drift_continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether A is proved continuous: read off its operations, or by interval bounds."""
-    return operation_codes(A) <= CONTINUOUS_OPERATIONS or interval.is_continuous(A, x, lower, upper)
+    return operation_codes(A) <= CONTINUOUS_OPERATIONS or interval_bounds.is_continuous(A, x, lower, upper)
 
 
 def _dense_numbers(matrix: ca.SX) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.impacts import ImpactStructure, impact_structure
+from nsmodel.solvers.impacts import ImpactStructure, impact_structure
 
 
 def system(model: LureSystem) -> ImpactStructure | None:

@@ -12,9 +12,9 @@ from nsmodel.classes.lure.hypotheses.domains import EmptyDomain
 from nsmodel.classes.lure.hypotheses.potential_domains import ConvexPotential
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.laws import Law
-from nsmodel.laws.block import Halfspaces, Intervals, RoundSet
-from nsmodel.proof import exact, feasibility, interval
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.laws.base import Halfspaces, Intervals, RoundSet
+from nsmodel.proof import conic, exact, interval_bounds
 
 
 def interior_finding(hypothesis: Hypothesis, model: LureSystem, potential: ConvexPotential | None, broken: str) -> Finding:
@@ -35,7 +35,7 @@ def _law_interior(hypothesis: Hypothesis, law: Law, names: tuple[str, ...]) -> F
             return make_finding(hypothesis, UNKNOWN, f"the set of {', '.join(own)} ({block.label}) has no exact form")
         if isinstance(shape, Halfspaces):
             H, K = _drop_trivial_rows(shape)
-            answer = feasibility.decide_feasibility(domains.slack_system(H, K))
+            answer = conic.decide_feasibility(domains.slack_system(H, K))
             if answer.point is None and answer.separator is None:
                 return make_finding(
                     hypothesis, UNKNOWN, f"the polyhedron of {', '.join(own)} is too close to a flat one for its size"
@@ -122,7 +122,7 @@ def _curvature_bound(model: LureSystem, rows: np.ndarray, place: np.ndarray) -> 
     if model.phi_split.tau.numel():
         return 0.0
     hessian = ca.hessian(model.phi_split.smooth, model.y)[0]
-    low, high = interval.enclose(hessian, model.y, place, place)
+    low, high = interval_bounds.enclose(hessian, model.y, place, place)
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         return 0.0
     J = exact.doubles(rows)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import extremum, interval, polynomial
-from nsmodel.proof.graph import rewrite_nodes
+from nsmodel.proof import extremum, interval_bounds, polynomial
+from nsmodel.proof.expression_graph import rewrite_nodes
 
 MAX_VARYING_ENTRIES, MAX_HULL_STATES = 6, 12  # Up to so many different varying entries, and so many states.
 
@@ -47,7 +47,7 @@ def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Ja
         return None
     ends, cones = [], []
     for entry, pattern in groups:
-        low, high = (end.item() for end in interval.enclose(entry, x, lower, upper))
+        low, high = (end.item() for end in interval_bounds.enclose(entry, x, lower, upper))
         finite = sorted({end for end in (low, high) if np.isfinite(end)}) or [0.0]
         ends.append([end * pattern for end in finite])
         cones += [sign * pattern for sign, end in ((-1, low), (1, high)) if not np.isfinite(end)]

@@ -9,7 +9,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from nsmodel.proof import conic_program
+from nsmodel.proof import conic
 
 MAX_STORAGE_SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
 RANK_TOLERANCE = 1e-9  # of balanced numbers, which are about 1
@@ -155,24 +155,24 @@ def solve_sdp(near: BalancedCoordinates, omega: float, kernels: Sequence[np.ndar
                 rank = int((sizes > RANK_TOLERANCE).sum())  # dependent equations would trouble the solver
                 blocks.append(np.column_stack([np.zeros(rank), sizes[:rank, None] * right[:rank]]))
                 offsets.append(-left[:, :rank].T @ (constant @ N).ravel())
-                cones.append(conic_program.zero_cone(rank))
+                cones.append(conic.zero_cone(rank))
         blocks.append(
             np.column_stack(
                 [_stack_upper_triangle(Q.T @ level @ Q), *(-_stack_upper_triangle(Q.T @ column @ Q) for column in columns)]
             )
         )
         offsets.append(_stack_upper_triangle(Q.T @ constant @ Q))
-        cones.append(conic_program.semidefinite_cone(Q.shape[1]))
+        cones.append(conic.semidefinite_cone(Q.shape[1]))
     for sign, constant in ((1, -np.eye(s) / MAX_STORAGE_SPREAD), (-1, np.eye(s) * MAX_STORAGE_SPREAD)):
         blocks.append(
             np.column_stack([0 * _stack_upper_triangle(zero), *(-sign * _stack_upper_triangle(part) for part in parts)])
         )
         offsets.append(_stack_upper_triangle(constant))
-        cones.append(conic_program.semidefinite_cone(s))
+        cones.append(conic.semidefinite_cone(s))
     blocks.append(np.eye(1, 1 + len(parts)))
     offsets.append(np.array([1.0]))
-    cones.append(conic_program.nonnegative_cone(1))
-    solution = conic_program.solve_conic_program(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
+    cones.append(conic.nonnegative_cone(1))
+    solution = conic.solve_conic_program(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
     return np.tensordot(solution.x[1:], parts, 1)

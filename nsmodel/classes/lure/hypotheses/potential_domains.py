@@ -10,10 +10,10 @@ import numpy as np
 
 from nsmodel.classes.lure.hypotheses.domains import TAU_COLUMN, Domains, EmptyDomain, UndecidedDomain, add_slack_rows
 from nsmodel.hypotheses.domain import domain_rows, potential_without_domain
-from nsmodel.model.convex import ConvexSplit, ConvexTerm
-from nsmodel.model.expressions import evaluate_at_samples, sample_points
-from nsmodel.proof import exact, feasibility, interval, polynomial
-from nsmodel.proof.convex import convexity
+from nsmodel.modeling.convex_split import ConvexSplit, ConvexTerm
+from nsmodel.modeling.expressions import evaluate_at_samples, sample_points
+from nsmodel.proof import conic, exact, interval_bounds, polynomial
+from nsmodel.proof.convex import rules
 
 BOUNDING_TERMS = ("indicator", "equality", "cone")  # terms of a potential that bound its domain
 
@@ -70,11 +70,13 @@ def read_potential(phi: ca.SX, split: ConvexSplit, y: ca.SX) -> ConvexPotential:
         if not exact.definiteness(form.H).psd:
             raise UndecidedDomain("phi is not convex: its smooth part has an indefinite Hessian")
         return ConvexPotential(form.H, form.q, terms, not any(term.kind in BOUNDING_TERMS for term in terms))
-    if not convexity.global_curvatures(potential_without_domain(phi, y, "phi"), y)[0].convex:
+    if not rules.global_curvatures(potential_without_domain(phi, y, "phi"), y)[0].convex:
         raise UndecidedDomain("phi is not proved to be convex")
-    finite = interval.is_continuous(phi, y, *_whole_space_bounds(m))
+    finite = interval_bounds.is_continuous(phi, y, *_whole_space_bounds(m))
     if not (
-        finite or unknown or interval.is_continuous(ca.vertcat(split.smooth, split.epigraph), z, *_whole_space_bounds(z.numel()))
+        finite
+        or unknown
+        or interval_bounds.is_continuous(ca.vertcat(split.smooth, split.epigraph), z, *_whole_space_bounds(z.numel()))
     ):
         unknown = "the smooth part of phi is not proved to be finite everywhere: its domain is not known"
     if unknown and not finite and not _is_proper(phi, y):
@@ -85,7 +87,7 @@ def read_potential(phi: ca.SX, split: ConvexSplit, y: ca.SX) -> ConvexPotential:
 def _is_proper(phi: ca.SX, y: ca.SX) -> bool:
     """Whether the domain is proved to be convex, and phi is finite at a sample point."""
     rows, equal = domain_rows(phi, y, "phi")
-    shapes = convexity.global_curvatures(ca.vertcat(ca.SX(0, 1), *rows, *equal), y)
+    shapes = rules.global_curvatures(ca.vertcat(ca.SX(0, 1), *rows, *equal), y)
     bounds_good = all(shape.concave and (i < len(rows) or shape.convex) for i, shape in enumerate(shapes))
     return bounds_good and bool(
         np.isfinite(evaluate_at_samples(phi, y, np.vstack([np.zeros((1, y.numel())), sample_points(y.numel(), 200)]))).any()
@@ -144,7 +146,7 @@ def domains_of_potential(p: ConvexPotential, m: int, coupled: bool) -> Domains:
     normals = _add_bounding_rows(found, own, p.bounds)
     found.across.append(exact.nullspace(normals).T if len(normals) else exact.eye(m))
     found.flat += [term.J for term in p.bounds]
-    if found.groups and feasibility.decide_feasibility(found.system([])).point is None:
+    if found.groups and conic.decide_feasibility(found.system([])).point is None:
         raise EmptyDomain("no point is seen inside all the cones that bound it")
     if coupled:
         if p.Q is None:

@@ -6,7 +6,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.quick import check_law_sets, check_term_weights, convexity_warning, psd_warning, symbolic_term_weights
+from nsmodel.solvers.initial_checks import (
+    check_law_sets,
+    check_term_weights,
+    convexity_warning,
+    psd_warning,
+    symbolic_term_weights,
+)
 
 
 def check_start(model: LureSystem) -> None:

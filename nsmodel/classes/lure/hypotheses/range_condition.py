@@ -30,9 +30,9 @@ from nsmodel.classes.lure.hypotheses.range_setting import RangeSetting, linearit
 from nsmodel.classes.lure.hypotheses.rest_point import rest_point_finding
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.laws import Law
-from nsmodel.laws.block import ExactSet, Halfspaces, Intervals, RoundSet
-from nsmodel.proof import exact, feasibility
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.laws.base import ExactSet, Halfspaces, Intervals, RoundSet
+from nsmodel.proof import conic, exact
 
 H_31 = Hypothesis("3.1", "Xi is continuous at some point: its domain has an interior", f"{LURE_PAPER}, Assumption 3.1")
 H_54A = Hypothesis("5.4a", "R(C) meets -D'(rint dom dXi) + int dom Upsilon*", f"{LURE_PAPER}, Assumption 5.4 (a)")
@@ -82,7 +82,7 @@ def is_range_whole_space(law: Law, D: np.ndarray) -> bool:
         return True
     return (
         linearity_direction(own, D) is None
-        and feasibility.decide_feasibility(own.system(_range_parts(D, own), own.m)).point is not None
+        and conic.decide_feasibility(own.system(_range_parts(D, own), own.m)).point is not None
     )
 
 
@@ -103,7 +103,7 @@ def _immediate_finding(at: RangeSetting, hypothesis: Hypothesis) -> Finding | Do
 
 
 def _empty_interior_finding(
-    at: RangeSetting, hypothesis: Hypothesis, line: np.ndarray, answer: feasibility.FeasibilityDecision
+    at: RangeSetting, hypothesis: Hypothesis, line: np.ndarray, answer: conic.FeasibilityDecision
 ) -> Finding:
     """Upsilon is linear along ``line``: the hypothesis fails, though what the proof needs may hold."""
     how = "int dom Upsilon* is empty, as Upsilon is linear along v and -v (an equality row whose l D does not bound)."
@@ -144,7 +144,7 @@ def _range_intersection_finding(at: RangeSetting) -> Finding:
     system = own.system(
         [*_range_parts(at.D, own), (list(range(n, n + states)), -at.C), (TAU_COLUMN, -_offset_column(at))], at.m + states
     )
-    answer = feasibility.decide_feasibility(system)
+    answer = conic.decide_feasibility(system)
     if at.line is not None:
         return _empty_interior_finding(at, H_54A, at.line, answer)
     value: dict[str, float] = {"restricting rows": int((~own.loose).sum())}
@@ -173,7 +173,7 @@ def _admissibility_finding(at: RangeSetting, hypothesis: Hypothesis, output: np.
         return own
     output, name = output + _offset_column(at), f"(C x0{_offset_text(at)})" if _offset_text(at) else "C x0"
     system = own.system([*_range_parts(at.D, own), (TAU_COLUMN, -output)], at.m)
-    answer = feasibility.decide_feasibility(system)
+    answer = conic.decide_feasibility(system)
     if at.line is not None:
         return _empty_interior_finding(at, hypothesis, at.line, answer)
     if answer.point is not None:

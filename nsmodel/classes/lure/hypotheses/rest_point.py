@@ -11,10 +11,10 @@ from nsmodel.classes.lure.hypotheses.domains import TAU_COLUMN, Domains
 from nsmodel.classes.lure.hypotheses.potential_domains import AffineTerm, ConvexPotential
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.laws import Law
-from nsmodel.laws.block import Halfspaces, Intervals
-from nsmodel.proof import exact, feasibility
-from nsmodel.proof.graph import fold_graph
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.laws.base import Halfspaces, Intervals
+from nsmodel.proof import conic, exact
+from nsmodel.proof.expression_graph import fold_graph
 
 FORCE_TIMES = 1001  # at which f is looked at
 
@@ -185,7 +185,7 @@ def _check_stationary_potential(model: LureSystem, p: ConvexPotential) -> tuple[
     if curved:
         return UNKNOWN, {}, "the subdifferential of phi at y = 0 is not a polyhedron"
     system = found_.system([*found_.k, (TAU_COLUMN, -gradient)])
-    if 0 in feasibility.implied_zeros(system):
+    if 0 in conic.implied_zeros(system):
         return VIOLATED, {"gradient": exact.doubles(gradient.ravel())}, "0 is not in dPhi(0)"
     return HOLDS, {}, ""
 

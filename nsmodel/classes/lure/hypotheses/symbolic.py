@@ -13,7 +13,7 @@ from nsmodel.classes.lure.hypotheses.passivity import D_PSD_HYPOTHESIS, STORAGE_
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.report.typeset import to_sympy
-from nsmodel.proof.components import connected_components
+from nsmodel.proof.verdict import connected_components
 
 if TYPE_CHECKING:
     import sympy as sp

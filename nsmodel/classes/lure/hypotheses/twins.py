@@ -10,7 +10,7 @@ from nsmodel.classes.lure.hypotheses.check import compare_contraction
 from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, P_OMEGA
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, Finding
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 
 def compare_runs(model: LureSystem, findings: Sequence[Finding], runs: Sequence[Trajectory]) -> list[Finding]:

@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.laws import Law
-from nsmodel.laws.moving import LawEnds
-from nsmodel.scheme.problem import (
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.laws.base import LawEnds
+from nsmodel.solvers.one_step_problem import (
     OneStepProblem,
     SchemeOrder,
     moving_law_outputs,

@@ -11,10 +11,10 @@ import numpy as np
 from nsmodel.classes.oscillator.hypotheses.check import FORCED_TEXT
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import energy_function
-from nsmodel.columns import extrapolated_rows
 from nsmodel.hypotheses.along import SUM_ROUNDING, constraint_findings, has_every_row, missing_rows_findings
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.columns import extrapolated_rows
+from nsmodel.simulation.trajectory import Trajectory
 
 RUN_ENERGY = Hypothesis(
     "run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1"

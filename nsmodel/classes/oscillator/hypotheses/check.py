@@ -32,12 +32,12 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import exact
-from nsmodel.proof.convex import lower_bound, potentials
-from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex_set
-from nsmodel.proof.convex.lower_bound import LowerBoundResult
-from nsmodel.proof.graph import stack_column
+from nsmodel.proof.convex import lower_bounds, potentials
+from nsmodel.proof.convex.lower_bounds import LowerBoundResult
+from nsmodel.proof.convex.sets import ConvexSet, has_interior, is_convex_set
+from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.verdict import HypothesisPart
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 CABOT_PAPER = "Cabot 2004"
 O_THETA = Hypothesis("O-theta", "theta is convex, C1 and nondecreasing on [0, inf)", f"{CABOT_PAPER}, Proposition 2.2")
@@ -132,7 +132,7 @@ def _check_potential(
     parts = [("convex", convex), ("domain", closed), ("interior", interior)]
     if interior.verdict != VIOLATED:
         start = np.asarray(interior.witness.get("interior point", x0))
-        below = lower_bound.decide_bounded_below(g, domain, start, convex=convex.verdict == HOLDS and not convex.local)
+        below = lower_bounds.decide_bounded_below(g, domain, start, convex=convex.verdict == HOLDS and not convex.local)
         parts.insert(1, ("inf g", _lower_bound_part(below)))
     verdict = _worst_verdict([part.verdict for _, part in parts])
     deciding_parts = parts if verdict == HOLDS else [(name, part) for name, part in parts if part.verdict == verdict]

@@ -13,7 +13,7 @@ from nsmodel.hypotheses.findings import Consequence, Finding, make_consequence
 from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
 from nsmodel.hypotheses.moving_law import time_as_input
 from nsmodel.hypotheses.region import Region
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 PARTS = {"force": ("force",), "friction": ("elements",)}
 

@@ -38,12 +38,11 @@ from nsmodel.hypotheses.uniform import (
     parameter_roots,
     unaffected_findings,
 )
-from nsmodel.proof import exact, extremum, interval
-from nsmodel.proof.convex import convexity, lower_bound, potentials
-from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer_set
-from nsmodel.proof.graph import stack_column, stored_entries
-from nsmodel.proof.mixtures import mixture_corners
-from nsmodel.proof.multiaffine import matrix_corners
+from nsmodel.proof import exact, extremum, interval_bounds
+from nsmodel.proof.convex import lower_bounds, potentials, rules
+from nsmodel.proof.convex.sets import MovingSet, has_interior_for_all, is_convex_for_all, outer_set
+from nsmodel.proof.expression_graph import stack_column, stored_entries
+from nsmodel.proof.parameter_hull import matrix_corners, mixture_corners
 from nsmodel.proof.verdict import HypothesisPart
 
 FIELDS_OF_OSCILLATOR = {
@@ -125,12 +124,12 @@ def _law_for_all(element: Friction, model: FrictionOscillator, region: Region, q
         return combine_proofs((friction_law.check_friction_law(one, s, quick=quick) for one in laws), ends)
     low, high = region.parameter_bounds()
     z, low, high = ca.vertcat(s, model.p), np.append(0.0, low), np.append(np.inf, high)
-    theta = convexity.resolve_kinks(element.theta, z, low, high, f"friction '{element.name}' theta")
+    theta = rules.resolve_kinks(element.theta, z, low, high, f"friction '{element.name}' theta")
     first, second = ca.gradient(theta, s), ca.hessian(theta, s)[0]
     begin = _slope_bounds(element, model, region)[0]
-    if begin < 0 or not interval.is_continuous(ca.vertcat(theta, first), z, low, high):
+    if begin < 0 or not interval_bounds.is_continuous(ca.vertcat(theta, first), z, low, high):
         return None
-    if not convexity.curvatures(theta, z, low, high, of=s)[0].convex:
+    if not rules.curvatures(theta, z, low, high, of=s)[0].convex:
         if not extremum.supremum(-second, z, low, high, bound_to=0.0, quick=quick).bound <= 0:
             return None
     return HypothesisPart(HOLDS, "bounds of theta' and theta'' over s and the parameters", {friction_law.MIN_SLOPE: begin}, {})
@@ -144,11 +143,11 @@ def _slope_bounds(element: Friction, model: FrictionOscillator, region: Region) 
         return min(low for low, _ in ends), max(high for _, high in ends)
     z, (low, high) = ca.vertcat(model.s, model.p), region.parameter_bounds()
     first = ca.gradient(element.theta, model.s)
-    if not interval.is_continuous(
+    if not interval_bounds.is_continuous(
         ca.vertcat(element.theta, first), z, np.append(ZERO_ARGUMENT, low), np.append(NEAR_ZERO_ARGUMENT, high)
     ):
         return -np.inf, np.inf
-    below, above = interval.enclose(first, z, np.append(ZERO_ARGUMENT, low), np.append(ZERO_ARGUMENT, high))
+    below, above = interval_bounds.enclose(first, z, np.append(ZERO_ARGUMENT, low), np.append(ZERO_ARGUMENT, high))
     return float(np.min(below)), float(np.max(above))
 
 
@@ -206,7 +205,7 @@ def _convexity_for_all(g: ca.SX, C: MovingSet, region: Region, start: np.ndarray
     """g is convex and bounded below, for all values."""
     whole, at = outer_set(C), mixture_corners(g, C.p, C.lower, C.upper)
     z, low, high = ca.vertcat(C.x, C.p), np.append(whole.bounding_box[0], C.lower), np.append(whole.bounding_box[1], C.upper)
-    least = float(np.min(interval.enclose(g, z, low, high)[0]))
+    least = float(np.min(interval_bounds.enclose(g, z, low, high)[0]))
     if at is not None:
         ends: dict[str, Callable[..., float]] = dict.fromkeys(
             (potentials.MIN_EIGENVALUE_KEY, potentials.EIGENVALUE_BOUND_KEY, POTENTIAL_LOWER_BOUND), min
@@ -216,11 +215,11 @@ def _convexity_for_all(g: ca.SX, C: MovingSet, region: Region, start: np.ndarray
         return part if part is None or bound == -np.inf else part._replace(value={**part.value, POTENTIAL_LOWER_BOUND: bound})
     if not np.isfinite(least):
         return None
-    if convexity.curvatures(g, z, low, high, of=C.x)[0].convex:
+    if rules.curvatures(g, z, low, high, of=C.x)[0].convex:
         return HypothesisPart(
             HOLDS, "by the rules of convex functions, and bounds over states and parameters", {POTENTIAL_LOWER_BOUND: least}, {}
         )
-    smooth = interval.is_continuous(ca.vertcat(g, ca.gradient(g, C.x)), z, low, high)
+    smooth = interval_bounds.is_continuous(ca.vertcat(g, ca.gradient(g, C.x)), z, low, high)
     top = extremum.largest_eigenvalue(-ca.hessian(g, C.x)[0], z, low, high, bound_to=0.0, quick=quick) if smooth else None
     if top is None or not top.bound <= 0:
         return None
@@ -229,13 +228,13 @@ def _convexity_for_all(g: ca.SX, C: MovingSet, region: Region, start: np.ndarray
 
 
 def _check_convex_and_bounded(
-    g: ca.SX, C: lower_bound.ConvexSet, region: Region, start: np.ndarray, quick: bool
+    g: ca.SX, C: lower_bounds.ConvexSet, region: Region, start: np.ndarray, quick: bool
 ) -> HypothesisPart:
     """One potential on a set."""
     convex = potentials.is_convex_potential(g, C, region.lower, region.upper, quick=quick)
     if convex.verdict != HOLDS:
         return convex
-    below = lower_bound.decide_bounded_below(g, C, start, convex=not convex.local)
+    below = lower_bounds.decide_bounded_below(g, C, start, convex=not convex.local)
     if not below.bounded:
         return convex._replace(verdict="unknown")
     bound = {POTENTIAL_LOWER_BOUND: below.bound} if np.isfinite(below.bound) else {}

@@ -10,10 +10,11 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import Friction
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.proof import exact, extremum, interval, one_variable, polynomial_signs
-from nsmodel.proof.convex import convexity, joints, piecewise
-from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.pieces import CaseInterval, WeightedTerms, split_by_cases
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial, univariate
+from nsmodel.proof.convex import piecewise, rules
+from nsmodel.proof.convex import piecewise as joints
+from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.piecewise import CaseInterval, WeightedTerms, split_by_cases
 from nsmodel.proof.jumps import find_jump, jump_nodes
 from nsmodel.proof.verdict import HypothesisPart
 
@@ -27,7 +28,7 @@ LAW_ROUNDING = Fraction(1, 2**46)  # 64 eps
 
 def simplified_law(element: Friction, s: ca.SX) -> ca.SX:
     """Theta on [0, inf), with fabs, fmax and the like replaced where their case is settled there."""
-    return convexity.resolve_kinks(element.theta, s, ZERO_SPEED, INFINITE_SPEED, f"friction '{element.name}' theta")
+    return rules.resolve_kinks(element.theta, s, ZERO_SPEED, INFINITE_SPEED, f"friction '{element.name}' theta")
 
 
 def slope_at_zero_bounds(element: Friction, s: ca.SX) -> tuple[float, float]:
@@ -46,7 +47,7 @@ def _slope_from_terms(terms: WeightedTerms, s: ca.SX, piece: CaseInterval) -> tu
     """The slope at 0 of a sum whose cases are settled near 0."""
     low = high = Fraction(0)
     for (factor, term), cases in zip(terms, piece.cases, strict=True):
-        found = one_variable.right_derivative_bounds(term, s, Fraction(0), cases) or _slope_by_intervals(term, s)
+        found = univariate.right_derivative_bounds(term, s, Fraction(0), cases) or _slope_by_intervals(term, s)
         if not np.isfinite(found).all():
             return -np.inf, np.inf
         ends = sorted(factor * Fraction(end) for end in found)
@@ -56,12 +57,12 @@ def _slope_from_terms(terms: WeightedTerms, s: ca.SX, piece: CaseInterval) -> tu
 
 def _slope_by_intervals(theta: ca.SX, s: ca.SX) -> tuple[float, float]:
     first = ca.gradient(theta, s)
-    if not interval.is_continuous(ca.vertcat(theta, first), s, ZERO_SPEED, np.full(1, 1e-6)):
+    if not interval_bounds.is_continuous(ca.vertcat(theta, first), s, ZERO_SPEED, np.full(1, 1e-6)):
         return -np.inf, np.inf
     number = joints.exact_value(first, s, Fraction(0))
     if number is not None:
         return exact.round_down(number), exact.round_up(number)
-    low, high = interval.enclose(first, s, ZERO_SPEED, ZERO_SPEED)
+    low, high = interval_bounds.enclose(first, s, ZERO_SPEED, ZERO_SPEED)
     return float(np.min(low)), float(np.max(high))
 
 
@@ -103,7 +104,7 @@ def _search_violation(theta: ca.SX, first: ca.SX, s: ca.SX, smooth: bool, convex
     values = {name: -seen.value for name, seen in worst.items() if np.isfinite(seen.value)}
     for name, derivative in ((MIN_SLOPE, first), (MIN_CURVATURE, ca.gradient(first, s))):
         at = worst[name].at
-        if at is not None and float(np.max(interval.enclose(derivative, s, at, at)[1])) < 0:
+        if at is not None and float(np.max(interval_bounds.enclose(derivative, s, at, at)[1])) < 0:
             what = "theta decreases" if name == MIN_SLOPE else "theta is not convex"
             return HypothesisPart(VIOLATED, what, values, {"s": at[0], name.removeprefix("min "): -worst[name].value})
     jump = find_jump(theta, s, ZERO_SPEED, SAMPLE_SPEEDS[-1:], lambda points: points[:, 0] >= 0) if jump_nodes(theta, s) else None
@@ -126,7 +127,7 @@ def _prove_convex(
     theta: ca.SX, terms: WeightedTerms, s: ca.SX, pieces: list[CaseInterval]
 ) -> tuple[str, dict[str, float]] | None:
     """How theta, C1, is proved convex, and a bound of theta'' where there is one."""
-    (shape,) = convexity.curvatures(theta, s, ZERO_SPEED, INFINITE_SPEED)
+    (shape,) = rules.curvatures(theta, s, ZERO_SPEED, INFINITE_SPEED)
     if shape.convex:
         return "the rules of convex functions", {}
     if all(_is_convex_on_piece(terms, s, piece) for piece in pieces):
@@ -147,21 +148,21 @@ def _is_convex_on_piece(terms: WeightedTerms, s: ca.SX, piece: CaseInterval) -> 
     less = Fraction(0)
     for factor, term in rest:
         sign = 1 if factor > 0 else -1
-        (shape,) = convexity.curvatures(sign * term, s, *piece.outer)
+        (shape,) = rules.curvatures(sign * term, s, *piece.outer)
         if shape.convex:
             continue
         bound = extremum.supremum(-sign * ca.hessian(term, s)[0], s, *piece.outer, quick=True).bound
         if not np.isfinite(bound):
             return False
         less += abs(factor) * Fraction(bound)
-    found = one_variable.second_derivative_signs([terms[i] for i in known], s, low, high, [piece.cases[i] for i in known], less)
+    found = univariate.second_derivative_signs([terms[i] for i in known], s, low, high, [piece.cases[i] for i in known], less)
     return found is not None and min(found.signs) >= 0
 
 
 def _split_smooth_terms(terms: WeightedTerms, s: ca.SX, piece: CaseInterval) -> tuple[list[int], list[tuple[Fraction, ca.SX]]]:
     """Which terms have second derivatives that are quotients of sums on a piece, and the others."""
     known = [
-        i for i, (_, term) in enumerate(terms) if one_variable.has_two_derivatives(term, s, *piece.rational_ends, piece.cases[i])
+        i for i, (_, term) in enumerate(terms) if univariate.has_two_derivatives(term, s, *piece.rational_ends, piece.cases[i])
     ]
     return known, [term for i, term in enumerate(terms) if i not in known]
 
@@ -172,12 +173,12 @@ def _split_smooth_terms(terms: WeightedTerms, s: ca.SX, piece: CaseInterval) -> 
 def _is_slope_continuous(terms: WeightedTerms, s: ca.SX, piece: CaseInterval) -> bool:
     """Whether theta' is proved continuous within a piece."""
     _, rest = _split_smooth_terms(terms, s, piece)
-    return all(interval.is_continuous(ca.vertcat(term, ca.gradient(term, s)), s, *piece.outer) for _, term in rest)
+    return all(interval_bounds.is_continuous(ca.vertcat(term, ca.gradient(term, s)), s, *piece.outer) for _, term in rest)
 
 
 def _is_continuous_at_zero(theta: ca.SX, s: ca.SX) -> bool:
     """Whether theta is continuous at 0 from the right: a convex function with a finite slope there is then C1."""
-    return interval.is_continuous(theta, s, ZERO_SPEED, np.full(1, 1e-6))
+    return interval_bounds.is_continuous(theta, s, ZERO_SPEED, np.full(1, 1e-6))
 
 
 def _undefined_part(theta: ca.SX, s: ca.SX) -> HypothesisPart | None:
@@ -220,12 +221,12 @@ def _check_piecewise(pieces: list[piecewise.PolynomialPiece]) -> HypothesisPart:
         place = right.low
         for what, p, q in (
             ("jumps", left.c, right.c),
-            ("has a kink", polynomial_signs.derivative_coefficients(left.c), polynomial_signs.derivative_coefficients(right.c)),
+            ("has a kink", polynomial.derivative_coefficients(left.c), polynomial.derivative_coefficients(right.c)),
         ):
-            before, after = polynomial_signs.evaluate_at(p, place), polynomial_signs.evaluate_at(q, place)
+            before, after = polynomial.evaluate_at(p, place), polynomial.evaluate_at(q, place)
             if before != after:
                 value = {"before": float(before), "after": float(after)}
-                size = sum(polynomial_signs.evaluate_at([abs(number) for number in part], place) for part in (p, q))
+                size = sum(polynomial.evaluate_at([abs(number) for number in part], place) for part in (p, q))
                 if abs(after - before) <= LAW_ROUNDING * size:
                     return HypothesisPart(
                         SAMPLED, f"theta {what} at s = {float(place):.6g} by rounding only", value, {"s": float(place)}
@@ -237,8 +238,8 @@ def _check_piecewise(pieces: list[piecewise.PolynomialPiece]) -> HypothesisPart:
     for piece in pieces:
         first, second = _piece_derivatives(piece)
         for name, p, what in ((MIN_SLOPE, first, "theta decreases"), (MIN_CURVATURE, second, "theta is not convex")):
-            values[name] = min(values[name], polynomial_signs.polynomial_lower_bound(p, piece.low, piece.high))
-            point = polynomial_signs.negative_point(p, piece.low, piece.high)
+            values[name] = min(values[name], polynomial.polynomial_lower_bound(p, piece.low, piece.high))
+            point = polynomial.negative_point(p, piece.low, piece.high)
             if point is not None:
                 order, start = name.removeprefix("min "), _sign_change(p, piece.low, point)
                 how = f"{what}: {order} < 0 from s = {start:.6g} on (decided exactly)"
@@ -247,12 +248,12 @@ def _check_piecewise(pieces: list[piecewise.PolynomialPiece]) -> HypothesisPart:
                         VIOLATED,
                         how,
                         values,
-                        {"s": float(point), order: float(polynomial_signs.evaluate_at(p, point)), "from": start},
+                        {"s": float(point), order: float(polynomial.evaluate_at(p, point)), "from": start},
                     )
                 )
     if broken:
         raised = [(_rounded_up_coefficients(p), piece) for piece in pieces for p in _piece_derivatives(piece)]
-        if all(polynomial_signs.negative_point(p, piece.low, piece.high) is None for p, piece in raised):
+        if all(polynomial.negative_point(p, piece.low, piece.high) is None for p, piece in raised):
             return broken[0]._replace(verdict=SAMPLED, how="convex and nondecreasing up to rounding of the coefficients only")
         return broken[0]
     kind = "a polynomial" if len(pieces) == 1 else f"a polynomial on each of {len(pieces)} pieces, C1 at their joints"
@@ -262,8 +263,8 @@ def _check_piecewise(pieces: list[piecewise.PolynomialPiece]) -> HypothesisPart:
 
 
 def _piece_derivatives(piece: piecewise.PolynomialPiece) -> tuple[list[Fraction], list[Fraction]]:
-    first = polynomial_signs.derivative_coefficients(piece.c)
-    return first, polynomial_signs.derivative_coefficients(first)
+    first = polynomial.derivative_coefficients(piece.c)
+    return first, polynomial.derivative_coefficients(first)
 
 
 def _rounded_up_coefficients(p: list[Fraction]) -> list[Fraction]:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.hypotheses.impacts import ImpactStructure
+from nsmodel.solvers.impacts import ImpactStructure
 
 
 def system(model: FrictionOscillator) -> ImpactStructure | None:

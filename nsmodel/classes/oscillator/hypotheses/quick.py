@@ -8,7 +8,7 @@ import numpy as np
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import elements_at_end, slope_at_zero
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.quick import (
+from nsmodel.solvers.initial_checks import (
     check_start_inside,
     check_term_weights,
     convexity_warning,

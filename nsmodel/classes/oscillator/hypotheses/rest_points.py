@@ -18,12 +18,11 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, ma
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.uniform import box_middle, depends_on_symbol
 from nsmodel.proof import exact, polynomial
-from nsmodel.proof import interval as proof
-from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.least_value import minimise_potential
-from nsmodel.proof.convex.lower_bound import LowerBoundResult
-from nsmodel.proof.graph import stack_column
-from nsmodel.proof.mixtures import mixture_corners
+from nsmodel.proof import interval_bounds as proof
+from nsmodel.proof.convex.lower_bounds import LowerBoundResult, minimise_potential
+from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.proof.expression_graph import stack_column
+from nsmodel.proof.parameter_hull import mixture_corners
 
 MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
 THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.

@@ -22,12 +22,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import cached_per_object
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.errors import UsageError
-from nsmodel.laws import ball, complementarity, product
-from nsmodel.model.arguments import numbered_row_names
-from nsmodel.once import cached_per_object
-from nsmodel.scheme.problem import OneStepProblem, stationary_parts, subdifferential, with_carried_inputs
+from nsmodel.modeling.laws import ball, complementarity, product
+from nsmodel.modeling.parameters import numbered_row_names
+from nsmodel.solvers.one_step_problem import OneStepProblem, stationary_parts, subdifferential, with_carried_inputs
 
 SMALLEST_SPEED = 1e-150
 

@@ -11,10 +11,10 @@ import numpy as np
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import extremum
-from nsmodel.proof.buffered import attach_buffers
-from nsmodel.solve import mlcp
-from nsmodel.solve.certificate import NumericLaw
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof.verdict import attach_buffers
+from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers import mlcp
+from nsmodel.solvers.residuals import NumericLaw
 
 MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found.
 MAX_NAMED_STATES = 12

@@ -11,7 +11,7 @@ from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.along import QUALIFICATION_HYPOTHESIS, constraint_findings, inputs_at_rows
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Finding, make_finding
-from nsmodel.trajectory import Trajectory
+from nsmodel.simulation.trajectory import Trajectory
 
 HYPOTHESES = ()
 MAX_GAMMA_ROWS = 2000  # of a run, where gamma is evaluated

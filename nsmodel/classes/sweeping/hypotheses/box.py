@@ -21,10 +21,9 @@ from nsmodel.classes.sweeping.hypotheses.constraint import (
     vanishing_gradient_answers,
 )
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
-from nsmodel.proof import extremum, interval, polynomial, sum_of_squares
-from nsmodel.proof.convex import convexity
-from nsmodel.proof.discontinuity import prove_jump
-from nsmodel.proof.jumps import jump_nodes
+from nsmodel.proof import extremum, interval_bounds, polynomial, sum_of_squares
+from nsmodel.proof.convex import rules
+from nsmodel.proof.jumps import jump_nodes, prove_jump
 
 MAX_SOS_DEGREE = 8  # Sums of squares are looked for in Hessians of polynomials up to this degree.
 FLAT_GRADIENT_RATIO = 1e-6  # Where a gradient is this much shorter than the longest one a point is looked for where it vanishes.
@@ -126,7 +125,7 @@ def _gradient_bound_by_convexity(c: Constraint, lowest: Any, delta: float) -> fl
 def _find_gradient_jump(c: Constraint, gradient: ca.SX, delta: float) -> tuple[bool, HypothesisAnswer | None]:
     """(whether g is proved C1 on the box as far as its operations can jump, an answer where it is seen not to be on U_i)."""
     both = ca.vertcat(c.g, gradient)
-    if not jump_nodes(both, c.q) or interval.is_continuous(both, c.z, c.lower, c.upper):
+    if not jump_nodes(both, c.q) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper):
         return True, None
     floor = -delta if np.isfinite(delta) else -np.inf
     jump = prove_jump(both, c.z, c.lower, c.upper, c.g)
@@ -144,11 +143,11 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
     if c.shape.convex:
         return HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, "a sum of convex terms")
     if not c.shape.time:
-        if convexity.global_curvatures(c.g, c.q)[0].convex:
+        if rules.global_curvatures(c.g, c.q)[0].convex:
             return HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, "by the rules of convex functions")
-        if convexity.curvatures(c.g, c.q, c.lower[1:], c.upper[1:])[0].convex:
+        if rules.curvatures(c.g, c.q, c.lower[1:], c.upper[1:])[0].convex:
             return HypothesisAnswer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
-    elif convexity.curvatures(c.g, c.z, c.lower, c.upper)[0].convex:
+    elif rules.curvatures(c.g, c.z, c.lower, c.upper)[0].convex:
         return HypothesisAnswer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
     if _hessian_is_sos(c):
         how = "D2g is a sum of squares (exact)" + ("" if not c.shape.time else ", at every time")
@@ -158,7 +157,7 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
     if top.at is not None and np.isfinite(top.value) and not jump_nodes(c.g, c.q):
         matrix = np.array(ca.Function("H", [c.z], [ca.densify(H)])(top.at))
         v = np.linalg.eigh((matrix + matrix.T) / 2)[1][:, 0]
-        high = float(interval.enclose(ca.bilin(H, ca.DM(v), ca.DM(v)), c.z, top.at, top.at)[1].item())
+        high = float(interval_bounds.enclose(ca.bilin(H, ca.DM(v), ca.DM(v)), c.z, top.at, top.at)[1].item())
         if high < 0:
             witness = c.point(top.at) | {"states": list(c.names), "eigenvector": v}
             how = "the Hessian has a negative eigenvalue (by interval arithmetic)"
@@ -166,7 +165,7 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
     if bent is not None:
         return bent
     both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
-    if top.bound <= 0 and (not jump_nodes(both, c.q) or interval.is_continuous(both, c.z, c.lower, c.upper)):
+    if top.bound <= 0 and (not jump_nodes(both, c.q) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper)):
         return HypothesisAnswer(
             HOLDS, {"least": -top.bound}, ON_THE_BOX, "the least eigenvalue of the Hessian is bounded below by 0"
         )
@@ -201,8 +200,8 @@ def _chord_violation(c: Constraint) -> HypothesisAnswer | None:
         half = (x[k] + y[k]) / 2
         below, above = np.nextafter(half, -np.inf), np.nextafter(half, np.inf)
         below[0] = above[0] = x[k, 0]
-        low = float(interval.enclose(c.g, c.z, below, above)[0].item())
-        high = [float(interval.enclose(c.g, c.z, end, end)[1].item()) for end in (x[k], y[k])]
+        low = float(interval_bounds.enclose(c.g, c.z, below, above)[0].item())
+        high = [float(interval_bounds.enclose(c.g, c.z, end, end)[1].item()) for end in (x[k], y[k])]
         over = low - (high[0] + high[1]) / 2 - 1e-15 * (abs(low) + abs(high[0]) + abs(high[1]))
         if np.isfinite(over) and over > 0:
             witness = c.point(half) | {"states": list(c.names), "from": x[k, 1:], "to": y[k, 1:]}

@@ -19,9 +19,9 @@ from nsmodel.classes.sweeping.hypotheses.velocity import decide_velocity
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.region import Region
-from nsmodel.proof import exact, interval
-from nsmodel.proof.search import searches_are_quick
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof import exact, interval_bounds
+from nsmodel.proof.global_search import searches_are_quick
+from nsmodel.simulation.trajectory import Trajectory
 
 TimedState = tuple[float, np.ndarray]
 BERNICOT_VENEL = "Bernicot and Venel 2010"
@@ -242,6 +242,6 @@ def _start_bounds(model: SweepingProcess, rows: list[int], q0: np.ndarray) -> tu
     low, high = np.full(model.g.numel(), -np.inf), np.full(model.g.numel(), np.inf)
     if rows:
         z0 = np.concatenate([[0.0], q0])
-        bounds = interval.enclose(model.g[rows], ca.vertcat(model.t, model.q), z0, z0)
+        bounds = interval_bounds.enclose(model.g[rows], ca.vertcat(model.t, model.q), z0, z0)
         low[rows], high[rows] = (np.ravel(end) for end in bounds)
     return low, high

@@ -10,8 +10,8 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, common_scope, make_consequence
 from nsmodel.hypotheses.scope import Scope, intersect_scopes
-from nsmodel.model.base import Model
-from nsmodel.trajectory import Trajectory
+from nsmodel.modeling.base import Model
+from nsmodel.simulation.trajectory import Trajectory
 
 BERNICOT_VENEL_2010 = "Bernicot and Venel 2010"
 REGULARITY_HYPOTHESES = ("S-convex", "A1", "A4", "A5'")

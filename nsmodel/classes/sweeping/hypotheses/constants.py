@@ -27,13 +27,12 @@ from nsmodel.classes.sweeping.hypotheses.constraint import (
 from nsmodel.classes.sweeping.hypotheses.forms import AffineForm, Offset, Squares, form_hessian, offset_expression
 from nsmodel.classes.sweeping.hypotheses.geometry import sqrt_above, sqrt_below
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.proof import exact, extremum, interval
-from nsmodel.proof.defined import DefinednessResult, check_defined_in_time
-from nsmodel.proof.discontinuity import prove_jump
-from nsmodel.proof.germ import growth_exponent
-from nsmodel.proof.graph import numeric_constants
-from nsmodel.proof.jumps import jump_nodes
-from nsmodel.proof.sure import not_none
+from nsmodel.proof import exact, extremum, interval_bounds
+from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
+from nsmodel.proof.expression_graph import numeric_constants
+from nsmodel.proof.jumps import jump_nodes, prove_jump
+from nsmodel.proof.ray_expansion import growth_exponent
+from nsmodel.proof.verdict import not_none
 
 RATE_PROBE_LENGTH, MAX_RATE_STATES = (
     1e-6,
@@ -80,7 +79,7 @@ def _unbounded_rate_answer(c: Constraint) -> HypothesisAnswer | None:
     for time, forward in [(t0, 1.0), (t1, -1.0), *((time, 1.0) for time in sorted(inner)[:MAX_RATE_STATES])]:
         for q in states:
             ends = np.append(time, q), np.append(time + forward * h, q)
-            if not (interval.enclose(c.g, c.z, np.minimum(*ends), np.maximum(*ends))[0] >= 0).all():
+            if not (interval_bounds.enclose(c.g, c.z, np.minimum(*ends), np.maximum(*ends))[0] >= 0).all():
                 continue
             direction = np.append(forward, np.zeros(q.size))
             power = growth_exponent(rate, c.z, ends[0], direction, h)
@@ -107,7 +106,7 @@ def _require_finite_in_time(c: Constraint, known: AnswersById) -> AnswersById:
 
 def _time_jump_answer(c: Constraint) -> AnswersById:
     """A2 of a constraint that jumps in time, where d_t g says nothing."""
-    if not c.shape.time or not jump_nodes(c.g, c.t) or interval.is_continuous(c.g, c.z, c.lower, c.upper):
+    if not c.shape.time or not jump_nodes(c.g, c.t) or interval_bounds.is_continuous(c.g, c.z, c.lower, c.upper):
         return {}
     jump = prove_jump(c.g, c.z, c.lower, c.upper)
     if jump is None:
@@ -120,7 +119,7 @@ def _gradient_jump_answer(c: Constraint) -> AnswersById:
     """A3 of a constraint whose gradient may jump in time, where d_t grad g says nothing."""
     gradient = ca.gradient(c.g, c.q)
     nodes = [node for node in jump_nodes(gradient, c.t) if not ca.depends_on(node, c.q)] if c.shape.time else []
-    if not nodes or interval.is_continuous(ca.vertcat(*nodes), c.t, c.lower[:1], c.upper[:1]):
+    if not nodes or interval_bounds.is_continuous(ca.vertcat(*nodes), c.t, c.lower[:1], c.upper[:1]):
         return {}
     jump = prove_jump(gradient, c.z, c.lower, c.upper, c.g)
     if jump is None:
@@ -310,7 +309,7 @@ def _definite_quadratic_answers(c: Constraint, H: np.ndarray, values: np.ndarray
     above = supremum_over_time(c, bottom)  # sup of m
     if above.value >= 0:
         t = float(np.ravel(not_none(above.at))[0])
-        if float(interval.enclose(lowest, c.t, np.full(1, t), np.full(1, t))[0].item()) >= 0:
+        if float(interval_bounds.enclose(lowest, c.t, np.full(1, t), np.full(1, t))[0].item()) >= 0:
             return vanishing_gradient_answers(
                 c, np.append(t, minimum(t)), "the gradient vanishes at its minimum, which is admissible"
             )

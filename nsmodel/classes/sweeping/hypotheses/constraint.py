@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
-from nsmodel.proof import extremum, interval
+from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.krawczyk import enclose_zero
 
 SUP_ROUNDING_FACTOR = 1 + 1e-14  # More than what a root and a few products lose.
@@ -93,7 +93,7 @@ def supremum_over_time(c: Constraint, expr: ca.SX) -> TimeSupremum:
     if expr.is_constant():
         return TimeSupremum(float(expr), float(expr), start)
     if not ca.depends_on(expr, c.t):
-        low, high = (float(end.item()) for end in interval.enclose(expr, c.t, start, start))
+        low, high = (float(end.item()) for end in interval_bounds.enclose(expr, c.t, start, start))
         return TimeSupremum(low, high, start)
     top = extremum.supremum(expr, c.t, start, end)
     return TimeSupremum(top.value, top.bound, top.at, top.count)
@@ -129,7 +129,7 @@ def stationary_point(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | N
     both = ca.vertcat(c.g, gradient)
     for digits in (17, 12, 9, 6, 4, 2, 1):
         point = np.array([z[0], *(round(float(x), digits) for x in z[1:])])
-        low, high = (end.ravel() for end in interval.enclose(both, c.z, point, point))
+        low, high = (end.ravel() for end in interval_bounds.enclose(both, c.z, point, point))
         if low[0] >= 0 and not (low[1:].any() or high[1:].any()):
             return point, "by interval arithmetic"
     width = np.where(c.upper[1:] > c.lower[1:], (c.upper - c.lower)[1:], 1.0)
@@ -137,7 +137,7 @@ def stationary_point(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | N
     if zero is None:
         return None
     lower, upper = np.append(z[0], zero.lower), np.append(z[0], zero.upper)
-    admissible = float(interval.enclose(c.g, c.z, lower, upper)[0].item()) >= 0
+    admissible = float(interval_bounds.enclose(c.g, c.z, lower, upper)[0].item()) >= 0
     return ((lower + upper) / 2, "an interval Newton step proves it near the one shown") if admissible else None
 
 

@@ -27,8 +27,8 @@ from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, F
 from nsmodel.hypotheses.inputs import InputBounds, InputJump, missing_rate_reason
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope, intersect_scopes
-from nsmodel.proof import extremum, interval
-from nsmodel.trajectory import Trajectory
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.simulation.trajectory import Trajectory
 
 PARTS = {"f": ("f",), "constraints": ("constraints",)}
 JUMP_SAMPLE_POINTS = 64  # Where a jump of a constraint is looked for.
@@ -90,7 +90,7 @@ def _speed_answers(c: Constraint, model: SweepingProcess, region: Region, motion
 def _speed_bound_answer(c: Constraint, part: ca.SX, name: str, quick: bool) -> HypothesisAnswer:
     """A bound of the speed of g or of its gradient over the box."""
     rate = c.rate(part)
-    if not interval.is_continuous(ca.vertcat(ca.vec(part), rate), c.z, c.lower, c.upper):
+    if not interval_bounds.is_continuous(ca.vertcat(ca.vec(part), rate), c.z, c.lower, c.upper):
         return HypothesisAnswer(UNKNOWN, {}, ON_THE_BOX, "not proved continuous along the inputs", {"constraint": c.name})
     top = extremum.supremum(ca.sumsqr(rate), c.z, c.lower, c.upper, quick=quick)
     if not np.isfinite(top.bound):
@@ -111,9 +111,9 @@ def _edge_jump_answer(
     found = None
     for edge in edges:
         for q in states:
-            signs = [interval.enclose(c.g, z, one, one) for one in edge.at(q)]
+            signs = [interval_bounds.enclose(c.g, z, one, one) for one in edge.at(q)]
             admitted = [bool((low >= 0).all()) for low, _ in signs]
-            (a, b), (e, f) = (interval.enclose(column, z, one, one) for one in edge.at(q))
+            (a, b), (e, f) = (interval_bounds.enclose(column, z, one, one) for one in edge.at(q))
             size = float(np.linalg.norm(np.maximum(np.maximum(e - b, a - f), 0.0)))
             if not (size > 0 and any(admitted)):
                 continue

@@ -26,7 +26,7 @@ from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import IntervalBox
 from nsmodel.hypotheses.uniform import ParameterValues, findings_for_box, unaffected_findings
-from nsmodel.proof import extremum, interval
+from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.jumps import jump_nodes
 
 READS = {hypothesis.id: ("g",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "g"), S_START.id: ("g", "q0")}
@@ -82,7 +82,7 @@ def constraints_with_parameters(
 def is_smooth_in_time(c: Constraint) -> bool:
     """Whether neither g nor its gradient jumps with time or with parameters, where derivatives would not tell."""
     both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
-    return not jump_nodes(both, c.t) or interval.is_continuous(both, c.z, c.lower, c.upper)
+    return not jump_nodes(both, c.t) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper)
 
 
 def _with_time_dependence(shape: ConstraintShape, g: ca.SX, model: SweepingProcess) -> ConstraintShape:
@@ -120,7 +120,7 @@ def uniform_velocity_finding(model: SweepingProcess, region: Region, motion: Inp
     wide = np.full(n, np.inf)
     for lower, upper, local in ((-wide, wide, False), (region.lower, region.upper, True)):
         ends = np.concatenate([[region.t0], low, lower]), np.concatenate([[region.t1], high, upper])
-        if not interval.is_continuous(f, z, *ends):
+        if not interval_bounds.is_continuous(f, z, *ends):
             continue
         steep = extremum.spectral_norm(J, z, *ends, quick=not local).bound
         about = ca.substitute(f, model.q, ca.DM.zeros(n)) if not local else f

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.exact import definiteness
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 
 Offset = Fraction | ca.SX  # A number, or an expression of time.
 _ZERO_FRACTION = Fraction(0)

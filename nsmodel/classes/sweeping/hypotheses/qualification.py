@@ -26,9 +26,7 @@ from nsmodel.classes.sweeping.hypotheses.qualification_box import bound_gamma_on
 from nsmodel.classes.sweeping.hypotheses.qualification_proofs import GammaProof, bound_gamma_everywhere
 from nsmodel.classes.sweeping.hypotheses.witness import attained_gamma_bound, prove_opposition
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.proof.components import overlapping_groups
-from nsmodel.proof.quiet import suppress_output
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none, overlapping_groups, suppress_output
 
 RHO_FRACTION, RHO_TRIES, FINER_RHO_TRIES = 0.1, 3, (12, 16, 20)
 MAX_BOX_STATES = 4

@@ -17,7 +17,7 @@ import numpy as np
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
 from nsmodel.classes.sweeping.hypotheses.qualification_proofs import body_pair_of
 from nsmodel.proof import extremum
-from nsmodel.proof.convex import convexity
+from nsmodel.proof.convex import rules
 
 TIME_SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own.
 AWAY_ROUNDING_FACTOR = 1 + 1e-12
@@ -57,7 +57,7 @@ def bound_by_forbidden_point(
 
 def is_convex_in_state(c: Constraint) -> bool:
     """Whether g is convex in q at each time, for all q."""
-    return c.shape.convex or (not c.shape.time and convexity.global_curvatures(c.g, c.q)[0].convex)
+    return c.shape.convex or (not c.shape.time and rules.global_curvatures(c.g, c.q)[0].convex)
 
 
 def _shared_coordinates(constraints: Sequence[Constraint], columns: Sequence[int]) -> np.ndarray:

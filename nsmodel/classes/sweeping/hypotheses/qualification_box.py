@@ -10,8 +10,8 @@ import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
-from nsmodel.proof.interval import bisect_boxes, mean_value_form
-from nsmodel.proof.straight_line import Program, program
+from nsmodel.proof.expression_graph import Program, program
+from nsmodel.proof.interval_bounds import bisect_boxes, mean_value_form
 
 CLOSE_RATIO = 1.05  # Cutting ends where the bound is this near to what is attained.
 MAX_SUB_BOXES, ENOUGH_SUB_BOXES = (

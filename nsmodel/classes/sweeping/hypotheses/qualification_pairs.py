@@ -27,7 +27,7 @@ from nsmodel.classes.sweeping.hypotheses.forms import (
 )
 from nsmodel.classes.sweeping.hypotheses.geometry import gram_bound, sqrt_above
 from nsmodel.proof import exact
-from nsmodel.proof.sure import not_none
+from nsmodel.proof.verdict import not_none
 
 MAX_PAIR_CONSTRAINTS = 60
 PAIR_ROUNDING_FACTOR = 1 + 1e-12

@@ -13,10 +13,9 @@ from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, supremum_
 from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape, add_offsets, offset_expression, scale_offset
 from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma, gram_bound, hull_bound, mfcq_constant, row_space
 from nsmodel.classes.sweeping.hypotheses.qualification_pairs import bound_gamma_by_pairs
-from nsmodel.proof import exact, interval
-from nsmodel.proof.feasibility import ConicSystem, decide_feasibility
-from nsmodel.proof.graph import stack_column
-from nsmodel.proof.straight_line import program
+from nsmodel.proof import exact, interval_bounds
+from nsmodel.proof.conic import ConicSystem, decide_feasibility
+from nsmodel.proof.expression_graph import program, stack_column
 
 MAX_PLANES = 12
 MAX_INDEPENDENT = 60
@@ -291,7 +290,7 @@ def _offset_bounds(constraints: Sequence[Constraint]) -> OffsetBounds:
     code = program(stack_column(offset_expression(c.shape.written.affine.offset) for c in constraints), constraints[0].t)
 
     def offsets(a: float, b: float) -> tuple[np.ndarray, np.ndarray]:
-        low, high = interval.natural_extension(code, np.array([[a]]), np.array([[b]]))
+        low, high = interval_bounds.natural_extension(code, np.array([[a]]), np.array([[b]]))
         return low[:, 0], high[:, 0]
 
     return offsets

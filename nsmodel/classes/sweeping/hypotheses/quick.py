@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.hypotheses.quick import check_start_inside, start_margin
+from nsmodel.solvers.initial_checks import check_start_inside, start_margin
 
 
 def check_start(model: SweepingProcess) -> None:

@@ -24,7 +24,7 @@ from nsmodel.classes.sweeping.hypotheses.forms import (
     is_zero_affine,
     scale_form,
 )  # fmt: skip
-from nsmodel.proof.graph import apply_operation, fold_graph
+from nsmodel.proof.expression_graph import apply_operation, fold_graph
 
 ROUNDED_CONSTANT_TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.
 _ZERO, _ONE = Fraction(0), Fraction(1)

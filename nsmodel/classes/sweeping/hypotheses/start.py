@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
 from nsmodel.classes.sweeping.hypotheses.forms import AffineForm, Clip, Offset
-from nsmodel.proof.interval import enclose
+from nsmodel.proof.interval_bounds import enclose
 
 ROUNDING_DEFICIT = 1e-12  # A deficit below this part of the terms of a constraint may be the rounding of the user's own numbers.
 

@@ -17,9 +17,9 @@ from nsmodel.classes.sweeping.hypotheses.velocity_jumps import (
     steep_point,
 )
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.proof import extremum, interval
-from nsmodel.proof.defined import DefinednessResult, check_defined_in_time
-from nsmodel.proof.graph import OpaqueExpression, apply_operation, rewrite_nodes
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
+from nsmodel.proof.expression_graph import OpaqueExpression, apply_operation, rewrite_nodes
 from nsmodel.proof.jumps import jump_nodes
 
 MAX_CONTINUATION_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
@@ -111,7 +111,7 @@ def lipschitz_bound(block: FieldBlock, quick: bool) -> LipschitzBound:
     J = ca.jacobian(block.f, block.q)
     for everywhere in (True, False):
         lower, upper = block.box(everywhere)
-        if interval.is_continuous(block.f, block.z, lower, upper):
+        if interval_bounds.is_continuous(block.f, block.z, lower, upper):
             top = extremum.spectral_norm(J, block.z, lower, upper, quick=quick)
             if np.isfinite(top.bound):
                 return HOLDS, max(top.bound, 0.0), EVERYWHERE if everywhere else ON_THE_BOX, top.count
@@ -133,7 +133,7 @@ def continue_beyond_singularity(f: ca.SX, process: PartialSweepingProcess) -> ca
         for other, value in known:
             if ca.is_equal(u, other, 6):
                 return value
-        around = interval.enclose(u, process.z, process.lower, process.upper)
+        around = interval_bounds.enclose(u, process.z, process.lower, process.upper)
         value = -np.inf
         if float(around[0].item()) <= 0 < float(around[1].item()):
             value = -extremum.supremum(-u, process.z, process.lower, process.upper, where=process.g).bound
@@ -182,7 +182,7 @@ def _time_rate_bound(f: ca.SX, process: PartialSweepingProcess, quick: bool) -> 
     if not ca.depends_on(f, process.t):
         return {"L_t": 0.0}, ""
     rate = ca.jacobian(f, process.t)
-    if not interval.is_continuous(f, process.z, process.lower, process.upper):
+    if not interval_bounds.is_continuous(f, process.z, process.lower, process.upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
     top = extremum.supremum(ca.norm_2(rate), process.z, process.lower, process.upper, quick=quick)
     if np.isfinite(top.bound):

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess
-from nsmodel.proof import interval
-from nsmodel.proof.components import overlapping_groups
-from nsmodel.proof.graph import rewrite_nodes, stack_column, symbol_hashes
+from nsmodel.proof import interval_bounds
+from nsmodel.proof.expression_graph import rewrite_nodes, stack_column, symbol_hashes
 from nsmodel.proof.jumps import SWITCH_OPERATIONS
+from nsmodel.proof.verdict import overlapping_groups
 
 
 class FieldBlock(NamedTuple):
@@ -102,7 +102,9 @@ def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], col
     ends = [0, *(1 + j for j in columns)]
     lower, upper = process.lower[ends].copy(), process.upper[ends].copy()
     bounds = (
-        interval.enclose(stack_column(old for _, old in nodes), process.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
+        interval_bounds.enclose(stack_column(old for _, old in nodes), process.t, lower[:1], upper[:1])
+        if nodes
+        else (np.zeros(0),) * 2
     )
     s = stack_column(symbol for symbol, _ in nodes)
     return FieldBlock(formula, plain, process.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)

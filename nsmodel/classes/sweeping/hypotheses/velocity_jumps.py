@@ -11,11 +11,10 @@ import numpy as np
 from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProcess, named_state
 from nsmodel.classes.sweeping.hypotheses.velocity_blocks import FieldBlock
 from nsmodel.hypotheses.findings import HOLDS
-from nsmodel.proof import extremum, interval
-from nsmodel.proof.discontinuity import jump_lower_bound
-from nsmodel.proof.germ import growth_exponent
-from nsmodel.proof.graph import numeric_constants
-from nsmodel.proof.jumps import switching_point_pairs
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.expression_graph import numeric_constants
+from nsmodel.proof.jumps import jump_lower_bound, switching_point_pairs
+from nsmodel.proof.ray_expansion import growth_exponent
 
 MAX_BASE_STATES, MAX_SWITCH_POINTS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
 MAX_QUOTIENT_POINTS = 32
@@ -201,4 +200,4 @@ def _is_box_admissible(process: PartialSweepingProcess, *corners: np.ndarray) ->
     low, high = np.minimum(*corners), np.maximum(*corners)
     if (low < process.lower).any() or (high > process.upper).any():
         return False
-    return not process.rows or bool((interval.enclose(process.g, process.z, low, high)[0] >= 0).all())
+    return not process.rows or bool((interval_bounds.enclose(process.g, process.z, low, high)[0] >= 0).all())

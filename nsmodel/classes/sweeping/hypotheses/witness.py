@@ -21,8 +21,8 @@ from nsmodel.classes.sweeping.hypotheses.admissible import PartialSweepingProces
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
 from nsmodel.classes.sweeping.hypotheses.start import gradient_direction_at, sign_at
 from nsmodel.proof import exact
-from nsmodel.proof.feasibility import ConicSystem, decide_feasibility
-from nsmodel.proof.interval import enclose
+from nsmodel.proof.conic import ConicSystem, decide_feasibility
+from nsmodel.proof.interval_bounds import enclose
 from nsmodel.proof.krawczyk import enclose_zero
 
 MIN_WEIGHT = 1e-7  # A smaller weight is 0.

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.laws import complementarity
-from nsmodel.model.driven import initial_inputs
-from nsmodel.scheme.problem import OneStepProblem, with_carried_inputs
+from nsmodel.modeling.laws import complementarity
+from nsmodel.modeling.variants import initial_inputs
+from nsmodel.solvers.one_step_problem import OneStepProblem, with_carried_inputs
 
 QUADRATURE_POINTS = 8
 

@@ -1,0 +1,268 @@
+"""Many event-driven runs in a call: the pieces of a model for many values of its parameters, in one library."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.batch import TO_DO, BatchCells
+from nsmodel.codegen.event_driven_runs import PieceLibrary, RunRequest, symbolic_problem_hash
+from nsmodel.codegen.event_driven_spec import cached_symbolic_problem
+from nsmodel.codegen.rollout import CALL_SECONDS
+from nsmodel.codegen.structs import BAD_PARAMETER, NO_MODE, PIECE_BATCH_CELLS
+from nsmodel.errors import CodegenError, UsageError
+from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
+from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
+from nsmodel.event_driven.problem import switch_times_of
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.columns import OutputColumns
+from nsmodel.modeling.time_grid import check_times, input_schedule
+from nsmodel.solvers.initial_checks import admitted
+
+MAX_PIECES = 1_000_000  # Pieces of a cell.
+
+_PieceCellsStruct = PIECE_BATCH_CELLS.ctypes_structure()
+_UNDEFINED_AT_START = (
+    "multipliers",
+    "y",
+    "residual",
+    "error_estimate",
+    "reactions",
+)  # NaN there: of the step that ends at a row.
+
+
+@dataclass(frozen=True)
+class PieceBatchCells(BatchCells):
+    """Event-driven runs at many values of the parameters, cell by cell; of `BatchCells` beside that:
+
+    Attributes:
+        arrays: rows at the times that were asked for.
+        status: 4: the values are none that the model accepts. Another one than 0 and 4 says only that C does not go on (no mode,
+            an accumulation, no more pieces): `simulate` may.
+        steps: rows that were reached, the start none of them; index_set_changes: events; newton: 0.
+        pieces: (cells,) that were made; estimate: (cells,) the largest error of one, in units of rtol.
+        failed_at: the time from which there is no piece.
+    """
+
+    pieces: np.ndarray
+    estimate: np.ndarray
+
+
+class PieceBatch:
+    """The event-driven runs of a model for many values of its parameters, one library; any number of threads may ``run`` it.
+
+    A cell is that of `simulate(model, parameters=..., rtol=..., times=..., compiled=True)` bit for bit, where that is in C from
+    start to end and takes the library of all values; but multipliers of a law that is rewritten in others are computed of the
+    state at a row, not of their series.
+
+    Attributes:
+        names: of the parameters, one a column of values.
+        way: by what it is compiled.
+
+    Raises:
+        CodegenError: the model has no parameters, or no pieces in C that are those of all their values (blocks; a curved law;
+            many bodies; more than LARGE operations; what time stepping alone takes), or there is no compiler, or it fails.
+        UsageError: a time, rtol or atol that is none.
+    """
+
+    def __init__(self, model: Model, t_end: float | None, rtol: float, atol: Any, given: Sequence[float]) -> None:
+        """``given``: the times (R,) of the rows, increasing, from 0 to t_end, 0 among them or not."""
+        check_times(t_end=t_end)
+        self.names, self._model = tuple(model.parameters), model
+        self._T = float(model.t_end if t_end is None else t_end)
+        self._times = np.array([*([0.0] if len(given) and given[0] == 0 else []), *checked_row_times(given, self._T)])
+        self._p = problem = cached_symbolic_problem(model)
+        if operation_count(problem) > MAX_EVENT_DRIVEN_OPERATIONS:
+            raise CodegenError(
+                f"f, g and h have {operation_count(problem)} operations, and each event ends a piece of all of them"
+            )
+        rtol, atol = checked_tolerances(problem, rtol, atol)
+        known = switch_times_of(model, self._T)
+        fixed = () if problem.held else known.times
+        compiled = PieceLibrary.of(problem, symbolic_problem_hash(problem), fixed)
+        self.way = f"{compiled.way}, one library for all values"
+        self._request = RunRequest.made(rtol, atol, known.table, residuals=False)
+        library, pointer = compiled.library, ctypes.c_void_p
+        self._size = library.function("size", ctypes.c_long)() // 8 + 1
+        self._width = library.function("row_width", ctypes.c_long)()
+        self._run = library.function(
+            "run_cells", ctypes.c_int, pointer, pointer, ctypes.POINTER(_PieceCellsStruct), ctypes.c_double
+        )
+        self._outputs = OutputColumns.of(model, self._multiplier_names)
+        self._admitted = ca.Function("admitted", [model.p], [admitted(model)])
+        self._mass = _mass_function(model)
+        self._evaluate_outputs(
+            _PieceBatchArrays(0, len(self._times), self._width, problem.l.numel()), np.zeros((0, len(self.names)))
+        )
+
+    @property
+    def _multiplier_names(self) -> tuple[str, ...]:
+        return self._p.rows if self._p.multipliers is None else self._p.declared
+
+    def kept_times(self) -> np.ndarray:
+        """The times (R,) of the rows."""
+        return self._times.copy()
+
+    def columns(self) -> Mapping[str, tuple[int, ...]]:
+        """What can be kept, by the names that a Trajectory has, with the shape that one row has of it."""
+        shapes = {name: () if isinstance(at, int) else (len(at),) for name, at in self._columns.items()}
+        shapes |= {"index_set": (self._p.l.numel(),)}
+        shapes |= {name: rows.shape[1:] for name, rows in self._input_columns.items()}
+        of_outputs = {name: () if own.size == 1 else (own.size,) for name, own in self._outputs.quantities.items()}
+        return of_outputs | shapes
+
+    @cached_property
+    def _columns(self) -> dict[str, int | list[int]]:
+        """Where each stands in a row of C."""
+        p, model = self._p, self._model
+        n, m, own = p.x.numel(), p.l.numel(), len(self._multiplier_names)
+        at, found = n + 2 * m, dict[str, Any](x=list(range(p.states)))
+        for name, expression in p.columns.items():
+            size = expression.numel()
+            found[name] = at if name == "energy" else list(range(at, at + size))
+            at += size
+        if p.multipliers is not None and own:
+            found["multipliers"] = list(range(at, at + own))
+            at += own
+        else:
+            found["reactions" if p.impulses else "multipliers"] = list(range(n, n + m))
+        if p.impulses:
+            found["multipliers"] = list(range(at, at + m))
+            at += m
+        found |= {"error_estimate": at, "residual": at + 1}
+        of_states = {stem: list(places) if len(places) > 1 else places[0] for stem, places in model.stems.items()}
+        of_states |= {name: i for i, name in enumerate(model.names)}
+        of_rows = dict(zip(self._multiplier_names, found["multipliers"], strict=True))
+        return of_rows | of_states | found  # an array comes before what has its name, as in a Trajectory
+
+    def run(self, values: np.ndarray, keep: Sequence[str], stop: Callable[[], bool] = lambda: False) -> PieceBatchCells:
+        """Run all cells, each as if it were alone.
+
+        Args:
+            values: (cells, np) of the parameters, in the order of ``names``.
+            keep: names out of ``columns``.
+            stop: asked about every SECONDS; where it says True the cells that are not done get the status -1.
+
+        Raises:
+            UsageError: a name that is no column; another number of parameters.
+        """
+        given = np.ascontiguousarray(values, float)
+        if given.ndim != 2 or given.shape[1] != len(self.names):
+            raise UsageError(f"values: shape {given.shape}; expected (cells, {len(self.names)}), a column for each parameter")
+        unknown = [name for name in keep if name not in self.columns()]
+        if unknown:
+            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
+        work = _PieceBatchArrays(len(given), len(self._times), self._width, self._p.l.numel())
+        work.status[self._has_singular_mass(given)] = NO_MODE
+        work.status[~self._are_admitted(given)] = BAD_PARAMETER
+        plain = {"x", "error_estimate", *self._model.stems, *self._model.names}
+        control = work.control(given, self._times, self._T, more=not set(keep) <= plain)
+        memory = np.zeros(self._size)
+        while not self._run(memory.ctypes.data, ctypes.byref(self._request.of), ctypes.byref(control), CALL_SECONDS):
+            if stop():
+                work.discard_from(control.cell)
+                break
+        at_start = self._times == 0
+        work.kept[:, at_start] = self._blank_step_columns(work.kept[:, at_start])
+        return work.cells({name: self._kept_array(name, work, given) for name in keep})
+
+    def _are_admitted(self, given: np.ndarray) -> np.ndarray:
+        """Whether values are some that a run does not refuse; what the law says of them, C does."""
+        conditions = np.array(self._admitted(given.T)).T.reshape(len(given), -1)
+        return np.logical_and(np.isfinite(np.column_stack([given, conditions])).all(axis=1), (conditions >= 0).all(axis=1))
+
+    def _has_singular_mass(self, given: np.ndarray) -> np.ndarray:
+        """Whether M has no inverse, as a run has it."""
+        if self._mass is None:
+            return np.zeros(len(given), bool)
+        n = round(self._mass.numel_out(0) ** 0.5)
+        M = np.array(self._mass(given.T)).T.reshape(-1, n, n)
+        return np.atleast_1d(np.linalg.matrix_rank(np.where(np.isfinite(M), M, 0)) < n)
+
+    def _blank_step_columns(self, rows: np.ndarray) -> np.ndarray:
+        """Rows at t = 0, before which there is no step."""
+        for name in _UNDEFINED_AT_START:
+            if name in self._columns:
+                rows[..., self._columns[name]] = np.nan
+        return rows
+
+    def _kept_array(self, name: str, work: _PieceBatchArrays, given: np.ndarray) -> np.ndarray:
+        if name == "index_set":
+            return work.index
+        if name in self._input_columns:
+            return np.repeat(self._input_columns[name][None], len(given), axis=0)
+        if name in self._outputs.quantities and name not in self._columns:
+            found = self._evaluate_outputs(work, given)[name]
+            return found.reshape(len(given), len(self._times), *found.shape[1:])
+        at = self._columns[name]
+        return work.kept[:, :, at].copy() if isinstance(at, int) else work.kept[:, :, at]
+
+    @cached_property
+    def _input_columns(self) -> dict[str, np.ndarray]:
+        """Columns of the inputs, which are those of all cells."""
+        if not self._model.inputs:
+            return {}
+        t = self._times
+        rows = input_schedule(self._model, self._T).rows(t, np.concatenate([[0.0], t[:-1]]))
+        return {name: rows["inputs"][:, i] for i, name in enumerate(self._model.input_names)} | rows
+
+    def _evaluate_outputs(self, work: _PieceBatchArrays, given: np.ndarray) -> dict[str, np.ndarray]:
+        """The model's own outputs, all cells one after the other."""
+        count = len(given) * len(self._times)
+        flat = {name: work.kept[:, :, at].reshape(count, *np.shape(at)) for name, at in self._columns.items()}
+        flat |= {name: np.tile(rows, (len(given), *[1] * (rows.ndim - 1))) for name, rows in self._input_columns.items()}
+        flat |= {"t": np.tile(self._times, len(given)), "index_set": work.index.reshape(count, work.index.shape[2])}
+        flat["step"] = np.tile(np.diff(self._times, prepend=np.nan if 0 in self._times else 0.0), len(given))
+        parameters: Any = dict(zip(self.names, np.repeat(given, len(self._times), axis=0).T, strict=True))
+        return OutputColumns(self._outputs.names._replace(parameters=parameters), self._outputs.quantities)(flat)
+
+
+class _PieceBatchArrays:
+    """What the cells of one call write."""
+
+    def __init__(self, cells: int, rows: int, width: int, m: int) -> None:
+        self.kept, self.index = np.full((cells, rows, width), np.nan), np.full((cells, rows, m), UNKNOWN_INDEX, np.int8)
+        self.status = np.full(cells, TO_DO, np.int8)
+        self.taken, self.pieces, self.events, self.estimate, self.worst = (np.zeros(cells) for _ in range(5))
+        self.failed_at, self._m = np.full(cells, np.nan), m
+
+    def control(self, given: np.ndarray, times: np.ndarray, t_end: float, *, more: bool) -> Any:
+        """The record that the library reads and writes; it holds on to the arrays that it points to."""
+        arrays = {
+            "times": times, "values": given, "kept": self.kept, "index": self.index, "status": self.status, "taken": self.taken,
+            "pieces": self.pieces, "events": self.events, "estimate": self.estimate, "worst": self.worst,
+            "failed_at": self.failed_at, "until": np.zeros(self._m), "told": np.zeros(self._m),
+        }  # fmt: skip
+        control = _PieceCellsStruct(
+            cells=len(given), rows=len(times), more=more, most=MAX_PIECES, t_end=t_end,
+            **{name: array.ctypes.data for name, array in arrays.items()},
+        )  # fmt: skip
+        control.held = arrays
+        return control
+
+    def discard_from(self, cell: int) -> None:
+        """Forget the rows of a cell that was left in the middle."""
+        self.kept[cell:], self.index[cell:] = np.nan, UNKNOWN_INDEX
+        for total in (self.taken, self.pieces, self.events, self.estimate, self.worst):
+            total[cell:] = 0
+
+    def cells(self, arrays: Mapping[str, np.ndarray]) -> PieceBatchCells:
+        """What they found."""
+        steps, pieces, events = (part.astype(int) for part in (self.taken, self.pieces, self.events))
+        return PieceBatchCells(
+            arrays, self.status, steps, self.worst, events, np.zeros(len(steps), int), self.failed_at, pieces, self.estimate
+        )
+
+
+def _mass_function(model: Model) -> ca.Function | None:
+    """M, row by row, where it depends on the parameters."""
+    M = getattr(model, "M", None)
+    if not isinstance(M, ca.SX) or not ca.depends_on(M, model.p):
+        return None
+    return ca.Function("mass", [model.p], [ca.vec(ca.densify(M).T)])

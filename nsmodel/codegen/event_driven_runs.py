@@ -1,0 +1,213 @@
+"""Event-driven runs in C: many pieces a call, compiled once for a model (see `cache`)."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Self
+
+import casadi as ca
+import numpy as np
+
+from nsmodel._utils import cached_per_object
+from nsmodel.codegen import event_driven_source
+from nsmodel.codegen import library as cache
+from nsmodel.codegen.event_driven_spec import EVENT_TIMES, is_state_unique, make_piece_spec
+from nsmodel.codegen.library import (
+    COMPILER_FLAGS,
+    STEP_NAME,
+    Library,
+    build_identity,
+    cached_library,
+    compiler,
+    library_key,
+    no_compiler_error,
+)
+from nsmodel.codegen.structs import BAD_ARITHMETIC, RUN_REQUEST, STATUSES
+from nsmodel.errors import CodegenError
+from nsmodel.event_driven.modes import UNDECIDED_FIELDS
+from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.event_driven.step_size import taylor_order
+from nsmodel.modeling.fingerprint import content_digest
+
+# Loops over few rows are unrolled; in vectors these short ones would wait for the numbers that they have just written.
+PIECE_FLAGS = (*("-O3" if flag == "-O2" else flag for flag in COMPILER_FLAGS), "-fno-tree-vectorize")
+_RunRequestStruct = RUN_REQUEST.ctypes_structure()
+_POINTER, _NUMBER, _WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+
+
+def piece_library_key(fingerprint: str, compiler: str) -> str:
+    """What names the library of a model."""
+    return library_key(["pieces", fingerprint, *build_identity(compiler)])
+
+
+def is_piece_library_cached(fingerprint: str) -> bool:
+    """Whether nothing is to be built."""
+    name = compiler()
+    return name is not None and cache.has_cached_library(piece_library_key(fingerprint, name))
+
+
+@cached_per_object
+def symbolic_problem_hash(problem: ContinuousProblem) -> str:
+    """A hash of a problem in continuous time whose parameters are symbols, for `key_of`: of all that its code is written of."""
+    p = problem
+    parts = [p.f, p.g, p.h, p.law.lower, p.law.upper, p.x0, *p.columns.values()]
+    parts += [] if p.multipliers is None else [p.multipliers]
+    whole = ca.Function("all", [p.t, p.x, p.l, p.p], [ca.densify(ca.SX(part)) for part in parts])
+    return content_digest(["all values", whole.serialize(), p.held, p.impulses, list(p.columns)])
+
+
+class UnsupportedValuesError(CodegenError):
+    """The library of all values of the parameters is not for some: a matrix has no inverse."""
+
+
+class PieceLibrary(NamedTuple):
+    """A library of pieces; the constants of its header, which choices belong to f, g and h, by what it is compiled."""
+
+    library: Library
+    sizes: dict[str, int]
+    branches: dict[str, slice]
+    judged: bool  # Whether parameters decide if x is the only one.
+    way: str
+
+    @staticmethod
+    def of(problem: ContinuousProblem, mark: str, known: Sequence[float]) -> PieceLibrary:
+        """That of a problem, built where it is not there; CodegenError where there is no compiler, or it fails."""
+        name = compiler()
+        if name is None:
+            raise no_compiler_error()
+        key = piece_library_key(mark, name)
+        loaded = _loaded_piece_libraries(problem)
+        if key not in loaded:
+            loaded[key] = _load_piece_library(problem, known, key, f"compiled by {name}")
+        return loaded[key]
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What a run in C is asked for, as ``of`` in C; see `CompiledPieceIntegrator`."""
+
+    rtol: float
+    atol: np.ndarray
+    known: np.ndarray
+    data: np.ndarray
+    residuals: bool
+
+    @classmethod
+    def made(cls, rtol: float, atol: Sequence[float], held: tuple[np.ndarray, np.ndarray], *, residuals: bool) -> Self:
+        """Of lists."""
+        times, data = (np.ascontiguousarray(part) for part in held)
+        return cls(rtol, np.array(atol, float), times, data, residuals)
+
+    @cached_property
+    def of(self) -> ctypes.Structure:
+        """The same for C, of which the arrays here are the memory."""
+        atol, known, data = (array.ctypes.data for array in (self.atol, self.known, self.data))
+        return _RunRequestStruct(self.rtol, atol, known, data, self.known.size, self.residuals)
+
+
+class CompiledPieceIntegrator:
+    """The pieces of one problem, which end at ``known`` times.
+
+    Where it has held states these are known when it is compiled no more than what is ``held``: the times, 0 the first, and the
+    states after each.
+
+    ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h; ``residuals``: see `Integrator`;
+    ``values``: of the parameters that the problem has as symbols.
+
+    Raises:
+        CodegenError: the problem has no C counterpart, or there is no compiler, or it fails.
+        NotForTheseError: it has none for these values.
+    """
+
+    def __init__(
+        self, problem: ContinuousProblem, mark: str, rtol: float, atol: list[float], known: Sequence[float],
+        held: tuple[np.ndarray, np.ndarray], values: Sequence[float] = (), *, residuals: bool,
+    ) -> None:  # fmt: skip
+        compiled = PieceLibrary.of(problem, mark, known)
+        library, self.sizes, self.branches, _, self.way = compiled
+        self.order, self._request = taylor_order(rtol), RunRequest.made(rtol, atol, held, residuals=residuals)
+        self._memory = np.zeros(library.function("size", _WHOLE)() // 8 + 1)
+        self._solver = self._memory.ctypes.data
+        layout = _piece_start_dtype(self.sizes)
+        places = 2 * layout.itemsize
+        self.at, self.before = self._memory.view(np.uint8)[:places].view(layout)
+        self.times = self._memory[places // 8 :][:EVENT_TIMES]
+        self._t = self._memory[:1]
+        self._begin = library.function("begin", ctypes.c_int, _POINTER, _POINTER, _POINTER, ctypes.c_int)
+        self._advance = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)
+        self._evaluate_columns = library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER)
+        self.width = library.function("width", _WHOLE, ctypes.c_int)(self.order)
+        self._status, self._values, self._unique = ctypes.c_int(), np.array(values, float), False
+        if self._values.size:
+            status = library.function("takes", ctypes.c_int, _POINTER, _POINTER)(self._solver, self._values.ctypes.data)
+            if status:
+                raise UnsupportedValuesError(f"the library of all values is not for these: {STATUSES[status].meaning}")
+            self._unique = compiled.judged and is_state_unique(problem, self._values)
+
+    @property
+    def t(self) -> float:
+        """Where the next piece starts, ``at["t"]``."""
+        return self._t.item()
+
+    def begin(self) -> bool:
+        """Choose the mode at the start; whether there is one that C finds."""
+        status = self._begin(self._solver, ctypes.byref(self._request.of), self._values.ctypes.data, self._unique)
+        if status == BAD_ARITHMETIC:
+            raise CodegenError(f"{self.way}: {STATUSES[status].text}")
+        return status == 0
+
+    def advance(self, until: float, room: int) -> tuple[np.ndarray, bool]:
+        """Pieces up to a time, ``room`` at most, as records (K, width), see `c/pieces.c`; whether C cannot make the next."""
+        out = np.empty((room, self.width))
+        count = self._advance(self._solver, until, room, out.ctypes.data, ctypes.byref(self._status))
+        return (out if count == room else out[:count].copy()), self._status.value != 0
+
+    def columns(self, given: np.ndarray, count: int) -> np.ndarray:
+        """The columns of a trajectory that are expressions of t, x and l; ``given``: these, a row each."""
+        given, out = np.ascontiguousarray(given), np.empty((len(given), count))
+        self._evaluate_columns(self._solver, len(given), given.ctypes.data, out.ctypes.data)
+        return out
+
+
+@cached_per_object
+def _loaded_piece_libraries(problem: ContinuousProblem) -> dict[str, PieceLibrary]:
+    """The libraries that runs of the problem have loaded, by their keys; they go with the problem."""
+    del problem
+    return {}
+
+
+def _load_piece_library(problem: ContinuousProblem, known: Sequence[float], key: str, backend: str) -> PieceLibrary:
+    spec = make_piece_spec(problem, known, {str(symbol): 0.0 for symbol in ca.vertsplit(problem.p)})
+
+    def files() -> dict[str, str]:
+        return {
+            f"{STEP_NAME}_pieces.c": event_driven_source.piece_code(spec, STEP_NAME, "a run", runs=True),
+            f"{STEP_NAME}_pieces.h": event_driven_source.piece_header(spec, STEP_NAME, "a run", None),
+        }
+
+    library = Library(cached_library(key, files, PIECE_FLAGS), {"name": STEP_NAME})
+    return PieceLibrary(library, spec.sizes, spec.branches, "JUDGED" in spec.flags, backend)
+
+
+def _piece_start_dtype(sizes: dict[str, int]) -> np.dtype:
+    """``model_place`` in C."""
+    n, m, choices = sizes["N"], sizes["M"], sizes["CHOICES"]
+    lists = {
+        "x": n,
+        "l": m + 1,
+        "size_x": n,
+        "size_y": m + 1,
+        "size_l": m + 1,
+        "choice": choices + 1,
+        "size_switches": choices + 1,
+    }
+    fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
+    fields += [("begun", float), ("event_width", float), ("impulse", float, (m + 1,))]
+    fields += [(name, float) for name in ("events", "touches", "redundant", "tiny", "still")]
+    fields += [("undecided", float, (len(UNDECIDED_FIELDS),)), ("known", np.int32)]
+    fields += [("stiff", float, (4,)), ("unique", float, (3,))]
+    fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]
+    return np.dtype(fields, align=True)

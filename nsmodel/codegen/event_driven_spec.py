@@ -1,0 +1,427 @@
+"""What the C of event-driven integration is written of: a problem, its matrices, and what the code has for them.
+
+What pieces of stiff modes in C are made of: the matrices of Radau IIA; f, g and h on one side of each switch, and slopes.
+
+What follows from parameters alone is computed when these are set: the recurrences of event-driven integration read it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel._utils import cached_per_object
+from nsmodel.classes.registry import class_of
+from nsmodel.codegen.expressions import c_function, c_table
+from nsmodel.codegen.recurrences import ANY_DEGREE, DiscTable, RecurrencePrinter, SeriesColumns, constant_factor_index
+from nsmodel.errors import CodegenError
+from nsmodel.event_driven.collocation import Collocation, radau_collocation
+from nsmodel.event_driven.friction_modes import with_stick_slip_modes
+from nsmodel.event_driven.integrator import MIN_RTOL
+from nsmodel.event_driven.modes import ORDERS
+from nsmodel.event_driven.multipliers import SHORT, SINGULAR, is_monotone
+from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven, with_input_states
+from nsmodel.event_driven.radau import SlopeMatrix, fixed_branches, stage_count
+from nsmodel.event_driven.recurrences import taylor_decompose
+from nsmodel.event_driven.stable_exponentials import without_overflow
+from nsmodel.event_driven.step_size import LARGEST_ORDER, ROUGHEST, taylor_order
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.variants import initial_inputs, inputs_as_parameters
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_constants, operation_codes, symbol_hashes
+
+MIN_STAGES, MAX_STAGES = (stage_count(taylor_order(rtol)) for rtol in (ROUGHEST, MIN_RTOL))  # Stages.
+MATRICES_BYTES = 32 << 10  # Memory for the matrices of modes, or of lengths.
+MAX_UNKNOWNS = 32  # Rows of x and l: matrices of the stages are dense, and kept.
+
+
+def kept_matrix_count(size: int, least: int, most: int) -> int:
+    """How many matrices of so many bytes are kept."""
+    return max(least, min(MATRICES_BYTES // size, most))
+
+
+def collocation_sizes(unknown: int) -> dict[str, int]:
+    """The constants of the header, for so many rows of x and l."""
+    return {"STAGES": MAX_STAGES, "OCTAVES": kept_matrix_count(16 * MAX_STAGES * max(unknown, 1) ** 2, 1, 16)}
+
+
+def collocation_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
+    """The tables and functions; ``given``: t, x, l and parameters by their names."""
+    p, (B, D, _) = spec.problem, spec.matrices
+    whole = replace(p, p=ca.veccat(p.p, spec.parameter_parts.symbols))
+    of = fixed_branches(whole, {name: made.jets for name, made in spec.printers.items()}, B, D)
+    of = of._replace(values=spec.parameter_parts.back(of.values), slopes=spec.parameter_parts.back(of.slopes))
+    sided = dict(given) | ({"s->at.choice": of.choices} if of.choices.numel() else {})
+    text = _radau_tables()
+    if of.choices.numel():
+        text += _piece_function("sides", sided, dict(zip(("rate", "y", "watched"), map(ca.densify, of.values), strict=True)))
+    return (
+        text + "\n" + _piece_function("slopes_on_sides", sided, dict(zip(("f_x", "g_l", "h_x", "h_l"), of.slopes, strict=True)))
+    )
+
+
+def _piece_function(name: str, given: Mapping[str, ca.SX], out: Mapping[str, ca.SX]) -> str:
+    return c_function(name, given, out).replace("model_solver", "model_pieces")
+
+
+def _radau_tables() -> str:
+    """The matrices of all stages there are, one after the other in the order of ``collocation`` in c/pieces_radau.c."""
+    stages = range(MIN_STAGES, MAX_STAGES + 1, 2)
+    made = [np.concatenate([np.ravel(part) for part in _real_coefficients(radau_collocation(s))]) for s in stages]
+    return (
+        f"#define FEWEST_STAGES {MIN_STAGES}\n"
+        + "".join(c_table(f"radau_{s}", all_of, str(len(all_of))) for s, all_of in zip(stages, made, strict=True))
+        + (f"static const double *const radau_tables[] = {{{', '.join(f'radau_{s}' for s in stages)}}};\n")
+    )
+
+
+def _real_coefficients(of: Collocation) -> list[np.ndarray | float]:
+    """Real blocks for complex pairs: w = (w_0, u, v, ...) with a w_0, and (a u - b v, b u + a v) of a pair a + b i."""
+    order = np.argsort(np.imag(of.rates))
+    rates, left, right = of.rates[order], of.left[order], of.right[:, order]
+    return [
+        of.share, of.nodes, of.between, of.weights,
+        np.concatenate([np.real(rates[:1]), *([[z.real, z.imag] for z in rates[1:]])]),
+        of.inverse, of.powers, of.middle, of.values, of.slopes,
+        np.vstack([np.real(left[:1]), *(part for row in left[1:] for part in (np.real(row), np.imag(row)))]),
+        np.column_stack([np.real(right[:, :1]), *(part for c in right[:, 1:].T for part in (np.real(c), -np.imag(c)))]),
+    ]  # fmt: skip
+
+
+class ParameterSubstitution(NamedTuple):
+    """Expressions with symbols in place of their parts that follow from parameters alone; the symbols, and these parts."""
+
+    expressions: Mapping[str, ca.SX]
+    symbols: ca.SX
+    parts: ca.SX
+
+    def back(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
+        """With the parts where the symbols stand."""
+        return ca.substitute(list(expressions), [self.symbols], [self.parts]) if self.symbols.numel() else list(expressions)
+
+
+@dataclass(eq=False)
+class _ParameterNode:
+    """``kind``: a number, a parameter, an operation on these alone, or anything else."""
+
+    new: ca.SX
+    kind: str
+    symbol: ca.SX | None = None
+
+
+NUMBER, PARAMETER, OF_PARAMETERS, MIXED = "number", "parameter", "alone", "mixed"
+
+
+def extract_parameter_parts(expressions: Mapping[str, ca.SX], p: ca.SX) -> ParameterSubstitution:
+    """Look for the largest such parts."""
+    whole, own, parts, symbols = ca.cse(ca.veccat(*expressions.values())), symbol_hashes(p), [], []
+    if not (own & symbol_hashes(whole)) or ca.OP_CALL in operation_codes(whole):
+        return ParameterSubstitution(expressions, ca.SX(0, 1), ca.SX(0, 1))
+
+    def replace_by_symbol(node: _ParameterNode) -> ca.SX:
+        if node.kind != OF_PARAMETERS:
+            return node.new
+        if node.symbol is None:
+            node.symbol = ca.SX.sym(f"of_parameters_{len(symbols)}")
+            symbols.append(node.symbol)
+            parts.append(node.new)
+        return node.symbol
+
+    def symbol(given: ca.SX) -> _ParameterNode:
+        return _ParameterNode(given, PARAMETER if given.element_hash() in own else MIXED)
+
+    def number(value: float) -> _ParameterNode:
+        return _ParameterNode(ca.SX(value), NUMBER)
+
+    def apply(op: int, args: list[_ParameterNode]) -> _ParameterNode:
+        alone = all(arg.kind != MIXED for arg in args)
+        return _ParameterNode(
+            apply_operation(op, [arg.new if alone else replace_by_symbol(arg) for arg in args]), OF_PARAMETERS if alone else MIXED
+        )
+
+    found = [replace_by_symbol(node) for node in fold_graph(whole, symbol, number, apply)]
+    made, at = {}, 0
+    for name, expression in expressions.items():
+        made[name] = ca.reshape(ca.vertcat(ca.SX(0, 1), *found[at : at + expression.numel()]), expression.shape)
+        at += expression.numel()
+    return ParameterSubstitution(made, ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts))
+
+
+MAX_DENSE_ROWS = 64  # Of a law whose matrices are kept dense.
+EVENT_TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
+
+
+@dataclass(frozen=True)
+class PieceSpec:
+    """A problem of which code is written; ``values`` of p, the last of which are ``inputs``; ``known`` times that end a piece."""
+
+    problem: ContinuousProblem
+    values: Mapping[str, float]
+    known: tuple[float, ...] = ()
+    inputs: int = 0
+
+    @cached_property
+    def ends(self) -> tuple[SlopeMatrix, SlopeMatrix]:
+        """The lower and the upper ends of the law (m,)."""
+        return tuple(_as_numbers(ca.SX(ends)) for ends in (self.problem.law.lower, self.problem.law.upper))  # pyright: ignore[reportReturnType]
+
+    @cached_property
+    def slopes(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """g_l, h_l, h_x."""
+        return self.problem.slopes
+
+    @cached_property
+    def matrices(self) -> tuple[SlopeMatrix | None, SlopeMatrix | None, SlopeMatrix | None]:
+        """The same as numbers, or of parameters, None where they move."""
+        p = self.problem
+        moving = ca.veccat(p.t, p.x, p.l)
+        return tuple(None if ca.depends_on(J, moving) else _as_numbers(ca.cse(J)) for J in self.slopes)  # pyright: ignore[reportReturnType]
+
+    @cached_property
+    def flags(self) -> frozenset[str]:
+        """What the code has."""
+        p, (B, D, C) = self.problem, self.matrices
+        law = p.l.numel() > 0
+        feed = law and self.slopes[1].nnz() > 0 and not (D is not None and not nonzero_pattern(D).any())
+        known = B is not None and D is not None and C is not None
+        orthogonal = (
+            law and not feed and B is not None and D is not None and C is not None and is_diagonal(matrix_product(C, C.T))
+        )
+        diagonal = orthogonal and B is not None and C is not None and is_diagonal(matrix_product(C, B))
+        numbers = [A for A in (B, D, C) if isinstance(A, np.ndarray)]
+        of_numbers = len(numbers) == 3
+        has = {
+            "LAW": law, "FEED": feed, "B_NUMBERS": B is not None, "D_NUMBERS": D is not None,
+            "LINEAR": not ca.depends_on(ca.veccat(*self.slopes[:2]), p.l),
+            "SLOPES": law and not known, "DIAGONAL": diagonal, "MATRICES": law and not diagonal, "ORTHOGONAL": orthogonal,
+            "GENERAL": law and not orthogonal, "STILL": diagonal and not self.has_curved_rows,
+            "UNIQUE": law and of_numbers and _is_unique_in_all_modes(*numbers),
+            "JUDGED": law and known and not of_numbers, "ENDS_SET": law and any(isinstance(e, ca.SX) for e in self.ends),
+            "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "INPUTS": self.inputs > 0,
+            "OWN_PARAMETERS": len(self.values) > self.inputs, "KNOWN": bool(self.known),
+            "HELD": p.held > 0, "IMPULSES": p.impulses, "REWRITTEN": p.multipliers is not None and p.multipliers.numel() > 0,
+            "TIMED": bool(self.known or self.problem.held),
+            "STIFF": 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
+        }  # fmt: skip
+        return frozenset(name for name, holds in has.items() if holds)
+
+    @cached_property
+    def has_curved_rows(self) -> bool:
+        """Whether h is made of more than sums of x, l and functions of t."""
+        h = self.printers["h"]
+        scaled = {line.y for line in h.jets.lines if constant_factor_index(line, h.degree) is not None}
+        return any(h.degree[row] > 1 and row not in h.jets.inputs.values() and row not in scaled for row in h.column) or any(
+            which == 1
+            for which, _ in h.jets.inputs
+            if any(line.kind not in _SUM_KINDS and line.y not in scaled for line in h.jets.lines)
+        )
+
+    @cached_property
+    def columns(self) -> SeriesColumns:
+        """Where series are stored."""
+        return self._columns_and_printers[0]
+
+    @cached_property
+    def printers(self) -> dict[str, RecurrencePrinter]:
+        """The parts f, g and h; g where it is not B l."""
+        return self._columns_and_printers[1]
+
+    @cached_property
+    def _columns_and_printers(self) -> tuple[SeriesColumns, dict[str, RecurrencePrinter]]:
+        p = self.problem
+        n, m = p.x.numel(), p.l.numel()
+        inputs = {(1, i): i for i in range(n)} | {(2, i): n + i for i in range(m)} | {(0, 0): n + 2 * m}
+        count = n + 2 * m + 1
+        given = ca.veccat(p.p, self.parameter_parts.symbols)
+        inputs |= {(3, i): count + i for i in range(given.numel())}
+        count += given.numel()
+        columns = SeriesColumns(inputs, count)
+        degrees = {0: 1, 1: ANY_DEGREE, 2: ANY_DEGREE, 3: 0}
+        made = {
+            name: RecurrencePrinter(taylor_decompose(expr, [p.t, p.x, p.l, given], name), name, columns, degrees)
+            for name, expr in self.parameter_parts.expressions.items()
+        }
+        return columns, made
+
+    @cached_property
+    def parameter_parts(self) -> ParameterSubstitution:
+        """f, h without D l, and g where it is not B l."""
+        p, (B, D, _) = self.problem, self.matrices
+        m = p.l.numel()
+        h = p.h if D is None or not m else ca.substitute(p.h, p.l, ca.SX.zeros(m))
+        return extract_parameter_parts({"f": p.f, "h": h} if B is not None else {"f": p.f, "h": h, "g": p.g}, p.p)
+
+    @cached_property
+    def discs(self) -> DiscTable:
+        """The table of the parts that there are."""
+        n, m = self.problem.x.numel(), self.problem.l.numel()
+        return DiscTable((printer for name, printer in self.printers.items() if m or name == "f"), n, m)
+
+    @property
+    def branches(self) -> dict[str, slice]:
+        """The choices of f, g and h."""
+        return {name: slice(made.offset, made.offset + len(made.jets.branches)) for name, made in self.printers.items()}
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """The constants of the header."""
+        n, m = self.problem.x.numel(), self.problem.l.numel()
+        columns = self.columns
+        outputs = m if {"FEED", "D_NUMBERS"} <= self.flags else 0
+        kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else kept_matrix_count(24 * m * m, 2, 16)
+        return {
+            "N": n, "M": m, "NP": len(self.values), "NU": self.inputs, "NOWN": len(self.values) - self.inputs,
+            "DISCS": self.discs.rows + n + m,
+            "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept, "GERM": ORDERS + 1, "TIMES": EVENT_TIMES,
+            "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
+            "H": columns.count if outputs else n + m,
+        } | collocation_sizes(n + m)  # fmt: skip
+
+
+_SUM_KINDS = frozenset("sum difference minus scaled over shifted".split())
+
+
+def make_piece_spec(problem: ContinuousProblem, known: Sequence[float], values: Mapping[str, float] | None = None) -> PieceSpec:
+    """Return what code is written of; ``known`` times are increasing.
+
+    Raises:
+        CodegenError: l in slip is a series, or the law has too many rows that depend on each other.
+    """
+    if problem.sliding_law_names:
+        raise CodegenError(_slip_series_message(problem))
+    spec = PieceSpec(problem, dict(values or {}), tuple(known))
+    m = problem.l.numel()
+    if m > MAX_DENSE_ROWS and "MATRICES" in spec.flags:
+        raise CodegenError(
+            f"{m} rows that depend on each other are more than the {MAX_DENSE_ROWS} that pieces in C have room for"
+        )
+    return spec
+
+
+def _slip_series_message(problem: ContinuousProblem) -> str:
+    return f"while '{problem.sliding_law_names[0]}' slips, its l is a series of y, which only interpreted pieces have"
+
+
+def is_state_unique(problem: ContinuousProblem, values: np.ndarray) -> bool:
+    """Whether g_l, h_l and h_x at these values of the parameters, which do not move, let x be the only one in all modes."""
+    matrices = _slopes_function(problem)(values)
+    return _is_unique_in_all_modes(*(np.array(A).reshape(A.shape) for A in matrices))
+
+
+def cached_symbolic_problem(model: Model) -> ContinuousProblem:
+    """The same, once for a model; CodegenError too where it has no parameters, or blocks."""
+    found = _symbolic_problem_or_reason(model)
+    if isinstance(found, str):
+        raise CodegenError(found)
+    return found
+
+
+@cached_per_object
+def _symbolic_problem_or_reason(model: Model) -> ContinuousProblem | str:
+    if not model.p.numel():
+        return "the model has no parameters: declare the numbers that change, parameters={a: 1.0}"
+    if model.blocks:
+        return "pieces that blocks end have no C counterpart"
+    try:
+        return make_symbolic_problem(model)
+    except CodegenError as error:
+        return str(error)
+
+
+@cached_per_object
+def _slopes_function(problem: ContinuousProblem) -> ca.Function:
+    return ca.Function("slopes", [problem.p], [ca.densify(A) for A in problem.slopes])
+
+
+def make_symbolic_problem(model: Model) -> ContinuousProblem:
+    """A model in continuous time whose parameters stay symbols: what it is of all their values.
+
+    Raises:
+        CodegenError: it has no event-driven form, or one that only values of the parameters decide.
+    """
+    module = class_of(model).optional("continuous")
+    if module is None:
+        raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
+    try:
+        problem = with_input_states(module.continuous_problem(model), model)
+        _check_constant_ends(problem)
+        if not np.isfinite(numeric_constants(ca.veccat(problem.f, problem.g, problem.h))).all():
+            raise CodegenError("there is an infinite number in f, g or h beside a parameter; write the model without that row")
+        if problem.growths:
+            raise CodegenError(_slip_series_message(problem))
+        for _, block in problem.law.parts():
+            if not block.separable and not all(ca.SX(value).is_constant() for value in block.numbers.values()):
+                raise CodegenError(
+                    f"the law '{block.label}' is curved, and of a size that depends on parameters; give these values"
+                )
+        return with_stick_slip_modes(without_overflow(problem))
+    except NotEventDriven as error:
+        raise CodegenError(f"event-driven integration does not take this model: {error}") from error
+
+
+def _check_constant_ends(problem: ContinuousProblem) -> None:
+    """Refuse a law whose ends move: whether it is empty is looked at by runs of given values alone."""
+    if problem.ends:
+        raise CodegenError(
+            f"event-driven libraries have laws that stay; that of '{problem.ends[0].name}' moves: no --event-driven"
+        )
+
+
+def piece_spec_of(model: Model, values: Mapping[str, float]) -> PieceSpec:
+    """The same of a model, whose parameters that stay symbols have ``values`` at first; its inputs are parameters too.
+
+    Raises:
+        CodegenError: the model has no event-driven form, or as above.
+    """
+    names, module = model.input_names, class_of(model).optional("continuous")
+    if module is not None:
+        with suppress(NotEventDriven):
+            _check_constant_ends(module.continuous_problem(model))
+    u, model = initial_inputs(model), inputs_as_parameters(model)
+    values = {**values, **dict(zip(names, u.tolist(), strict=True))}
+    return replace(make_piece_spec(make_symbolic_problem(model), model.switch_times, values), inputs=u.size)
+
+
+def _as_numbers(A: ca.SX) -> SlopeMatrix:
+    """A without the symbols that cancel: numbers where it has none; a column is (m,)."""
+    A = ca.densify(A)
+    if not A.is_constant():
+        return A
+    return np.array(ca.DM(A), float).reshape(A.shape)
+
+
+def nonzero_pattern(A: SlopeMatrix) -> np.ndarray:
+    """Which entries are not 0, for some values of the parameters."""
+    if isinstance(A, np.ndarray):
+        return A != 0
+    return np.array([[not A[i, j].is_zero() for j in range(A.shape[1])] for i in range(A.shape[0])]).reshape(A.shape)
+
+
+def matrix_product(A: SlopeMatrix, B: SlopeMatrix) -> SlopeMatrix:
+    """A B."""
+    if isinstance(A, np.ndarray) and isinstance(B, np.ndarray):
+        return A @ B
+    return _as_numbers(ca.mtimes(ca.SX(A), ca.SX(B)))
+
+
+def is_diagonal(A: SlopeMatrix) -> bool:
+    """Whether A has entries on its diagonal, none of them always 0, and 0 elsewhere."""
+    nonzero = nonzero_pattern(A)
+    return bool(np.diag(nonzero).all() and not (nonzero & ~np.eye(len(nonzero), dtype=bool)).any())
+
+
+def _is_unique_in_all_modes(B: np.ndarray, D: np.ndarray, C: np.ndarray) -> bool:
+    return _is_always_p(D, C @ B) or is_monotone(B, D, C)
+
+
+def _is_always_p(D: np.ndarray, W: np.ndarray) -> bool:
+    """Whether D + a little W is so far from having a negative direction that all its Schur complements pass `is_p`."""
+    d, w = np.abs(D).max(initial=0.0), np.abs(W).max(initial=0.0)
+    K = D + W * (SHORT * d / w if d and w else 1.0)
+    least, most = np.linalg.eigvalsh((K + K.T) / 2).min(initial=1.0), np.linalg.norm(K, 2) if K.size else 1.0
+    return bool(least > 1e3 * np.sqrt(SINGULAR) * most)

@@ -1,0 +1,389 @@
+"""A stretch by time stepping: verified steps of backward Euler under error control, from where no mode goes on.
+
+    x1 = x + h (f + g)(t + h, x1, l),   y = h(t + h, x1, l),   -y ∈ N_K(l)
+
+is the continuous problem itself, taken once with h and again as two steps of h/2. With d = x_fine - x_coarse, between switches
+(one index set from the step before to the end) x_fine + d is of second order where it keeps the law, and errs by about
+|d - d_before (h/h_before)^2|; across a switch x_fine errs by |d| or by how far the path bends. Steps are powers of two, and end
+at known times. At the least step, where a velocity may jump, d is compared a step later.
+
+The course of a run: pieces of the integrator, and where it stops a stretch of steps, until a mode goes on again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import StepError, UnrecoverableStepError
+from nsmodel.event_driven.integrator import Integrator
+from nsmodel.event_driven.piece import Piece, StartEvent
+from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes
+from nsmodel.event_driven.step_size import ModelEquations, power_of_two_unit
+from nsmodel.modeling.laws.base import LawEnds
+from nsmodel.solvers.one_step_problem import OneStepProblem
+from nsmodel.solvers.step import StepResult, WarmStart
+from nsmodel.solvers.time_stepper import Stepper
+
+STEP_BUDGET = 100_000  # Steps of a run, over all of its stretches.
+STRICT, TENFOLD = 20_000, 5_000  # Steps from which on more error is allowed, and after which it is ten times as much.
+SMOOTH, SWITCH = 0.1, 0.1  # Of rtol: a smooth step may err by this share times h/t, one across a switch by this.
+GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
+FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = (
+    20,
+    40,
+    6,
+)  # Steps in 2^-j of the time so far: the first, the least, the largest.
+# In place of LEAST where walls call for impulses: v behind one is known to eps |y|/h, its time to h. Steps cannot err by less.
+IMPACT, REACHED = 22, 5e-7
+VELOCITY_ROUNDING = (
+    64 * 2.0**-52
+)  # There v differs from step to step by so much of t/h: that is no error of a step, and does not add up.
+NEGLIGIBLE_STATE = 1e-6  # A state below this part of the largest is measured beside that.
+MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least.
+PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
+
+
+def error_relaxation(steps: int) -> float:
+    """How many times the error that a step may have grows after so many steps of a run."""
+    return 10.0 ** max(0.0, (steps - STRICT) / TENFOLD)
+
+
+@dataclass
+class FallbackState:
+    """Where a stretch stands, as lists and numbers: time, state, multipliers, index set; the next step, and the time so far as a
+    power of two; where the stretch began; the rate of x in the last half step; d and h of the last step where it was smooth; the
+    steps of the stretch; the sum of the errors of its steps, in units of rtol.
+    """
+
+    t: float
+    x: list[float]
+    l: list[float]
+    index: list[int]
+    h: float
+    scale: float
+    begin: float
+    rate: list[float] | None = None
+    d: list[float] | None = None
+    of_h: float = 0.0
+    own: int = 0
+    error: float = 0.0
+
+
+class FallbackTrial(NamedTuple):
+    """A step both ways: where it is in the middle and ends, its error in units of rtol, whether it is smooth, d."""
+
+    half: StepResult
+    fine: StepResult
+    middle: np.ndarray
+    end: np.ndarray
+    error: float
+    smooth: bool
+    d: np.ndarray
+
+
+class FallbackSteps:
+    """The steps of a problem: ``begin`` a stretch, ``advance`` it; ``stand`` is where, None between stretches."""
+
+    def __init__(
+        self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: SwitchTimes,
+        sizes: list[float], width: int, *, impulsive: bool,
+    ) -> None:  # fmt: skip
+        """``sizes``: the largest of each x so far, brought up to date; ``width``: coefficients of a row of a piece.
+
+        ``impulsive``: whether walls call for impulses.
+        """
+        self._least, self._more, self._rounded = MIN_STEP_OCTAVES, 1.0, 0.0
+        if impulsive:
+            self._least, self._more, self._rounded = IMPACT, max(1.0, REACHED / rtol), VELOCITY_ROUNDING / rtol
+        self.problem, self.rtol, self.atol, self.known = problem, rtol, np.array(atol), known
+        self.tolerance = max(MIN_RESIDUAL_TOLERANCE, min(tolerance, rtol / 10))
+        self.sizes, self.width, self.steps = sizes, width, 0
+        self.state: FallbackState | None = None
+
+    @cached_property
+    def _stepper(self) -> Stepper:
+        x0 = np.array(ca.DM(self.problem.x0)).ravel()
+        return Stepper(backward_euler(self.problem), "auto", self.tolerance, h=PREPARED, state=x0, few_steps=False)
+
+    @cached_property
+    def _box_rows(self) -> np.ndarray:
+        """Which rows are those of boxes (m,)."""
+        return np.concatenate(
+            [np.zeros(0, bool), *(np.full(block.size, block.separable) for _, block in self.problem.law.parts())]
+        )
+
+    @cached_property
+    def _equations(self) -> ModelEquations:
+        return ModelEquations(self.problem)
+
+    def begin(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> FallbackState:
+        """Begin a stretch at a state."""
+        scale = power_of_two_unit(max(t, tau))
+        inside = np.clip(l, self._stepper.law.lower, self._stepper.law.upper).tolist()
+        self.state = FallbackState(t, list(x), inside, list(codes), math.ldexp(scale, -FIRST_STEP_OCTAVES), scale, t)
+        return self.state
+
+    def checkpoint(self) -> dict[str, Any]:
+        """What the next steps depend on."""
+        return {"steps": self.steps, "stand": None if self.state is None else asdict(self.state)}
+
+    def take_up(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        self.steps, stand = saved["steps"], saved["stand"]
+        self.state = None if stand is None else FallbackState(**stand)
+
+    def advance(self, at: FallbackState) -> list[Piece]:
+        """Take one step, as two pieces: a parabola of x where nothing switches, else straight lines; constant l and y.
+
+        Raises:
+            StepError: a step has no verified answer however short, or the budget is used up.
+        """
+        if self.steps >= STEP_BUDGET:
+            raise StepError(
+                f"t = {at.t:.10g}: the {STEP_BUDGET:,} time steps that a run may take where no mode goes on are used up"
+            )
+        coarse, more = None, self._more * error_relaxation(self.steps)
+        while True:
+            h = min(at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES), self._time_to_switch(at))
+            least = h <= math.ldexp(at.scale, -self._least)
+            trial = self._try_step(at, h, coarse, least)
+            smooth = max(SMOOTH * h / (at.t + h), self._rounded * (at.t + h) / h)
+            allowed = more * (smooth if trial is not None and trial.smooth else SWITCH)
+            if trial is not None and (trial.error <= allowed or least):
+                return self._accept_step(at, h, trial, allowed)
+            if least:
+                raise StepError(f"t = {at.t:.10g}: no verified step goes on from here")
+            at.h = power_of_two_unit(h) / 2
+            coarse = trial.half if trial is not None and at.h == h / 2 else None
+
+    def _time_to_switch(self, at: FallbackState) -> float:
+        return self.known.next(at.t, at.x) - at.t
+
+    def _solve_step(self, t: float, h: float, x: np.ndarray, warm: WarmStart) -> StepResult:
+        with np.errstate(all="ignore"):
+            try:
+                return self._stepper(t, h, x, warm)
+            except UnrecoverableStepError:
+                raise
+            except (ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
+                raise StepError(f"t = {t:.10g}: {error}") from error
+
+    def _try_step(self, at: FallbackState, h: float, coarse: StepResult | None, least: bool) -> FallbackTrial | None:
+        """The step both ways; None where a step has no answer."""
+        state, x = self._stepper.layout.state, np.array(at.x)
+        warm = WarmStart(np.array(at.l), np.array(at.index, np.int8))
+        try:
+            coarse = self._solve_step(at.t, h, x, warm) if coarse is None else coarse
+            half = self._solve_step(at.t, h / 2, x, warm)
+            fine = self._solve_step(at.t + h / 2, h / 2, half.row[state], half.warm)
+            smooth = all(np.array_equal(one.warm.index, at.index) for one in (coarse, half, fine)) and at.own > 0
+            d = fine.row[state] - coarse.row[state]
+            if not smooth and least:
+                d = self._difference_after_next_step(at.t + h, h, coarse, fine)
+        except StepError as error:
+            if least and isinstance(error, UnrecoverableStepError):
+                raise
+            return None
+        middle, end, off = half.row[state], fine.row[state], np.abs(d)
+        if smooth and (better := self._extrapolated(at.t + h, end + d, fine)) is not None:
+            end, midway = better, self._extrapolated(at.t + h / 2, middle + d / 2, half)
+            middle = middle if midway is None else midway
+            if at.d is not None:
+                off = np.abs(d - np.array(at.d) * (h / at.of_h) ** 2)
+        elif not least:
+            moved = middle - x
+            before = moved if at.rate is None else h / 2 * np.array(at.rate)
+            off = np.fmax(off, np.fmax(np.abs(end - x - 2 * moved), np.abs(moved - before)))
+        return FallbackTrial(half, fine, middle, end, self._max_error_ratio(off, end), smooth, d)
+
+    def _difference_after_next_step(self, t: float, h: float, coarse: StepResult, fine: StepResult) -> np.ndarray:
+        """X_fine - x_coarse after one more step."""
+        state = self._stepper.layout.state
+        coarse = self._solve_step(t, h, coarse.row[state], coarse.warm)
+        half = self._solve_step(t, h / 2, fine.row[state], fine.warm)
+        return self._solve_step(t + h / 2, h / 2, half.row[state], half.warm).row[state] - coarse.row[state]
+
+    def _extrapolated(self, t: float, x: np.ndarray, fine: StepResult) -> np.ndarray | None:
+        """X where every y of a box that is let go keeps its sign."""
+        y = self._equations(t, x.tolist(), fine.row[self._stepper.layout.l].tolist())[1]
+        return x if (fine.warm.index * y * self._box_rows <= 0).all() else None
+
+    def _max_error_ratio(self, off: np.ndarray, x: np.ndarray) -> float:
+        """The largest of the errors in units of what is allowed."""
+        size = np.maximum(self.sizes, np.abs(x))
+        allowed = self.rtol * np.maximum(size, NEGLIGIBLE_STATE * size.max(initial=0.0)) + self.atol
+        units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
+        return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
+
+    def _accept_step(self, at: FallbackState, h: float, trial: FallbackTrial, allowed: float) -> list[Piece]:
+        """Move on, and the two pieces."""
+        middle, x, end = trial.middle, np.array(at.x), at.t + h
+        known = self.known.next(at.t, at.x)
+        if h == known - at.t:
+            end = known
+        bend = 2 * (trial.end + x - 2 * middle) if trial.smooth else np.zeros(x.size)  # Of the parabola through all three.
+        pieces = [
+            self._half_step_piece(at.t, at.t + h / 2, x, middle, bend, trial.half, 0.0),
+            self._half_step_piece(at.t + h / 2, end, middle, trial.end, bend, trial.fine, trial.error),
+        ]
+        smooth = trial.smooth and end != known
+        raw = trial.fine.row[self._stepper.layout.state] - trial.half.row[self._stepper.layout.state]
+        at.rate, at.d, at.of_h = (raw / (h / 2)).tolist(), trial.d.tolist() if smooth else None, h
+        at.t, at.x, at.l = end, self.known.after(end, trial.end.tolist()), trial.fine.row[self._stepper.layout.l].tolist()
+        at.index, at.error, at.own = trial.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
+        self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
+        self.steps += 1
+        at.scale = max(at.scale, power_of_two_unit(end))
+        if 8 * trial.error <= GROW * allowed:
+            at.h = min(2 * at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES))
+        return pieces
+
+    def _half_step_piece(
+        self, t: float, end: float, x: np.ndarray, z: np.ndarray, bend: np.ndarray, result: StepResult, error: float
+    ) -> Piece:  # fmt: skip
+        """Half a step: x + (z - x) u + bend (u^2 - u)/4 with u from 0 to 1."""
+        layout, row = self._stepper.layout, result.row
+        tau = power_of_two_unit(end - t)
+        s = (end - t) / tau
+        line, l, y = (np.zeros((count, self.width)) for count in (x.size, row[layout.l].size, row[layout.y].size))
+        line[:, 0], line[:, 1], line[:, 2] = x, (z - x - bend / 4) / s, bend / (4 * s * s)
+        l[:, 0], y[:, 0] = row[layout.l], row[layout.y]
+        codes = tuple(result.warm.index.tolist())
+        return Piece(t, tau, s, line, l, y, codes, error, z.tolist(), None, float(row[layout.residual]))
+
+
+def backward_euler(p: ContinuousProblem) -> OneStepProblem:
+    """One implicit step of the continuous problem."""
+    h, state, x = ca.SX.sym("h"), ca.SX.sym("x_k", p.x.numel()), ca.SX.sym("x", p.x.numel())
+    rate, y = ca.substitute([p.rate, p.h], [p.t, p.x], [p.t + h, x])
+    ends = tuple(LawEnds(end.name, *ca.substitute([end.lower, end.upper], [p.t, p.x], [p.t + h, x])) for end in p.ends)
+    return OneStepProblem(
+        scheme="backward Euler", t=p.t, h=h, state=state, p=p.p, z=x, l=p.l, y=ca.SX.sym("y", p.l.numel()),
+        E=x - state - h * rate, Y=y, law=p.law, rows=p.rows, guess=state, next_state=x, ends=ends,
+    )  # fmt: skip
+
+
+RETURNS = 16  # How often a run comes back from a stretch.
+EVERY, RARER = 8, 1.25  # Steps of a stretch after which a mode is looked for first, and by which factor later again.
+GAIN = 4  # A piece must go so many times as far as a step.
+SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two.
+
+
+INITIAL_CHECKPOINT: dict[str, Any] = {
+    "stretches": None,
+    "past": [],
+    "look": EVERY,
+    "hold": 0.0,
+}  # As `HybridIntegrator.standing`, before any stretch.
+
+
+class HybridIntegrator:
+    """What goes on: ``advance`` gives the next pieces, ``past`` tells of the stretches so far.
+
+    A stretch ends where a mode is valid, the only one, and its first piece goes GAIN times as far as a step; see RETURNS, SOON.
+    """
+
+    def __init__(self, integrator: Integrator, fallback: FallbackSteps | None) -> None:
+        """``fallback``: None where the integrator alone must go on."""
+        self.integrator, self.fallback = integrator, fallback
+        self.past: list[dict[str, Any]] = []
+        self._look, self._hold = EVERY, 0.0
+
+    @property
+    def t(self) -> float:
+        """Where the next piece starts."""
+        return self.integrator.t if self._fallback_state is None else self._fallback_state.t
+
+    @property
+    def x(self) -> list[float]:
+        """The state there."""
+        return self.integrator.place.x if self._fallback_state is None else self._fallback_state.x
+
+    @property
+    def _fallback_state(self) -> FallbackState | None:
+        return None if self.fallback is None else self.fallback.state
+
+    def advance(self) -> list[Piece]:
+        """The next piece, or the two of a step.
+
+        Raises:
+            StepError: the integrator has stopped and there are no steps, or these cannot go on either.
+        """
+        steps, integrator = self.fallback, self.integrator
+        if steps is None or (steps.state is None and (integrator.stopped is None or integrator.final_error is not None)):
+            try:
+                return [integrator.advance()]
+            except StepError as error:
+                if steps is None or isinstance(error, UnrecoverableStepError):
+                    raise
+                integrator.stopped = str(error)
+        at, begins = steps.state, False
+        if at is None:
+            at, begins = self._begin_fallback(steps), True
+        elif (piece := self._try_return_to_pieces(at)) is not None:
+            steps.state = None
+            return [piece]
+        pieces = steps.advance(at)
+        self.past[-1] |= {"until": at.t, "steps": at.own, "estimate": at.error}
+        return [pieces[0]._replace(event=StartEvent((0.0,) * integrator.system.m)), *pieces[1:]] if begins else pieces
+
+    def _begin_fallback(self, steps: FallbackSteps) -> FallbackState:
+        place, l = self.integrator.place, [row[0] for row in self.integrator.system.l]
+        at = steps.begin(place.t, place.x, l, place.codes, place.tau)
+        last = self.past[-1] if self.past else None
+        since = math.inf if last is None else at.t - last["until"]
+        self._hold = max(2 * self._hold, 4 * since) if since < SOON * at.t else 0.0
+        self._look = EVERY
+        self.past.append({"start": at.t, "until": at.t, "steps": 0, "estimate": 0.0, "why": self.integrator.stopped or ""})
+        return at
+
+    def _try_return_to_pieces(self, at: FallbackState) -> Piece | None:
+        """The first piece of the integrator again; None where the stretch goes on."""
+        if at.own < self._look or at.t - at.begin < self._hold or len(self.past) > RETURNS:
+            return None
+        self._look = int(RARER * at.own) + EVERY
+        integrator = self.integrator
+        before = integrator.checkpoint()
+        try:
+            integrator.take_up(at.t, at.x, at.l, at.index, at.h)
+            piece = integrator.advance()
+        except StepError:
+            integrator.restore(before)
+            return None
+        if integrator.stopped is not None or piece.end - piece.t < GAIN * at.h:
+            integrator.restore(before)
+            return None
+        return piece
+
+    # -- for files
+
+    def checkpoint(self) -> dict[str, Any]:
+        """What to continue from."""
+        steps = None if self.fallback is None else self.fallback.checkpoint()
+        past = [dict(one) for one in self.past]
+        return {
+            "integrator": self.integrator.checkpoint(),
+            "stretches": steps,
+            "past": past,
+            "look": self._look,
+            "hold": self._hold,
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        self.integrator.restore(saved["integrator"])
+        if self.fallback is not None and saved["stretches"] is not None:
+            self.fallback.take_up(saved["stretches"])
+        self.past, self._look, self._hold = [dict(one) for one in saved["past"]], saved["look"], saved["hold"]
+
+
+def checkpoint_time(checkpoint: dict[str, Any]) -> float:
+    """Where the next piece starts after ``HybridIntegrator.standing``."""
+    steps = checkpoint["stretches"]
+    return checkpoint["integrator"]["t"] if steps is None or steps["stand"] is None else steps["stand"]["t"]

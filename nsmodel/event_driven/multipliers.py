@@ -1,0 +1,238 @@
+"""How the multipliers of held rows follow from y and y': generalised inverses of D = h_l and W = h_x g_l, and uniqueness.
+
+The derivatives g_l, h_l and h_x of a problem: numbers where they are constant, else at a point of it.
+
+What rounding is told beside: how large everything has been so far.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from operator import mul
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.modeling.expressions import derivatives
+from nsmodel.proof.verdict import attach_buffers
+
+MatrixRows = list[list[float]]
+SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
+MAX_MINOR_ROWS = 8  # Rows of a matrix whose principal minors are all looked at.
+BALANCING = 4  # Passes that bring the entries of a matrix near 1.
+NOTHING = 1e-300  # Beside what may be 0, where it divides.
+SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal.
+
+
+@dataclass(frozen=True)
+class MultiplierSolver:
+    """How the multipliers of the rows ``active`` follow, by the matrices ``direct`` (D^+) and ``through`` (N), lists of rows.
+
+    ``lift`` is the least motion of x by which what is held through y' moves by 1, where that is asked for.
+    ``null`` is the left null space of both: of rows that nothing can hold at 0.
+    """
+
+    active: tuple[int, ...]
+    direct: MatrixRows | None
+    through: MatrixRows | None
+    null: np.ndarray | None
+    feeds: bool = False  # Whether some y depends directly on an l that ``through`` finds.
+    lift: MatrixRows | None = None
+    entries: tuple[float, ...] = ()  # Of both matrices, as `unrolled` takes them.
+
+    @property
+    def index(self) -> int:
+        """1 where l is found to the order of x, else 2: to one less."""
+        return 1 if self.through is None else 2
+
+
+def multiplier_solver(
+    active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarray, *, lifts: bool = False
+) -> MultiplierSolver:
+    """The matrices of the rows ``active``; ``lifts``: with ``lift``."""
+    if not active:
+        return MultiplierSolver(active, None, None, None)
+    if len(active) == 1 and not lifts:
+        return _single_row_solver(active[0], B, D, C)
+    a = list(active)
+    D_aa, W_aa = D[np.ix_(a, a)], C[a] @ B[:, a]
+    plus, U, V = generalised_inverse(D_aa)
+    if not U.shape[1]:
+        return MultiplierSolver(active, plus.tolist(), None, None)
+    inner, left, _ = generalised_inverse(U.T @ W_aa @ V)
+    through = V @ inner @ U.T
+    lift = np.linalg.pinv(U.T @ C[a]) @ U.T if lifts and np.isfinite(C[a]).all() else None
+    return MultiplierSolver(
+        active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()),
+        None if lift is None else lift.tolist(),
+    )  # fmt: skip
+
+
+def _single_row_solver(i: int, B: np.ndarray, D: np.ndarray, C: np.ndarray) -> MultiplierSolver:
+    if d := float(D[i, i]):
+        return MultiplierSolver((i,), [[1 / d]], None, None)
+    w = float(C[i] @ B[:, i])
+    null = np.zeros((1, 0)) if w else np.eye(1)
+    return MultiplierSolver((i,), None, [[1 / w if w else 0.0]], null, bool(D[:, i].any()))
+
+
+def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) -> None:
+    """Take the rounding of held rows out of order k of x: a state that never moves is 0, and not 1e-20 of nothing."""
+    off = [y[i][k] for i in how.active]
+    if how.lift is not None and any(off):
+        for row, d in zip(x, matrix_times_vector(how.lift, off), strict=True):
+            row[k] -= d
+
+
+def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(A^+, U, V): least in norm in units in which A is near 1, and bases of the left and the right null space."""
+    m = len(A)
+    if not A.any():
+        return np.zeros((m, m)), np.eye(m), np.eye(m)
+    if not (A - np.diag(A.diagonal())).any() and A.diagonal().all():
+        return np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0))
+    if not np.isfinite(A).all():
+        return np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0))
+    r, c = _equilibration_factors(A)
+    u, s, vt = np.linalg.svd(A * r[:, None] * c)
+    rank = int((s > SINGULAR * s[0]).sum())
+    if rank == m:
+        return np.linalg.inv(A), np.zeros((m, 0)), np.zeros((m, 0))
+    plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
+    return plus, r[:, None] * u[:, rank:], c[:, None] * vt[rank:].T
+
+
+def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The d (n,) least in norm with slope d = held, (k, n) and (k,), or next to it."""
+    if len(held) == 1 and (squared := slope[0] @ slope[0]) > 0:
+        return slope[0] * (held[0] / squared)
+    return np.linalg.lstsq(slope, held, rcond=None)[0]
+
+
+def _equilibration_factors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of rows and columns that bring the largest entries near 1 (Ruiz)."""
+    r, c = np.ones(len(A)), np.ones(A.shape[1])
+    for _ in range(BALANCING):
+        S = np.abs(A) * r[:, None] * c
+        rows, columns = S.max(axis=1), S.max(axis=0)
+        r /= np.sqrt(np.where(rows > 0, rows, 1))
+        c /= np.sqrt(np.where(columns > 0, columns, 1))
+    return r, c
+
+
+def is_p_matrix(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, definite: bool) -> bool:
+    """Whether D + a little W has a P-matrix (a ``definite`` one) on rows ``opened``, its Schur complement with the ``held``."""
+    d, w = (np.abs(A).max(initial=0.0) for A in (D, W))
+    K = D + W * (SHORT * d / w if d and w else 1.0)
+    S = K[np.ix_(opened, opened)]
+    if held:
+        plus, U, _ = generalised_inverse(K[np.ix_(held, held)])
+        if U.shape[1]:
+            return False
+        S = S - K[np.ix_(opened, held)] @ plus @ K[np.ix_(held, opened)]
+    if S.size == 1:
+        return bool(S[0, 0] > 0)
+    if np.linalg.eigvalsh(S + S.T).min(initial=1.0) > SINGULAR * np.abs(S).max(initial=0.0):
+        return True
+    if definite or len(opened) > MAX_MINOR_ROWS:
+        return False
+    subsets = itertools.chain.from_iterable(itertools.combinations(range(len(opened)), r + 1) for r in range(len(opened)))
+    return all(
+        np.linalg.det(part) > SINGULAR * float(np.prod(np.abs(part).max(axis=1)))
+        for part in (S[np.ix_(rows, rows)] for rows in map(list, subsets))
+    )
+
+
+def matrix_times_vector(A: MatrixRows, v: list[float]) -> list[float]:
+    """A v."""
+    return [sum(map(mul, row, v)) for row in A]
+
+
+def is_monotone(B: np.ndarray | None, D: np.ndarray | None, C: np.ndarray | None) -> bool:
+    """Whether x is unique whatever is open: D + D' >= 0 and P B = C' with a P = P' > 0, exactly; None where a matrix moves.
+
+    Here g = B l, h = C x + D l + e(t). Two solutions with one x part by no more than f lets them (Brogliato and Goeleven 2013);
+    l may be one of several. P exists iff C B is symmetric and psd, ker B lies in ker C' and rank C B = rank B.
+    """
+    from nsmodel.proof import exact
+
+    if B is None or D is None or C is None or not np.isfinite(np.concatenate([B.ravel(), D.ravel(), C.ravel()])).all():
+        return False
+    W = exact.matrix_product(C, B)
+    rank = exact.rank(B)
+    return (
+        exact.is_symmetric(W) and exact.is_psd(D) and exact.is_psd(W)
+        and exact.rank(W) == rank == exact.rank(np.vstack([B, C.T]))
+    )  # fmt: skip
+
+
+def constant_matrix(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
+    """The matrix, where it depends on nothing that moves."""
+    return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
+
+
+class SlopesAtPoint:
+    """A function of a point with three outputs, the arrays ``out``: the next call overwrites them."""
+
+    def __init__(self, slopes: ca.Function) -> None:
+        self._given = np.zeros(slopes.numel_in(0))
+        self.out = tuple(np.zeros(slopes.size_out(i), order="F") for i in range(3))
+        self._buffer, self._call = attach_buffers(slopes, [self._given], self.out)
+
+    def __call__(self, point: Sequence[float]) -> None:
+        """Put them to ``out``."""
+        self._given[:] = point
+        self._call()
+
+
+NEGLIGIBLE = 1e-6  # Of what moves a state on a piece.
+ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
+
+
+@dataclass
+class StateScales:
+    """The largest of each x, y, l and argument of a switch so far; of l in an interval at least its width."""
+
+    x: list[float]
+    y: list[float]
+    l: list[float]
+    switches: list[float]
+
+
+class ZeroTest:
+    """``of(t, x, l, sizes, time)``: a part of what x of these sizes move each x by in this time, to first order at a point.
+
+    What moves by less is measured beside it: the same in all units of each x. What multipliers move it by says nothing: where
+    walls push against each other they are as large as they like.
+    """
+
+    def __init__(self, problem: ContinuousProblem) -> None:
+        self._problem = problem
+
+    @cached_property
+    def _compiled_motion(self) -> tuple[np.ndarray, np.ndarray, Any, Callable[[], None]]:
+        symbols, moved = state_motion(self._problem)
+        given = ca.vertcat(*symbols.values())
+        array, found = np.zeros(given.numel()), np.zeros(moved.numel())
+        return array, found, *attach_buffers(ca.Function("moves", [given], [ca.densify(moved)]), [array], [found])
+
+    def __call__(self, t: float, x: list[float], l: list[float], sizes: list[float], time: float) -> list[float]:
+        """0 where there is no number."""
+        given, found, _, call = self._compiled_motion
+        given[:] = [t, *x, *l, *sizes]
+        call()
+        part = NEGLIGIBLE * time
+        return [part * v if math.isfinite(v) else 0.0 for v in found.tolist()]
+
+
+def state_motion(problem: ContinuousProblem) -> tuple[dict[str, ca.SX], ca.SX]:
+    """t, x, l and sizes of x; by what states of these sizes move each x in the unit of time."""
+    p = problem
+    of_x = ca.SX.sym("of_x", p.x.numel())
+    return {"t": p.t, "x": p.x, "l": p.l, "of_x": of_x}, ca.fabs(derivatives(p.f + p.g, p.x)) @ of_x

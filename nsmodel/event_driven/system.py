@@ -1,0 +1,391 @@
+"""A continuous problem with its numbers: Taylor coefficients of x, l and y in a mode, order by order.
+
+A **mode** is a code a row: -1, +1: l_i is at that end, 0: y_i = 0. On the rows a with code 0, with D = h_l, W = h_x g_l at the
+start of the piece, l_a is found order by order,
+
+    l_k  -= D_aa^+ y_k                                (what y depends on directly: index 1)
+    l_k  -= (k + 1)/tau N y_{k+1},  N = V (U' W_aa V)^+ U'  (what only y' depends on: index 2)
+
+with U, V the left and the right null space of D_aa: mixed rows need both, regular D_aa the first, D_aa = 0 the second alone. The
+coefficients are those of s = (t - t_0)/tau, so that they are of one size where tau is a time of the motion's own.
+
+Whether a mode is solved: how far l still moves, and whether rows that no multiplier acts on stay at 0 by themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
+from nsmodel.event_driven.friction_modes import SlipOnset
+from nsmodel.event_driven.mode_series import ModeSeries, UnrolledOrders, nonzero_terms
+from nsmodel.event_driven.multipliers import (
+    NOTHING,
+    ROUNDING,
+    MultiplierSolver,
+    SlopesAtPoint,
+    StateScales,
+    ZeroTest,
+    constant_matrix,
+    is_monotone,
+    is_p_matrix,
+    multiplier_solver,
+)
+from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.event_driven.recurrence_code import rescale_time
+from nsmodel.event_driven.recurrences import independent_branches, taylor_decompose
+
+STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
+
+
+def relative_change(system: ModeSystem, how: MultiplierSolver, direct: list[float], through: list[float]) -> float:
+    """The largest share by which l moved of what it is the sum of: of itself, and of the inverse times the terms of h."""
+    l, moved = [abs(row[0]) for row in system.l], 0.0
+    for inverse, step, k, time in ((how.direct, direct, 0, 1.0), (how.through, through, 1, system.t[1])):
+        if inverse is not None:
+            x = [abs(row[k]) / time for row in system.x]
+            sizes = [system.sum_y_terms(i, x, l) for i in how.active]
+            terms = (sum([abs(a) * size for a, size in zip(row, sizes, strict=True)]) for row in inverse)
+            shares = (abs(d) / (NOTHING + l[i] + v) for i, d, v in zip(how.active, step, terms, strict=True))
+            moved = max([moved, *shares])
+    return moved
+
+
+def remains_zero(system: ModeSystem, how: MultiplierSolver, orders: Iterable[int]) -> bool:
+    """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do; 1: once x has its rate.
+
+    Where x rests its coefficients are rounding of what multipliers push it by, or exactly 0, and y of curved rows is what their
+    products are: what is below that rounding in the unit of time is no motion.
+    """
+    if how.null is None or not how.null.size:
+        return True
+    pushed, none = system.pushed(), [0.0] * system.m
+    rounding = ROUNDING * np.abs(how.null.T) @ [system.sum_y_terms(i, pushed, none) for i in how.active]
+    for k in orders:
+        y = np.array([system.y[i][k] for i in how.active])
+        size = max([float(np.abs(y).max()), *(abs(row[k]) for row in system.x)])
+        if not (np.abs(how.null.T @ y) <= np.maximum(STAYS * size, rounding)).all():
+            return False
+    return True
+
+
+NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
+NEWTON_CONVERGED = 1e-14
+MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
+HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
+LITTLE = 1e-6  # Of the largest multiplier: a smaller one is measured beside that.
+RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
+AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
+
+
+class ModeSystem(ModeSeries):
+    """A problem with its numbers; ``rtol``: see `sliding.Block.stop_threshold`."""
+
+    def __init__(self, problem: ContinuousProblem, orders: int, rtol: float = 0.0) -> None:
+        self.problem, self.rtol = problem, rtol
+        p, inputs = problem, [problem.t, problem.x, problem.l]
+        B, D, C = p.slopes
+        self.linear_in_l, self.coupled = not ca.depends_on(ca.veccat(B, D), p.l), p.coupled
+        self.B, of_l, self.C = (constant_matrix(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
+        self.constant = None if self.B is None or of_l is None or self.C is None else (self.B, of_l, self.C)
+        h = p.h if of_l is None else ca.substitute(p.h, p.l, ca.SX.zeros(p.l.shape)) if p.l.numel() else p.h
+        self.jets = {"f": taylor_decompose(p.f, inputs, "f"), "h": taylor_decompose(h, inputs, "h")}
+        self.jets |= {"g": taylor_decompose(p.g, inputs, "g")} if self.B is None else {}
+        self.jets |= {"blocks": taylor_decompose(p.updates, inputs, "the update of a block")} if p.updated else {}
+        super().__init__(problem, self.jets, self.B, of_l, orders)
+        self.lower, self.upper = (
+            [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
+        )
+        widths = [b - a if np.isfinite(b - a) else 0.0 for a, b in zip(self.lower, self.upper, strict=True)]
+        self.sizes = StateScales([0.0] * self.n, [0.0] * self.m, widths, [0.0] * len(self.branches))
+        self.zero_test = ZeroTest(problem)
+        self._slopes = ca.Function("slopes", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(e) for e in (B, D, C)])
+        self.conditions: dict[tuple, list[Any]] = {}  # Of modes; see `switches.conditions`.
+        self._solvers: dict[tuple, MultiplierSolver] = {}
+        self._p_matrices: dict[tuple, bool] = {}
+        self._point: list[float] | None = None  # Where the slopes were computed last, and what was made of them there.
+        self._point_cache: dict[Any, Any] = {}
+        always: dict[Any, Any] = {}  # What was made of those that are constant.
+        moves = {"B": self.B is None, "D": of_l is None, "C": self.C is None}
+        self._slope_caches = {
+            of: self._point_cache if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")
+        }
+        self._slip_onset: SlipOnset | None = None
+        self._has_all_orders = False  # Whether all orders stand, whatever was asked for.
+        self._unrolled = None if self.blocks.all or self.updates else UnrolledOrders(self)
+
+    @cached_property
+    def middle(self) -> list[float]:
+        """Of each l its middle, or the end that there is, or 0."""
+        return [
+            (a + b) / 2 if math.isfinite(a + b) else a if math.isfinite(a) else b if math.isfinite(b) else 0.0
+            for a, b in zip(self.lower, self.upper, strict=True)
+        ]
+
+    @cached_property
+    def rounded(self) -> EquationsOnDisc:
+        """F, g, h and branches with balls, which grow by the rounding of each operation."""
+        return EquationsOnDisc(self, rounded=True)
+
+    @cached_property
+    def branches(self) -> list[tuple[str, int]]:
+        """(part, its branch) of every switch in f, g and h."""
+        return [(name, i) for name, recurrences in self.jets.items() for i in range(len(recurrences.branches))]
+
+    @cached_property
+    def plain(self) -> dict[tuple[str, int], bool]:
+        """Of each switch in f, g and h whether neither l nor another switch moves what it looks at."""
+        return {
+            (name, i): own for name, recurrences in self.jets.items() for i, own in enumerate(independent_branches(recurrences))
+        }
+
+    @cached_property
+    def feedthrough(self) -> np.ndarray:
+        """Whether each y (m,) depends on l directly."""
+        rows = set(ca.jacobian_sparsity(self.problem.h, self.problem.l).row()) if self.m else set()
+        return np.array([i in rows for i in range(self.m)], bool)
+
+    def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(B, D, C) at order 0."""
+        if self.constant is not None:
+            return self.constant
+        point = [self.t[0], *[row[0] for row in self.x], *[row[0] for row in self.push]]
+        if point != self._point:
+            self._point = point
+            self._point_cache.clear()
+            self._slope_evaluator(point)
+        B, D, C = self._slope_evaluator.out
+        return B, D, C
+
+    @cached_property
+    def _slope_evaluator(self) -> SlopesAtPoint:
+        return SlopesAtPoint(self._slopes)
+
+    def cached_from_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
+        """What ``make`` makes of (B, D, C) at order 0, or ``of`` some of them: kept while these stay what they are."""
+        kept = self._slope_caches[of]
+        if kept is self._point_cache:
+            self.slopes()
+        if what not in kept:
+            if len(kept) >= MAX_CACHED_MODES:
+                kept.clear()
+            kept[what] = make(*self.slopes())
+        return kept[what]
+
+    def solve(self, codes: list[int]) -> MultiplierSolver:
+        """What finds the multipliers of a mode, at the point that order 0 is."""
+        active = tuple([i for i, code in enumerate(codes) if code == 0])
+        return self.cached_from_slopes(active, lambda *slopes: self._cached_solver(active, slopes))
+
+    def _cached_solver(self, active: tuple[int, ...], slopes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> MultiplierSolver:
+        key = (active, *(() if self.constant else (a.tobytes() for a in slopes)))
+        if key not in self._solvers:
+            if len(self._solvers) >= MAX_CACHED_MODES:
+                self._solvers.clear()
+            found = multiplier_solver(active, *slopes, lifts=bool(self.blocks.all))
+            self._solvers[key] = replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
+        return self._solvers[key]
+
+    def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> MultiplierSolver | None:
+        """Compute orders 0, ..., ``orders`` of x and y, and of l as far as its index lets; None: the mode has no solution.
+
+        ``l`` at order 0 is the first guess of what is not linear in it.
+        """
+        self.t[0], self.t[1] = t, tau
+        for row, start in zip(self.x, x, strict=True):
+            row[0] = start
+        for row, code, lower, upper in zip(self.l, codes, self.lower, self.upper, strict=True):
+            if code and math.isfinite(end := upper if code > 0 else lower):
+                row[0] = end
+            elif not code and self.linear_in_l:
+                row[0] = 0.0
+        linear = self.linear_in_l or 0 not in codes
+        if linear and self._try_all_orders(how := self.solve(codes)):
+            return how if self._held_rows_rest(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
+        for row in self.l:
+            row[1:] = [0.0] * self.orders
+        if (how := self._solve_order_0(codes)) is None or (
+            self.blocks.onset_blocks and (how := self._solve_slip_onset(how)) is None
+        ):
+            return None
+        if not linear and self._try_all_orders(how):
+            return how if self._held_rows_rest(how, range(2, min(orders, HELD_ORDERS) + 1)) else None
+        return how if self.extend(how, codes, 0, orders) else None
+
+    def scale(self, times: float) -> None:
+        """Let the unit of time be so many times as long, a power of two, in all rows that stand."""
+        parts = (part for part in self.parts.values() if part.jets.branches or not self._has_all_orders)
+        rescale_time([self.t, *self.x, *self.l, *self.y, *(row for part in parts for row in part.rows)], times)
+
+    def _try_all_orders(self, how: MultiplierSolver) -> bool:
+        """Whether all orders could be computed at once: where no rows are held that nothing acts on, nor sides to be chosen."""
+        self._has_all_orders = False
+        if self._unrolled is None or (how.direct is not None and how.null is not None and how.null.size):
+            return False
+        if self.branches and any(side != side for part in self.parts.values() for side in part.choice):
+            return False
+        start = [row[0] for row in self.l]
+        if not (self._unrolled.run(how) and math.isfinite(sum([row[-1] for rows in (self.x, self.l) for row in rows]))):
+            for row, l in zip(self.l, start, strict=True):
+                row[:] = [l, *[0.0] * self.orders]
+            return False
+        self._has_all_orders = True
+        return True
+
+    def _held_rows_rest(self, how: MultiplierSolver, orders: Iterable[int]) -> bool:
+        """Whether held rows stay at 0; their y is put to 0 then: all orders but the first of one that only y' holds."""
+        if not remains_zero(self, how, orders):
+            return False
+        first = 1 if how.through is not None else 0
+        for i in how.active:
+            self.y[i][first:] = [0.0] * (self.orders + 1 - first)
+        return True
+
+    def extend(self, how: MultiplierSolver, codes: list[int], known: int, orders: int) -> bool:
+        """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
+        if known and self._has_all_orders:
+            return True
+        self.compute_orders(how, codes, known, orders)
+        if not self._held_rows_rest(how, () if known else range(2, min(orders, HELD_ORDERS) + 1)):
+            return False
+        self.blocks.watch(codes, orders if how.index == 1 else orders - 1)
+        return True
+
+    def outputs(self, t: float, x: list[float]) -> None:
+        """Order 0 of y, with l as it stands."""
+        self.t[0] = t
+        for row, start in zip(self.x, x, strict=True):
+            row[0] = start
+        self._compute_y(0)
+
+    def _solve_order_0(self, codes: list[int]) -> MultiplierSolver | None:
+        """What solves order 0, once l has it: from the guess that l is, then from the middle of K; None: l is the guess again."""
+        guess = [row[0] for row in self.l]
+        middle = [l if code else self.middle[i] for i, (l, code) in enumerate(zip(guess, codes, strict=True))]
+        for start in (guess,) if self.linear_in_l else (guess, middle):
+            for row, l in zip(self.l, start, strict=True):
+                row[0] = l
+            self._compute_y(0)
+            how, self._slip_onset = self.solve(codes), None
+            self.blocks.begin(codes, self.size_y)
+            if (solved := self._converge_order_0(how, codes)) is not None:
+                return solved
+        for row, l in zip(self.l, guess, strict=True):
+            row[0] = l
+        return None
+
+    def rows_off_zero(self, how: MultiplierSolver) -> list[int]:
+        """The rows that only their rate can hold at 0, and that are not there: beside their size, and how far x moves them."""
+        if how.through is None or not any(self.y[i][0] for i in how.active):
+            return []
+        motion = np.abs(self.slopes()[2]) @ [abs(row[1]) for row in self.x]
+        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.size_y(i), motion[i])]
+
+    def size_y(self, i: int) -> float:
+        """What y_i is measured beside: the largest so far, what it is the sum of, and a part of what l pushes it by."""
+        return max(self.sizes.y[i], self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i))
+
+    def _push_scale(self, i: int) -> float:
+        """|C_i| |B| |l|, with what l moves by in the unit of time."""
+        rows = self.cached_from_slopes("push of y", lambda B, _, C: nonzero_terms(np.abs(C) @ np.abs(B), self.m))
+        return sum([a * (abs(self.push[j][0]) + abs(self.push[j][1])) for j, a in rows[i]])
+
+    def pushed(self) -> list[float]:
+        """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
+        l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
+        of_x = self.cached_from_slopes("push of x", lambda B, _, __: nonzero_terms(np.abs(B), self.n), "B")
+        return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
+
+    def size_l(self, i: int) -> float:
+        """What l_i is measured beside: the largest so far, and a part of the largest of all."""
+        return max(self.sizes.l[i], LITTLE * max(self.sizes.l))
+
+    def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
+        """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
+        of_x, of_l = self.sizes.x, self.sizes.l
+        if x or l:
+            of_x, of_l = (list(map(max, of, map(abs, now))) for of, now in ((of_x, x), (of_l, l)))
+        return self.sum_y_terms(i, of_x, of_l)
+
+    def sum_y_terms(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
+        """|C_i| x + |D_i| l."""
+        by_x = self.cached_from_slopes("y of x", lambda _, __, C: nonzero_terms(np.abs(C), self.m), "C")
+        by_l = self.cached_from_slopes("y of l", lambda _, D, __: nonzero_terms(np.abs(D), self.m), "D")
+        return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in by_l[i]])
+
+    @cached_property
+    def is_monotone(self) -> bool:
+        """Whether x is unique in all modes; see `multipliers.is_monotone`."""
+        return not self.blocks.all and is_monotone(self.B, self.D, self.C)
+
+    def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
+        """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held.
+
+        Where some are those of a curved block: whether it is definite. Not where g or h has a product of two of these l. Of a D
+        that moves it is that of D alone: nothing at a point, it is something after it, and y' has l by more than W.
+        """
+        key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
+        if not self.linear_in_l and any(self.coupled[i, j] for i in key[0] + key[1] for j in key[0] + key[1]):
+            return False
+        if key not in self._p_matrices or self.constant is None:
+            B, D, C = self.slopes()
+            W = np.zeros_like(D) if self.D is None else C @ B
+            self._p_matrices[key] = is_p_matrix(
+                D, W, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened)
+            )
+        return self._p_matrices[key]
+
+    def _solve_slip_onset(self, how: MultiplierSolver) -> MultiplierSolver | None:
+        """Order 0 of l, and order 1 of x, where blocks begin to slip."""
+        tau, active = self.t[1], how.active if how.through is not None else ()
+        self._slip_onset = release = SlipOnset(active, self.blocks.onset_blocks, self.slopes(), tau)
+        self._compute_y(1)
+        rate, l = (np.array([row[k] for row in (rows[i] for i in release.rows)]) for rows, k in ((self.y, 1), (self.l, 0)))
+        found = release.begin(rate / tau, l)
+        if found is None:
+            return None
+        for i, v in zip(release.rows, found, strict=True):
+            self.l[i][0] = float(v)
+        self.blocks.pushed([0] * self.m, 0)
+        if how.feeds:
+            self._recompute_y(0)
+        self.parts["f"].compute(0)
+        self._compute_rate(0)
+        return how if how.through is not None else replace(how, through=[])
+
+    def _index_2_updates(self, how: MultiplierSolver, k: int) -> Iterator[tuple[int, float]]:
+        if self._slip_onset is None:
+            return super()._index_2_updates(how, k)
+        rows = self._slip_onset.rows
+        return zip(rows, self._slip_onset.step(k, np.array([self.y[i][k + 1] for i in rows])).tolist(), strict=True)
+
+    def _converge_order_0(self, how: MultiplierSolver, codes: list[int]) -> MultiplierSolver | None:
+        """Order 0 of l, and order 1 of x; Newton's method where f, g or h are not linear in l."""
+        self.parts["f"].compute(0)
+        for iteration in range(NEWTON):
+            direct, through = self.begin(how, codes)
+            if self.linear_in_l:
+                return how if self._is_solved(how, sum(through)) else None
+            moved = relative_change(self, how, direct, through)
+            if not math.isfinite(moved):
+                return None
+            if iteration and moved <= NEWTON_CONVERGED * NEWTON:
+                return self.solve(codes) if self._is_solved(how, moved) else None
+            how = self.solve(codes)
+            self._compute_y(0)
+        return None
+
+    def _is_solved(self, how: MultiplierSolver, moved: float) -> bool:
+        if how.through is not None and not math.isfinite(moved):
+            return False
+        if how.null is None or not how.null.size:
+            return True
+        self._compute_y(1)
+        return remains_zero(self, how, (1,))

@@ -1,0 +1,192 @@
+"""Questions about CasADi expressions: what they hold, whether they are constant, affine or concave, their values.
+
+Lookup tables: CasADi's linear interpolants of one variable written out, so that every part of the package can look into them.
+
+table(x) = v_0 + s_0 (x - x_0) + sum_i (s_i - s_{i-1}) max(x - x_i, 0),     s_i the slope between x_i and x_{i+1}
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError, NsmodelError
+from nsmodel.proof.expression_graph import apply_operation, operation_codes, stack_column, stored_entries, symbol_hashes
+
+
+def derivatives(expr: ca.SX, symbols: ca.SX) -> ca.SX:
+    """The Jacobian, its entries that are numbers as numbers.
+
+    Others stay as differentiation gives them: collecting terms, as `casadi.simplify` does, makes a (q - c) into a q - a c, which
+    cancels far from 0.
+    """
+    J = ca.jacobian(expr, symbols)
+    if J.is_constant():
+        return J
+    simple = ca.simplify(J)
+    for k in range(J.nnz()):
+        if simple.nz[k].is_constant():
+            J.nz[k] = simple.nz[k]
+    return J
+
+
+def is_constant(expr: ca.SX, z: ca.SX) -> bool:
+    """Whether ``expr`` does not change with z: read off, or else (y - y is not simplified) seen at sample points."""
+    if not ca.depends_on(expr, z):
+        return True
+    values = evaluate_at_samples(expr, z, sample_points(z.numel(), 6))
+    return bool(np.allclose(values, values[0], rtol=1e-9, atol=1e-12))
+
+
+def is_affine(expr: ca.SX, z: ca.SX) -> bool:
+    """Whether ``expr`` is affine in z."""
+    return is_constant(ca.jacobian(expr, z), z)
+
+
+def is_concave(expr: ca.SX, z: ca.SX) -> bool:
+    """Whether ``expr`` is concave in z: read off where affine, else seen at sample points."""
+    if is_affine(expr, z):
+        return True
+    n = z.numel()
+    values = evaluate_at_samples(ca.hessian(expr, z)[0], z, sample_points(n, 32))
+    spectra = np.linalg.eigvalsh(values[np.isfinite(values).all(axis=1)].reshape(-1, n, n))
+    return bool((spectra <= 1e-9 * (1 + np.abs(spectra).max(initial=0))).all())
+
+
+def sample_points(n: int, count: int) -> np.ndarray:
+    """Return sample points (count, n) of sizes from 0.1 to 10."""
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(count, n)) * 10.0 ** rng.uniform(-1, 1, (count, 1))
+
+
+def evaluate_at_samples(expr: ca.SX, z: ca.SX, samples: np.ndarray) -> np.ndarray:
+    """Values (count, numel) of ``expr`` at samples (count, n) of z; each other symbol gets one number in (0.5, 2)."""
+    own = symbol_hashes(z)
+    others = stack_column(symbol for symbol in ca.symvar(expr) if symbol.element_hash() not in own)
+    numbers = np.random.default_rng(0).uniform(0.5, 2, others.numel())
+    function = ca.Function("values", [z, others], [ca.densify(ca.vec(expr))])
+    return np.array(function(samples.T, numbers)).T
+
+
+def check_finite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
+    """Refuse a constant entry that is not finite."""
+    stored, symbols = stack_column(stored_entries(matrix)), stack_column(ca.symvar(matrix))
+    values = np.array(ca.Function("values", [symbols], [stored])(np.full(symbols.numel(), 0.7))).ravel()
+    where = np.column_stack(matrix.sparsity().get_triplet())
+    for k in np.flatnonzero(~np.isfinite(values)):
+        entry, (i, j) = stored[int(k)], where[k]
+        if entry.is_constant():
+            index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
+            raise error(f"{label}{index} = {float(entry)}; expected a finite number")
+
+
+MAX_TABLE_POINTS = 400
+SAME_SLOPE_TOLERANCE = 8 * np.finfo(float).eps  # Slopes that differ by less than this part of them are one.
+
+
+class InterpolationTable(NamedTuple):
+    """Points (n,), increasing, and the values there (n,)."""
+
+    points: np.ndarray
+    values: np.ndarray
+
+
+def expand_tables(expr: ca.SX) -> ca.SX:
+    """Return the expression with each linear interpolant of one variable written out; others stay calls."""
+    if not expr.numel() or ca.OP_CALL not in operation_codes(expr):
+        return expr
+    known: dict[int, ca.SX] = {}
+    dense = ca.densify(expr)
+    found = ca.SX(*dense.shape)
+    for k in range(dense.numel()):
+        found[k] = _rebuild_scalar(dense.nz[k], known)
+    return found
+
+
+def _rebuild_scalar(root: ca.SX, known: dict[int, ca.SX]) -> ca.SX:
+    """A scalar with its tables written out, node by node."""
+    work = [root]
+    while work:
+        node = work[-1]
+        parts = _node_arguments(node)
+        waiting = [part for part in parts if part.element_hash() not in known]
+        if waiting:
+            work += waiting
+            continue
+        work.pop()
+        if node.element_hash() not in known:
+            new = [known[part.element_hash()] for part in parts]
+            known[node.element_hash()] = _rebuild_node(node, parts, new)
+    return known[root.element_hash()]
+
+
+def _node_arguments(node: ca.SX) -> list[ca.SX]:
+    """What a node is made of; of the output of a call, the call's arguments."""
+    if node.is_leaf():
+        return []
+    call = node.dep(0) if node.is_output() else node
+    return [call.dep(k) for k in range(call.n_dep())]
+
+
+def _rebuild_node(node: ca.SX, parts: list[ca.SX], new: list[ca.SX]) -> ca.SX:
+    if node.is_leaf():
+        return node
+    if node.is_output():
+        table = read_table(node.dep(0).which_function()) if len(parts) == 1 else None
+        if table is not None:
+            return table_expression(table, new[0])
+        if all(ca.is_equal(a, b) for a, b in zip(parts, new, strict=True)):
+            return node
+        return node.dep(0).which_function()(*new) if len(parts) == 1 else node
+    return node if all(ca.is_equal(a, b) for a, b in zip(parts, new, strict=True)) else apply_operation(node.op(), new)
+
+
+def table_expression(table: InterpolationTable, x: ca.SX) -> ca.SX:
+    """The table at x; the first and the last slope go on outside of it."""
+    slopes = np.diff(table.values) / np.diff(table.points)
+    total, slope = table.values[0] + slopes[0] * (x - table.points[0]), slopes[0]
+    for point, after in zip(table.points[1:-1].tolist(), slopes[1:].tolist(), strict=True):
+        if abs(after - slope) > SAME_SLOPE_TOLERANCE * (abs(after) + abs(slope)):
+            total += (after - slope) * ca.fmax(x - point, 0)
+            slope = after
+    return total
+
+
+def read_table(function: ca.Function) -> InterpolationTable | None:
+    """The table behind a CasADi interpolant: read off its serialised form, and believed only where the function agrees.
+
+    None where it is no linear interpolant of one variable with one value, or has more than MOST_POINTS points.
+    """
+    if function.class_name() != "LinearInterpolant" or not function.n_in() == function.numel_in(0) == function.numel_out(0) == 1:
+        return None
+    text = function.serialize()
+    data = bytes((ord(a) - ord("a")) | (ord(b) - ord("a")) << 4 for a, b in zip(text[::2], text[1::2], strict=False))
+    for n in range(2, MAX_TABLE_POINTS + 1):
+        head, between = struct.pack("<q", n), struct.pack("<4q", 2, 0, n, n)
+        start = data.find(head)
+        while start >= 0:
+            middle = start + 8 + 8 * n
+            if data[middle : middle + 32] == between:
+                points, values = (np.array(struct.unpack_from(f"<{n}d", data, at)) for at in (start + 8, middle + 32))
+                table = InterpolationTable(points, values)
+                if _reproduces_table(function, table):
+                    return table
+            start = data.find(head, start + 1)
+    return None
+
+
+def _reproduces_table(function: ca.Function, table: InterpolationTable) -> bool:
+    """Whether the function has the table's values at its points, between them and beyond."""
+    points, values = table
+    if not (np.isfinite(points).all() and np.isfinite(values).all() and (np.diff(points) > 0).all()):
+        return False
+    ends = np.array([2 * points[0] - points[1], 2 * points[-1] - points[-2]])
+    at = np.concatenate([points, (points[1:] + points[:-1]) / 2, ends])
+    beyond = [2 * values[0] - values[1], 2 * values[-1] - values[-2]]
+    wanted = np.concatenate([values, (values[1:] + values[:-1]) / 2, beyond])
+    given = np.array(function.map(at.size)(at[None, :])).ravel()
+    steepest = float(np.abs(np.diff(values) / np.diff(points)).max())
+    return bool((np.abs(given - wanted) <= 64 * np.finfo(float).eps * (np.abs(values).max() + steepest * np.abs(at))).all())

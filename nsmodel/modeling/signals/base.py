@@ -1,0 +1,288 @@
+"""What a signal is: right-continuous, smooth between its edges, where it jumps, and its kinks, where it bends.
+
+What is known of a signal: between which values it stays, how fast it moves at most, and where it jumps.
+
+Bounds of signals as a user gives them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from nsmodel._utils import short_repr
+from nsmodel.errors import ModelError, UsageError
+from nsmodel.modeling.pickling import Picklable
+
+
+@dataclass(frozen=True, eq=False)
+class Within(Picklable):
+    """What `within` makes: bounds of an input, each a number for all of its values, or one for each (nu,).
+
+    Attributes:
+        low, high: between which its values stay.
+        rate: of which its slope is at most; None: not known, it may jump.
+        start: its values at t = 0; None: not known.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    rate: np.ndarray | None
+    start: np.ndarray | None
+
+    __repr__ = short_repr
+
+    @property
+    def sizes(self) -> set[int]:
+        """The numbers of values that are given."""
+        given = (getattr(self, end) for end in SizedBounds._fields)
+        return {part.size for part in given if part is not None and part.ndim}
+
+    def of_size(self, size: int) -> SizedBounds:
+        """As (size,) of each."""
+        rate, start = (missing if part is None else part for part, missing in ((self.rate, np.inf), (self.start, np.nan)))
+        return SizedBounds(*(np.broadcast_to(np.asarray(part, float), (size,)) for part in (self.low, self.high, rate, start)))
+
+
+class SizedBounds(NamedTuple):
+    """Bounds of each of the values of an input (nu,): a rate that is not known is inf, a start NaN."""
+
+    low: np.ndarray
+    high: np.ndarray
+    rate: np.ndarray
+    start: np.ndarray
+
+
+class SignalJump(NamedTuple):
+    """u(t-) and u(t+), (nu,) each."""
+
+    t: float
+    before: np.ndarray
+    after: np.ndarray
+
+
+NEAR_TOLERANCE = 16 * np.finfo(float).eps  # Times that are nearer than this part of the larger are one.
+ROUND_UP_FACTOR = 1 + 16 * np.finfo(float).eps  # More than a quotient and a few sums lose.
+
+
+class Signal(Picklable):
+    """A known function u(t) of ``size`` values; a step from a to b sees u(a+) at its begin and u(b-) at its end."""
+
+    @property
+    def size(self) -> int:
+        """The number of values."""
+        return 1
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is constant between its edges."""
+        return False
+
+    @property
+    def moving(self) -> int:
+        """The most edges between two of its points that blocks place."""
+        return 0
+
+    @property
+    def values_taken(self) -> int | None:
+        """How many values it takes at most; None: any."""
+        return None
+
+    @property
+    def count(self) -> int | None:
+        """The number of steps that it is for; None: any."""
+        return None
+
+    @property
+    def jump_steps(self) -> np.ndarray:
+        """The numbers of the steps that begin with a jump, of a signal that is for so many steps."""
+        return np.zeros(0, int)
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
+        """The signal with what blocks of a model hold now: ``kept``, by name."""
+        del kept
+        return self
+
+    def in_time(self, tau: float) -> Signal:
+        """The signal where times are tau times as large: u(t / tau)."""
+        raise NotImplementedError
+
+    def check_valid(self, label: str, t_end: float) -> None:
+        """Raise ModelError, naming the input ``label``, where it is no such signal up to ``t_end``."""
+
+    def edges(self, t_end: float) -> np.ndarray:
+        """The times up to ``t_end`` at which it jumps, increasing."""
+        return np.zeros(0)
+
+    def kinks(self, t_end: float) -> np.ndarray:
+        """The times up to ``t_end`` at which it bends."""
+        return np.zeros(0)
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """u(t+) at times (K,): (K, size)."""
+        raise NotImplementedError
+
+    def before(self, t: np.ndarray) -> np.ndarray:
+        """u(t-)."""
+        raise NotImplementedError
+
+    @property
+    def degree(self) -> int | None:
+        """Of the polynomials of time that it is between its ``joints``; None where it is none."""
+        return 0 if self.flat else None
+
+    def joints(self, t_end: float) -> np.ndarray:
+        """The times up to ``t_end`` at which one polynomial follows another."""
+        return np.union1d(self.edges(t_end), self.kinks(t_end))
+
+    def derivatives(self, t: float) -> np.ndarray:
+        """(degree + 1, size): u, u', ... just after t."""
+        return self.after(np.array([t]))
+
+    def within(self, t_end: float) -> Within | None:
+        """Bounds of its values up to ``t_end``, with a rate where it has no jump there; None where they are not known."""
+        del t_end
+        return None
+
+    def jump(self, t_end: float) -> SignalJump | None:
+        """The largest of its jumps after 0 and before ``t_end``; None where none is known."""
+        at = self.edges(t_end)
+        at = at[(at > 0) & (at < just_before(np.array(t_end)))]
+        before, after = self.before(at), self.after(at)
+        size = np.abs(after - before).max(axis=1, initial=0.0)
+        k = int(size.argmax()) if size.size else -1
+        return SignalJump(float(at[k]), before[k], after[k]) if k >= 0 and size[k] > 0 else None
+
+    def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """u(a+) and u(b-) of the steps between times t (K + 1,), the first of which has this number: (K, size) each."""
+        del number
+        return self.after(t[:-1]), self.before(t[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantSignal(Signal):
+    """The same values (nu,) for ever."""
+
+    values: np.ndarray
+
+    __repr__ = short_repr
+
+    @property
+    def size(self) -> int:
+        """Those given."""
+        return self.values.size
+
+    @property
+    def flat(self) -> bool:
+        """It is."""
+        return True
+
+    @property
+    def values_taken(self) -> int | None:
+        """One."""
+        return 1
+
+    def in_time(self, tau: float) -> Self:
+        """The same."""
+        del tau
+        return self
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """The values."""
+        return np.tile(self.values, (t.size, 1))
+
+    before = after
+
+    def within(self, t_end: float) -> Within | None:
+        """Its values."""
+        del t_end
+        return constant_bounds(self.values)
+
+
+def constant_bounds(values: np.ndarray) -> Within:
+    """Bounds of a signal that does not move."""
+    return Within(values, values, np.zeros(values.size), values)
+
+
+def just_after(t: np.ndarray) -> np.ndarray:
+    """Times after which what is one with t lies."""
+    return t + NEAR_TOLERANCE * np.abs(t)
+
+
+def just_before(t: np.ndarray) -> np.ndarray:
+    """Times before which what is one with t lies."""
+    return t - NEAR_TOLERANCE * np.abs(t)
+
+
+def check_choice(label: str, name: str, value: Any, known: Sequence[str]) -> str:
+    """A word among those known; else ModelError."""
+    if value not in known:
+        raise ModelError(f"{label}: {name} = {value!r}; expected one of {', '.join(known)}")
+    return value
+
+
+def check_increasing(label: str, what: str, t: np.ndarray, *, strictly: bool) -> None:
+    """Refuse times that are out of order."""
+    wrong = np.diff(t) <= 0 if strictly else np.diff(t) < 0
+    for i in np.flatnonzero(wrong)[:1]:
+        raise ModelError(f"{label}: {what}[{i + 1}] = {t[i + 1]:.10g} is not after {what}[{i}] = {t[i]:.10g}; give them in order")
+
+
+def read_numbers(label: str, what: str, value: Any, *dimensions: int) -> np.ndarray:
+    """An array of finite numbers with one of these numbers of dimensions; else ModelError."""
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        raise ModelError(f"{label}: {what} = {value!r:.60}; expected numbers") from None
+    if array.ndim not in dimensions:
+        shapes = {0: "one number", 1: "a list (N,)", 2: "an array (N, nu)"}
+        raise ModelError(f"{label}: {what} has the shape {array.shape}; expected {' or '.join(shapes[d] for d in dimensions)}")
+    for at in np.argwhere(~np.isfinite(array))[:1]:
+        where = f"[{', '.join(map(str, at))}]" if at.size else ""
+        raise ModelError(f"{label}: {what}{where} = {array[tuple(at)]:g}; expected finite numbers")
+    return array
+
+
+def within(low: Any, high: Any, rate: Any = None, *, start: Any = None) -> Within:
+    """All signals u with low <= u(t) <= high; with ``rate`` those that are Lipschitz, |u(t) - u(s)| <= rate |t - s|.
+
+    Args:
+        low, high: finite, low <= high; a number, or (nu,) for an input of nu values.
+        rate: > 0, in units of u over units of t; None: any measurable function, which may jump.
+        start: u(0+), from low to high; None: any.
+
+    Raises:
+        UsageError: what is no such number.
+
+    >>> within(-1, 1, rate=5).rate
+    array(5.)
+    """
+    bounds = {name: None if value is None else _bound_numbers(name, value) for name, value in locals().items()}
+    a, b, speed, first = (bounds[name] for name in ("low", "high", "rate", "start"))
+    if a is None or b is None:
+        raise UsageError(f"within: low = {low}, high = {high}; expected finite numbers, low <= high")
+    try:
+        a, b, *_ = np.broadcast_arrays(a, b, *(part for part in (speed, first) if part is not None))
+    except ValueError:
+        shapes = ", ".join(f"{name} {value.size}" for name, value in bounds.items() if value is not None)
+        raise UsageError(f"within: {shapes} values; give as many of each, or one number for all") from None
+    for x, y in zip(a.ravel(), b.ravel(), strict=True):
+        if not x <= y:
+            raise UsageError(f"within: low = {x:g} > high = {y:g}; expected low <= high")
+    if speed is not None and not (speed > 0).all():
+        raise UsageError(f"within: rate = {speed.min():g}; expected a number > 0, or None for signals that may jump")
+    if first is not None and not ((first >= a) & (first <= b)).all():
+        raise UsageError(f"within: start = {start}; expected u(0+) from low = {low} to high = {high}")
+    return Within(a, b, speed, first)
+
+
+def _bound_numbers(name: str, value: Any) -> np.ndarray:
+    if isinstance(value, bool | str):
+        raise UsageError(f"within: {name} = {value!r}; expected a number, or a list of them")
+    try:
+        return read_numbers("within", name, value, 0, 1)
+    except ModelError as error:
+        raise UsageError(str(error)) from None

@@ -1,0 +1,186 @@
+"""Pulse-width modulation: a value that is high for a part of each period.
+
+Values that blocks set as a run goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel._utils import short_repr
+from nsmodel.errors import ModelError
+from nsmodel.modeling.signals.base import (
+    ConstantSignal,
+    Signal,
+    Within,
+    check_choice,
+    constant_bounds,
+    just_after,
+    just_before,
+    read_numbers,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldSignal(ConstantSignal):
+    """The entry of an input that the block ``by`` sets; until a run says what it is, 0."""
+
+    name: str
+    by: str
+    few: tuple[float, ...] | None = None
+
+    __repr__ = short_repr
+
+    @property
+    def values_taken(self) -> int | None:
+        """How many values the block says that it takes."""
+        return None if self.few is None else len(self.few)
+
+    def within(self, t_end: float) -> Within | None:
+        """Between the least and the largest of these, which ticks keep to; jumps are not known."""
+        return None if self.few is None else Within(np.full(1, min(self.few)), np.full(1, max(self.few)), None, None)
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
+        """What is held now."""
+        return ConstantSignal(kept[self.name])
+
+
+PWM_KINDS = ("trailing", "leading", "centre")
+
+
+@dataclass(frozen=True, eq=False)
+class Pwm(Signal):
+    """See `pwm`."""
+
+    period: float
+    duty: Any  # A signal; of a PWM that a model has not read yet, an expression.
+    phase: float
+    low: float
+    high: float
+    kind: str
+
+    __repr__ = short_repr
+
+    @property
+    def flat(self) -> bool:
+        """It is."""
+        return True
+
+    @property
+    def values_taken(self) -> int:
+        """Low and high."""
+        return 2
+
+    @property
+    def moving(self) -> int:
+        """The edges within a period, whose begin is known, where a block says how long pulses are."""
+        return {"centre": 2}.get(self.kind, 1) if isinstance(self.duty, HeldSignal) else 0
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
+        """The PWM with the duty that is held now."""
+        return replace(self, duty=self.duty.holding(kept)) if isinstance(self.duty, HeldSignal) else self
+
+    def in_time(self, tau: float) -> Pwm:
+        """With another period and phase, and its duty in that time."""
+        return replace(self, period=tau * self.period, phase=tau * self.phase, duty=self.duty.in_time(tau))
+
+    def check_valid(self, label: str, t_end: float) -> None:
+        """A duty that leaves [0, 1]."""
+        self.duty.check_valid(label, t_end)
+        t, duty = self._duties(self._periods(t_end))
+        for i in np.flatnonzero(~((duty >= 0) & (duty <= 1)))[:1]:
+            raise ModelError(f"{label}: its duty is {duty[i]:g} at t = {t[i]:.10g}; expected a number from 0 to 1")
+
+    def _periods(self, t_end: float) -> np.ndarray:
+        """The numbers of the periods that meet [0, t_end], and of the one before."""
+        return np.arange(np.floor(-self.phase / self.period) - 1, np.floor((t_end - self.phase) / self.period) + 1)
+
+    def _duties(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """When periods k begin, or the run where that is later, and the duty there."""
+        t = np.maximum(self.phase + k * self.period, 0.0)
+        return t, self.duty.after(t)[:, 0]
+
+    def _pulses(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """When the pulses of periods k begin and end: products, no sums of periods."""
+        _, d = self._duties(k)
+        begin = {"trailing": 0 * d, "leading": 1 - d, "centre": (1 - d) / 2}[self.kind]
+        end = {"trailing": d, "leading": 0 * d + 1, "centre": (1 + d) / 2}[self.kind]
+        return self.phase + (k + begin) * self.period, self.phase + (k + end) * self.period
+
+    def pulse(self, t: float) -> np.ndarray:
+        """When the pulse of the period of a time begins and ends."""
+        return np.concatenate(self._pulses(np.floor((just_after(np.array([t])) - self.phase) / self.period)))
+
+    def edges(self, t_end: float) -> np.ndarray:
+        """Where pulses begin and end, not where one ends as the next begins; where periods begin, if blocks place the pulses."""
+        if isinstance(self.duty, HeldSignal):
+            begins = self.phase + self._periods(t_end) * self.period
+            return begins[(begins >= 0) & (begins <= t_end)]
+        begin, end = self._pulses(self._periods(t_end))
+        real = end > just_after(begin)
+        begin, end = begin[real], end[real]
+        separate = begin[1:] > just_after(end[:-1])
+        found = np.concatenate([begin[:1], begin[1:][separate], end[:-1][separate], end[-1:]])
+        return np.sort(found[(found >= 0) & (found <= t_end)])
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """High within pulses, their begin included."""
+        return self._value(just_after(t))
+
+    def before(self, t: np.ndarray) -> np.ndarray:
+        """High within pulses, their end included."""
+        return self._value(just_before(t))
+
+    def within(self, t_end: float) -> Within:
+        """Low and high; one of them where no pulse begins or ends."""
+        low, high = np.sort([self.low, self.high])
+        if self.moving:
+            return Within(np.full(1, low), np.full(1, high), None, None)
+        first = self.after(np.zeros(1))[0]
+        if self.jump(t_end) is None and t_end > 0:
+            return constant_bounds(first)
+        return Within(np.full(1, low), np.full(1, high), None, first)
+
+    def _value(self, t: np.ndarray) -> np.ndarray:
+        begin, end = self._pulses(np.floor((t - self.phase) / self.period))
+        return np.where((t >= begin) & (t < end), self.high, self.low)[:, None]
+
+
+def _is_expression(value: Any) -> bool:
+    """Whether a value is an expression of CasADi or of SymPy."""
+    return isinstance(value, ca.SX | ca.MX) or hasattr(value, "free_symbols")
+
+
+def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high: float = 1.0, kind: str = "trailing") -> Pwm:
+    """A signal that is ``high`` for the part ``duty`` of each ``period``, and ``low`` for the rest; its edges are exact.
+
+    Args:
+        period: > 0.
+        duty: a number from 0 to 1, or a signal, whose value when a period begins is that of the period. 0 and 1 give no edge. Or
+            an expression of what blocks hold, and of all that they read: read when a period begins, after the blocks that tick
+            then, and moved into [0, 1].
+        phase: when a period begins.
+        low, high: the two values.
+        kind: where the pulse lies: "trailing" begins with the period (its trailing edge is modulated), "leading" ends with it,
+            "centre" lies in the middle.
+
+    Raises:
+        ModelError: a period that is not > 0, a duty outside [0, 1].
+    """
+    check_choice("pwm", "kind", kind, PWM_KINDS)
+    given = {"period": period, "phase": phase, "low": low, "high": high}
+    values = {name: float(read_numbers("pwm", name, value, 0)) for name, value in given.items()}
+    if not values["period"] > 0:
+        raise ModelError(f"pwm: period = {period:g}; expected a time > 0")
+    if isinstance(duty, Signal) and duty.size != 1:
+        raise ModelError(f"pwm: duty has {duty.size} values; expected one")
+    if not isinstance(duty, Signal) and not _is_expression(duty):
+        duty = ConstantSignal(read_numbers("pwm", "duty", duty, 0).reshape(1))
+        if not 0 <= duty.values[0] <= 1:
+            raise ModelError(f"pwm: duty = {duty.values[0]:g}; expected a number from 0 to 1")
+    return Pwm(duty=duty, kind=kind, **values)

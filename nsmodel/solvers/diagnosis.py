@@ -1,0 +1,206 @@
+"""Why a step has no verified solution, in the user's words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from nsmodel._utils import cached_per_object
+from nsmodel.errors import EmptyLawError
+from nsmodel.modeling.laws.base import find_invalid_row
+from nsmodel.solvers import mlcp
+from nsmodel.solvers.active_set import enumerate_index_sets
+from nsmodel.solvers.one_step_problem import OneStepProblem
+from nsmodel.solvers.plan import Plan
+from nsmodel.solvers.residuals import REACH, NumericLaw
+from nsmodel.solvers.rounding_errors import equilibrate_matrix
+from nsmodel.solvers.structure import StepStructure, is_eigenvalue_nonnegative, least_eigenvalue
+
+JUMP_ADVICE = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
+MIN_OPPOSING_ANGLE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
+DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
+JUMP_OPERATIONS = frozenset({  # Operations with derivative 0 whose value changes.
+    ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO,
+})  # fmt: skip
+FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
+
+
+def describe_overreach(name: str, ratio: float) -> str:
+    """Why a step is refused whose residual is small: the row's linearisation is off by ``ratio`` of the motion."""
+    return (
+        f"it leads where the linearisation of '{name}', by which it was taken, means nothing (off by {ratio:.2g} of the motion, "
+        f"at most {REACH:.2g}); take smaller steps"
+    )
+
+
+def find_empty_law(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> EmptyLawError | None:
+    """That a law that moves is no set at the end of the step, by the name of its row; None where each is one."""
+    if not problem.ends:
+        return None
+    known, values = ca.vertcat(problem.t, problem.h, problem.state), np.concatenate([[t, h], state])
+    found = find_invalid_row(problem.ends, known, values, t + h)
+    return None if found is None else EmptyLawError(found.text, component=found.name)
+
+
+def explain_step_failure(
+    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None,
+    state: np.ndarray, finite: bool, least: float,
+) -> str:  # fmt: skip
+    """Return the most specific reason that can be proved, else what is known."""
+    if not np.isfinite(state).all():
+        return "the state is not finite"
+    if not finite:
+        return (
+            "the model's expressions are not finite at the present state and time (a root of a negative number, a division by 0?)"
+        )
+    if W is None or b is None:
+        return "the linearised step is singular at this step size; change the step, or check M, A and K"
+    bad = np.flatnonzero(~(np.isfinite(b) & np.isfinite(W).all(axis=1)))
+    if bad.size:
+        return (
+            f"'{problem.rows[bad[0]]}' or its gradient is not a finite number at the present state "
+            "(a square root or norm at 0, a division by 0?)"
+        )
+    least = 0.0 if structure.gram else min(least_eigenvalue(W), least)
+    monotone = is_eigenvalue_nonnegative(least, law.size)
+    return (
+        (_describe_opposing_rows(problem, law, W, b) if monotone else "")
+        or (_describe_nearly_opposite(problem, W) if structure.projection else "")
+        or (_describe_exhausted_index_sets(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
+        or _describe_unproved_failure(problem, structure, law, plan, W)
+    )
+
+
+def _describe_opposing_rows(problem: OneStepProblem, law: NumericLaw, W: np.ndarray, b: np.ndarray) -> str:
+    """That constraints oppose each other, '' where none are proved to."""
+    names = _weighted_row_names(problem, opposing_rows(W, b, law) or [])
+    if not names:
+        return ""
+    if len(names) == 1:
+        return f"no multiplier can keep {names[0]} from being violated"
+    no_point = "the constraints leave no point: " + " and ".join(names) + " oppose each other"
+    if problem.overreach is None:
+        return no_point
+    return f"linearised at the step's start, {no_point} (with curved ones smaller steps, or rtol, may find one)"
+
+
+def _describe_nearly_opposite(problem: OneStepProblem, W: np.ndarray) -> str:
+    """That constraints are nearly opposite, '' where none are."""
+    inverse_gamma, rows = nearly_opposite_rows(W)
+    if not inverse_gamma < MIN_OPPOSING_ANGLE:
+        return ""
+    return (
+        f"{' and '.join(_weighted_row_names(problem, rows))} are nearly opposite (gamma > {1 / MIN_OPPOSING_ANGLE:.0e}): double "
+        "precision does not tell where between them the state is; leave more room between them, or join them to an equality"
+    )
+
+
+def _describe_exhausted_index_sets(structure: StepStructure, law: NumericLaw, least: float) -> str:
+    """That all index sets were tried, '' where there are too many."""
+    count = sum(1 for _ in enumerate_index_sets(law, np.zeros(law.size, np.int8)))
+    if not count:
+        return ""
+    which = "has no solution" if structure.affine else "seems to have no solution"
+    none = f"none of the {count} index sets satisfies the law"
+    return f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and {none}"
+
+
+def _describe_unproved_failure(
+    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, plan: Plan, W: np.ndarray
+) -> str:
+    """What is known where nothing is proved."""
+    if not plan.use_last and plan.chain:
+        return "the forced solver did not find it"
+    if not (structure.affine and law.size):
+        return "Newton's method did not converge" + (f"; {JUMP_ADVICE}" if _has_jumps(problem) else "")
+    if _has_jumps(problem):
+        return f"no solver reached the tolerance; {JUMP_ADVICE}"
+    part, dependent = dependent_rows(W)
+    if part < DEPENDENCE_LIMIT and len(dependent) > 1:
+        return (
+            f"no solver reached the tolerance; {' and '.join(_weighted_row_names(problem, dependent))} depend on one another to "
+            f"a part of {part:.1g}: where they are held together, double precision does not tell their multipliers"
+        )
+    return "no solver reached the tolerance"
+
+
+@cached_per_object
+def _has_jumps(problem: OneStepProblem) -> bool:
+    """Whether equations jump where the unknowns do."""
+    unknown, equations = ca.vertcat(problem.z, problem.l), ca.vertcat(problem.E, problem.Y)
+    known = ca.vertcat(*(symbol for symbol in ca.symvar(equations) if not ca.depends_on(unknown, symbol)))
+    f = ca.Function("equations", [unknown], [ca.substitute(equations, known, 0.5)])
+    return any(f.instruction_id(k) in JUMP_OPERATIONS for k in range(f.n_instructions()))
+
+
+def _weighted_row_names(problem: OneStepProblem, rows: Sequence[tuple[int, float]]) -> list[str]:
+    """The rows by name, with their weights."""
+    return [f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in rows]
+
+
+def dependent_rows(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
+    """The least singular value of W, beside its largest, in its best units, and the rows of its vector with their weights.
+
+    Rows that feel no multiplier, or whose multiplier moves nothing, are left out: they depend on nothing.
+    """
+    acting = np.flatnonzero(W.any(axis=1) & W.any(axis=0))
+    if not acting.size:
+        return 1.0, []
+    scaled, _, _ = equilibrate_matrix(W[np.ix_(acting, acting)])
+    U, s, _ = np.linalg.svd(scaled)
+    weights = np.abs(U[:, -1]) / np.abs(U[:, -1]).sum()
+    order = np.argsort(-weights)
+    return float(s[-1] / max(s[0], 1e-300)), [(int(acting[i]), float(weights[i])) for i in order if weights[i] > 1e-3][:6]
+
+
+def nearly_opposite_rows(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
+    """1/gamma, the distance from 0 to the hull of the unit normals whose products are W, and the rows with their weights."""
+    from scipy.optimize import nnls
+
+    size = np.sqrt(np.diag(W))
+    size[size == 0] = 1
+    value, V = np.linalg.eigh(W / np.outer(size, size))
+    root = np.sqrt(np.maximum(value, 0))[:, None] * V.T
+    u, _ = nnls(np.vstack([root, np.ones(len(W))]), np.append(np.zeros(len(W)), 1.0))
+    u = u / u.sum()
+    return float(np.linalg.norm(root @ u)), [(int(i), float(u[i])) for i in np.argsort(-u) if u[i] > 1e-6][:6]
+
+
+def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:
+    """Return [(row, weight), ...] of a proof that {l >= 0, W l + b >= 0} is empty: u >= 0, W'u <= 0, b'u < 0 (Farkas).
+
+    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off.
+    """
+    if not law.size or not law.is_complementarity:
+        return None
+    root = np.sqrt(np.abs(np.diag(W)))
+    root = np.where(root > 0, root, 1.0)
+    u = _farkas_multipliers(W, b)  # in the user's units, else in those in which W_ii = 1
+    if u is None:
+        u = _farkas_multipliers(W / root[:, None] / root, b / root)
+        u = None if u is None else u / root
+    return None if u is None else [(int(i), float(u[i] / u.sum())) for i in np.argsort(-u) if u[i] > 0][:6]
+
+
+def _farkas_multipliers(W: np.ndarray, b: np.ndarray) -> np.ndarray | None:
+    """u >= 0 with W'u <= 0 to round-off, b'u < 0 above it, and sum 1; None where there is none."""
+    from scipy.optimize import linprog
+
+    scale = np.abs(W).max(axis=0)
+    scale[scale == 0] = 1
+    A, size = W.T / scale[:, None], np.abs(b).max() or 1.0
+    found = linprog(
+        b / size,
+        A_ub=A,
+        b_ub=np.zeros(b.size),
+        A_eq=np.ones((1, b.size)),
+        b_eq=[1.0],
+        bounds=(0, None),
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if not found.success:
+        return None
+    u = np.where(found.x > 1e-9, found.x, 0.0)
+    return None if (A @ u).max() > FARKAS_TOLERANCE or b @ u / size > -1e-6 else u
