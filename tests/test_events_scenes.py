@@ -10,6 +10,7 @@ import pytest
 from fuzz_models import COUNT, FULL
 
 from nsmodel import FirstOrderSystem, StepError, simulate
+from nsmodel.codegen import library
 from nsmodel.modeling.laws import relay
 from tests import event_scenes as scenes
 from tests.event_digits import judged
@@ -79,6 +80,16 @@ def test_a_switch_of_what_a_switch_chooses_is_rounding_where_that_is(rtol):
     n = own.model.x.numel()
     assert np.abs(run.at(t).x - right.at(t)[0][:, :n]).max() <= 10 * rtol
     assert len(run.events) == len(right.events)
+
+
+@pytest.mark.parametrize("compiled", [False, True] if library.compiler() else [False])
+@pytest.mark.parametrize("rtol", RTOLS)
+def test_rows_that_are_the_same_move_nothing(rtol, compiled):
+    """y_2 = y_3: their difference is rounding, and so is how x moves it. It moved x by 1.2 at an event, at every rtol."""
+    own = loops(1232)
+    run, right = simulate(own.model, rtol=rtol, method="event-driven", compiled=compiled), judged(own, 3)
+    t = np.linspace(0, 3, 11)[1:]
+    assert np.abs(run.at(t).x - right.at(t)[0]).max() <= 10 * rtol
 
 
 @pytest.mark.parametrize("rtol", RTOLS)

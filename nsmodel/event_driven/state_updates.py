@@ -59,9 +59,14 @@ def stick_released_blocks(system: ModeSystem, place: PieceStart) -> None:
 
 
 def _held_row_matrices(a: list[int], D: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of rows a: what takes of y what no l acts on directly, by what x moves that, and the sizes that y is the sum of."""
+    """Of rows a: what takes of y what no l acts on directly, by what x moves that, and the sizes that y is the sum of.
+
+    Of rows that are the same the difference is rounding, in y and in C, and their quotient would be any motion.
+    """
     free = _left_null_space(D[np.ix_(a, a)].tobytes(), len(a)).T
-    return free, free @ C[a], np.abs(np.hstack([C[a], D[a]]))
+    slope = free @ C[a]
+    slope[np.abs(slope) <= TIE * (np.abs(free) @ np.abs(C[a]))] = 0.0
+    return free, slope, np.abs(np.hstack([C[a], D[a]]))
 
 
 @lru_cache(maxsize=64)

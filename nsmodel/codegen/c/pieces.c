@@ -409,18 +409,24 @@ static void project(model_pieces *s, const signed char *rows)
         if (n)
             rank = generalised_inverse(n, s->work_a, s->work_b, U, s->work_v);
         for (int u = 0; u < n - rank; u++) { /* the combinations that no l acts on, made orthogonal one after the other */
-            double *row = s->row + q*N, size = 0, rest = 0;
+            double *row = s->row + q*N, size = 0, rest = 0, terms[N];
             y[q] = 0;
             memset(row, 0, N*sizeof *row);
+            memset(terms, 0, sizeof terms);
             for (int i = 0; i < n; i++) {
                 const double weight = U[i*n + rank + u];
                 y[q] += weight*s->c[0][Y + a[i]];
-                for (int j = 0; j < N; j++)
+                for (int j = 0; j < N; j++) {
                     row[j] += weight*C_AT(a[i], j);
+                    terms[j] += fabs(weight*C_AT(a[i], j));
+                }
             }
             any |= y[q] != 0;
-            for (int j = 0; j < N; j++)
+            for (int j = 0; j < N; j++) {
+                if (fabs(row[j]) <= TIE*terms[j]) /* rounding, as y of rows that are the same: their quotient would be any motion */
+                    row[j] = 0;
                 size += row[j]*row[j];
+            }
             for (int v = 0; v < q; v++) {
                 double dot = 0;
                 for (int j = 0; j < N; j++)
