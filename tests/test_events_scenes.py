@@ -92,6 +92,17 @@ def test_rows_that_are_the_same_move_nothing(rtol, compiled):
     assert np.abs(run.at(t).x - right.at(t)[0]).max() <= 10 * rtol
 
 
+@pytest.mark.parametrize("compiled", [False, True] if library.compiler() else [False])
+@pytest.mark.parametrize("rtol", RTOLS)
+def test_a_wall_is_left_with_a_speed_that_is_rounding(rtol, compiled):
+    """y = -2e-16 s + 1.7 s^2: the mode is chosen by the second order, and does not end at once by the first."""
+    own = loops(1188)
+    T = float(own.model.t_end)
+    run, right = simulate(own.model, rtol=rtol, method="event-driven", compiled=compiled), judged(own, T)
+    t = np.linspace(0, T, 11)[1:]
+    assert np.abs(run.at(t).x - right.at(t)[0]).max() <= 10 * rtol * max(1.0, np.abs(right.at(t)[0]).max())
+
+
 @pytest.mark.parametrize("rtol", RTOLS)
 def test_rows_that_rest_while_l_grows(rtol):
     """y_0 is 0 on all of [0, 5], and what holds it grows from 2 to 6, less what l takes: 0 is known to rounding of that."""

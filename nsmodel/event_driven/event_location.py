@@ -259,6 +259,8 @@ class EventLocator:
                 if opened and first != 1:
                     least = condition_uncertainty(system, condition)
                     first = lowest_order(germ, least) if least else leading_order(germ, least, share)
+                    if least and first is not None and germ[first] < 0:  # What ends at once would be chosen again, as it was.
+                        first = leading_order(germ, least, share)
                 c = c[ORDERS + 1 if first is None else first :]
                 if max(map(abs, c)) <= least:
                     continue

@@ -170,8 +170,11 @@ static int first_event(model_pieces *s, double *length, condition *hit, const do
             if (c[0] <= (s->at.open[of] ? least : 0)) {
                 share = share > 0 ? share : pace(s);
                 first = leading(n, germ, s->at.open[of] ? least : 0, share);
-                if (s->at.open[of] && first != 1 && (least = tie_of(s, one, TIE)) > 0)
+                if (s->at.open[of] && first != 1 && (least = tie_of(s, one, TIE)) > 0) {
                     first = lowest(n, germ, least);
+                    if (first >= 0 && germ[first] < 0) /* what ends at once would be chosen again, as it was */
+                        first = leading(n, germ, least, share);
+                }
                 first = first < 0 ? ORDERS + 1 : first;
                 if (first >= n || largest_of(n - first, c + first) <= least)
                     continue;
