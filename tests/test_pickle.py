@@ -1,10 +1,13 @@
 """Models, laws, families, reports and runs go to other processes and come back, exactly; deep copies stand on their own."""
 
 import copy
+import importlib
+import inspect
 import multiprocessing
 import pickle
 import textwrap
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -30,6 +33,7 @@ from nsmodel import (
     check,
     complementarity,
     equality,
+    hysteresis,
     polyhedron,
     product,
     relay,
@@ -37,6 +41,7 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.hypotheses.region import region_of
+from nsmodel.modeling import former_names
 from nsmodel.modeling.fingerprint import fingerprint
 from nsmodel.modeling.time_grid import make_grid
 from nsmodel.study import Line, StudyInterrupted
@@ -44,6 +49,7 @@ from nsmodel.study.reference import ReferenceRows, closed_form_reference
 from nsmodel.study.stress import Cell
 
 t, x, y, l, k = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("y", 2), ca.SX.sym("l"), ca.SX.sym("k")
+FIXTURES = Path(__file__).parent / "fixtures" / "pickles"
 NEIGHBOUR = "def exact(t):\n    import numpy as np\n\n    return np.exp(-np.outer(t, [1, 1]))\n"
 FILE = """
 import casadi as ca
@@ -245,3 +251,52 @@ def test_a_pool_of_fresh_processes_takes_models_and_gives_results_back(tmp_path)
         assert len(resumed.result()) > len(first)
         with pytest.raises(UsageError, match="exact: the function"):
             refused.result()
+
+
+# -- of earlier versions ------------------------------------------------------------------------------------------------
+
+
+def former(name):
+    """A pickle of nothing but a class or function by its name."""
+    module, _, name = name.rpartition(".")
+    return pickle.loads(f"cnsmodel.{module}\n{name}\n.".encode())
+
+
+@pytest.mark.parametrize("name", sorted(former_names.CLASSES))
+def test_former_classes_are_found(name):
+    assert former(name).__name__ == former_names.CLASSES[name]
+
+
+@pytest.mark.parametrize("name", sorted(former_names.MODULES))
+def test_former_modules_are_those_that_have_their_names_now(name):
+    now = importlib.import_module(f"nsmodel.{former_names.MODULES[name]}")
+    own = next(key for key, value in vars(now).items() if getattr(value, "__module__", "").startswith("nsmodel."))
+    assert former(f"{name}.{own}") is vars(now)[own]
+    with pytest.raises(AttributeError, match="Can't get attribute 'nothing'"):
+        former(f"{name}.nothing")
+
+
+def test_a_module_that_never_was_is_not_found():
+    with pytest.raises(ModuleNotFoundError, match=r"nsmodel\.stress\.nothing"):
+        former("stress.nothing.at_all")
+
+
+def test_former_modules_do_not_hide_functions():
+    importlib.import_module("nsmodel.simulate")
+    importlib.import_module("nsmodel.stress")
+    assert inspect.isfunction(nsmodel.simulate)
+    assert inspect.isfunction(nsmodel.stress)
+
+
+def test_pickles_of_the_version_before_are_read():
+    """A model with a block that holds its input, a run by pieces, and a sweep, with the names that these had."""
+    model, run, sweep = (pickle.loads((FIXTURES / f"{name}.pkl").read_bytes()) for name in ("model", "run", "sweep"))
+    x, l, u = (ca.SX.sym(name) for name in "xlu")
+    same = FirstOrderSystem(
+        x=x, lam=l, f=[-x + 2 * u], g=[l], h=[x], law=complementarity(1), x0=[0.0], t_end=3, step=0.01,
+        blocks=[hysteresis(u, x, 0.5, 1.0, start=1.0)],
+    )  # fmt: skip
+    np.testing.assert_array_equal(simulate(model).x, simulate(same).x)
+    assert len(run.events) > 0
+    assert np.isfinite(run.at(run.t[-1] / 3).x).all()
+    assert sweep["end"].values.shape == (3,)

@@ -1,4 +1,4 @@
-"""Modules and classes that pickles of earlier versions name: found under the names that they have now."""
+"""Modules and classes as earlier versions named them, in pickles and in programs: found under the names that they have now."""
 
 from __future__ import annotations
 
@@ -11,8 +11,14 @@ from types import ModuleType
 from typing import Any
 
 PACKAGE = "nsmodel"
-PACKAGES = "blocks laws model signals stress".split()
-MODULES = {
+PACKAGES = {
+    "blocks": "modeling.standard_blocks",
+    "laws": "modeling.laws",
+    "model": "modeling",
+    "signals": "modeling.signals",
+    "stress": "study.stress",
+}
+MODULES = PACKAGES | {
     "blocks.block": "modeling.block",
     "blocks.common": "modeling.standard_blocks",
     "contacts": "solvers.contacts",
@@ -61,6 +67,7 @@ MODULES = {
     "signals.steps": "modeling.signals.table",
     "signals.table": "modeling.signals.table",
     "signals.within": "modeling.signals.base",
+    "simulate": "simulation.simulate",
     "stress.cells": "study.stress",
     "stress.judge": "study.reference_steps",
     "stress.measures": "study.reference_steps",
@@ -96,16 +103,9 @@ CLASSES = {
     "signals.function.Declared": "EdgeDeclaredSignal",
     "signals.kept.Kept": "HeldSignal",
     "signals.signal.Held": "ConstantSignal",
-    "study.reference.Rows": "ReferenceRows",
     "sweep.asked.Asked": "SweepRequest",
     "sweep.asked.Rows": "RowSelection",
-    "sweep.cells.Group": "CellGroup",
     "sweep.choice.Choice": "BackendChoice",
-    "sweep.design.Column": "DesignColumn",
-    "sweep.design.Design": "SweepDesign",
-    "sweep.result.Lazily": "LazyMapping",
-    "sweep.result._coordinate": "_read_coordinate",
-    "sweep.run._Sweeping": "_SweepRun",
     "sweep.same.Binding": "SweepBinding",
     "sweep.source.Source": "ModelSource",
     "sweep.tasks.Groups": "ModelGroups",
@@ -118,7 +118,7 @@ class FormerModules(MetaPathFinder, Loader):
     def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """Return the specification of a former module of this package; None of any other."""
         package, _, name = fullname.partition(".")
-        if package != PACKAGE or (name not in MODULES and name not in PACKAGES):
+        if package != PACKAGE or name not in MODULES:
             return None
         return ModuleSpec(fullname, self, is_package=name in PACKAGES)
 
@@ -127,7 +127,7 @@ class FormerModules(MetaPathFinder, Loader):
         former = module.__name__.partition(".")[2]
 
         def __getattr__(name: str) -> Any:
-            if name.startswith("__") or former not in MODULES:
+            if name.startswith("__"):
                 raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
             found = CLASSES.get(f"{former}.{name}", name)
             return getattr(import_module(f"{PACKAGE}.{MODULES[former]}"), found)

@@ -36,7 +36,7 @@ static void close_form(double *y, const double *majorant, double whole, int m)
     y[REST] = whole < INFINITY ? max_of(whole - kept, 0) + (m ? (m + 1 + FUNCTION_ROUNDINGS)*EPS*whole : 0) : INFINITY;
 }
 
-/* What the product of forms leaves: of |a| |b| what is beyond the degree, and rounding; 0 where one of them is 0. */
+/* What the product of forms leaves: of |a| |b| what is beyond the degree, and rounding; 0 where one of them is 0, and there alone. */
 static double rest_of_product(const double *a, const double *b, int m)
 {
     double size = a[REST], tail = b[REST], rest = 0; /* tail: of |b|, from an order on */
@@ -48,7 +48,7 @@ static double rest_of_product(const double *a, const double *b, int m)
     if (size == 0 || tail == 0)
         return 0;
     const double whole = size*tail;
-    return whole < INFINITY ? rest + a[REST]*tail + (m + 1 + PRODUCT_ROUNDINGS)*EPS*whole : INFINITY;
+    return whole < INFINITY ? max_of(rest + a[REST]*tail + (m + 1 + PRODUCT_ROUNDINGS)*EPS*whole, NOTHING) : INFINITY;
 }
 
 static void disc_product(double *y, const double *a, const double *b, int m)
