@@ -32,9 +32,9 @@ MOST = 10e3  # microseconds a step at the most masses
 EXPONENT = 1.15  # of the growth from 50 masses on
 PARTS = {
     "right-hand side": ((SparseStepSolver, "_constant_part"),),
-    "factors": ((FactoredJacobian, "_factored"),),
+    "factors": ((FactoredJacobian, "_factorise"),),
     "solutions": ((FactoredJacobian, "solve"),),
-    "certificate": ((SparseStepSolver, "_judge"), (SparseStepSolver, "_residuals")),
+    "certificate": ((SparseStepSolver, "_evaluate_residual"), (SparseStepSolver, "_residuals")),
 }
 
 
