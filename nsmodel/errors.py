@@ -77,3 +77,6 @@ class PlotError(NsmodelError, ValueError):
 
 class MissingExtraError(NsmodelError, ImportError):
     """An optional package is needed and not installed."""
+
+
+FinalError, LaterFormatError = UnrecoverableStepError, NewerFormatError  # As versions before this one call them.

@@ -276,6 +276,11 @@ def test_former_modules_are_those_that_have_their_names_now(name):
         former(f"{name}.nothing")
 
 
+def test_former_errors_are_caught_and_found():
+    assert issubclass(nsmodel.errors.BlockError, former("errors.FinalError"))
+    assert former("errors.LaterFormatError") is nsmodel.errors.NewerFormatError
+
+
 def test_a_module_that_never_was_is_not_found():
     with pytest.raises(ModuleNotFoundError, match=r"nsmodel\.stress\.nothing"):
         former("stress.nothing.at_all")
