@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -10,11 +10,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import uniform
 from nsmodel.hypotheses.along import findings_along_run
 from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, VIOLATED, Consequence, Finding, Hypothesis, plain_witness
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.hypotheses.inputs import (
     InputBounds,
     describe_inputs,
@@ -52,11 +52,7 @@ CONSTANT_INPUTS_NOTE = "seen for constant inputs alone"
 
 def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses that are decided for a model class, in the order of its report."""
-    return _check_module(kind).HYPOTHESES
-
-
-def _check_module(kind: type[Model]) -> Any:
-    return class_of(kind).part("hypotheses.check")
+    return HYPOTHESIS_CHECKS.of(kind).hypotheses
 
 
 def check(
@@ -106,29 +102,29 @@ def check(
     if boxes or motion.names:
         return _check_for_all_values(model, looked_at, values, boxes, motion, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)
-    if missing and class_of(model).optional("hypotheses.symbolic"):
-        return _symbolic_report(_with_constant_inputs(looked_at.bind(values, partly=True), motion), values, missing)
+    if missing and (symbolic := HYPOTHESIS_CHECKS.of(model).symbolic):
+        return _symbolic_report(symbolic, _with_constant_inputs(looked_at.bind(values, partly=True), motion), values, missing)
     driven, bound = model.bind(values), _with_constant_inputs(looked_at.bind(values), motion)
     notes: list[str] = []
     given = runs is not None or quick
     own = list(runs or ()) if given else _make_check_runs(driven, notes)
     box = region_of(bound, own, region)
-    own, part = _time_stepping_runs(own, notes), _check_module(type(bound))
+    own, checks = _time_stepping_runs(own, notes), HYPOTHESIS_CHECKS.of(bound)
     seen_so_far = runs_of_frozen_law(driven, own)
 
     def decide() -> tuple[list[Finding], list[Consequence]]:
-        found, made = part.check(bound, box, seen_so_far, quick)
+        found, made = checks.decide(bound, box, seen_so_far, quick)
         made = time_limit_clauses(bound, box, found, made)
         return found if quick else _with_violations_outside(bound, box, seen_so_far, found), list(made)
 
     try:
         findings, consequences = decide_with_law_bounds(
-            _with_constant_inputs(driven, motion), box, motion, quick, part.HYPOTHESES, decide
+            _with_constant_inputs(driven, motion), box, motion, quick, checks.hypotheses, decide
         )
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
-    if effort := _effort_module(bound):
-        notes += effort.notes(bound, [] if given else own)
+    if effort := checks.effort:
+        notes += effort.effort_notes(bound, [] if given else own)
     if not own:
         notes += [f"{watch.acts}, not on y': {IMPACT_NOTE}" for watch in impacts.impact_rows(bound) if not watch.relay]
     seen = _findings_along_runs(driven, motion, own, findings, notes, given, quick)
@@ -155,19 +151,20 @@ def _findings_along_runs(
         return [], []
     twin = runs[1] if len(runs) > 1 and len(runs[1].t) == len(runs[0].t) else None
     span = Scope(time=(float(runs[0].t[0]), float(runs[0].t[-1])))
-    part = class_of(model).optional("hypotheses.twins") if motion.names else None  # else the class's check compares them
+    checks = HYPOTHESIS_CHECKS.of(model)
+    compare_runs = checks.compare_runs if motion.names else None  # else ``decide`` compares them
     made = [
-        *(part.compare_runs(model, findings, runs) if part else []),
+        *(compare_runs(model, findings, runs) if compare_runs else []),
         *findings_along_run(model, runs[0], findings, twin, quick),
     ]
     made = [replace(item, scope=span) for item in made]
-    return made, [] if given else refined_run_consequences(model, runs[0], _effort_module(model))
+    return made, [] if given else refined_run_consequences(model, runs[0], checks.effort)
 
 
 def _input_notes(model: Model, motion: InputBounds) -> tuple[str, ...]:
     """Where inputs stand, and which signals are meant."""
-    part = class_of(model).optional("hypotheses.driven")
-    return describe_inputs(model, motion, None if part is None else part.PARTS)
+    driven = HYPOTHESIS_CHECKS.of(model).driven
+    return describe_inputs(model, motion, None if driven is None else driven.fields)
 
 
 def _time_stepping_runs(runs: Sequence[Trajectory], notes: list[str]) -> list[Trajectory]:
@@ -210,8 +207,8 @@ def _check_for_all_values(
     notes: list[str] = []
     given = runs is not None or quick
     own = list(runs or ()) if given else _make_check_runs(driven, notes)
-    proofs = _box_proofs_module(type(model))
-    some = uniform.sample_values(every, proofs.values(still, every) if proofs else ())
+    proofs = HYPOTHESIS_CHECKS.of(model).uniform
+    some = uniform.sample_values(every, proofs.special_values(still, every) if proofs else ())
     box = enclosing_region([region_of(still.bind(one), own, region) for one in some], every)
     own, count = _time_stepping_runs(own, notes), len(some)
 
@@ -222,7 +219,7 @@ def _check_for_all_values(
 
     declared = still if looked_at.u.numel() > model.u.numel() else _with_constant_inputs(part, motion)
     try:
-        findings, made = decide_with_law_bounds(declared, box, motion, quick, _check_module(type(model)).HYPOTHESES, decide)
+        findings, made = decide_with_law_bounds(declared, box, motion, quick, hypotheses_of(type(model)), decide)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
     if boxes:
@@ -239,12 +236,13 @@ def _decide_for_all_values(
     model: Model, region: Region, motion: InputBounds, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence], int]:
     """What is found and follows for all values of the parameters, inputs among them, and how many values were looked at."""
-    proofs, driven = _box_proofs_module(type(model)), class_of(model).optional("hypotheses.driven") if motion.names else None
-    at_rest = getattr(driven, "parametric_model_and_region", None)
-    still, box = at_rest(model, region, runs) if at_rest else (model, region)
-    special = proofs.values(still, box.parameters) if proofs else ()
+    checks = HYPOTHESIS_CHECKS.of(model)
+    proofs, driven = checks.uniform, checks.driven if motion.names else None
+    parametric_form = driven.parametric_form if driven else None
+    still, box = parametric_form(model, region, runs) if parametric_form else (model, region)
+    special = proofs.special_values(still, box.parameters) if proofs else ()
     proved = {finding.id: finding for finding in (proofs.findings(still, box, quick) if proofs else ())}
-    ids = [hypothesis.id for hypothesis in _check_module(type(model)).HYPOTHESES]
+    ids = [hypothesis.id for hypothesis in checks.hypotheses]
     alike = bool(driven or not motion.names) and all(id in proved and uniform.is_same_for_all_values(proved[id]) for id in ids)
     values = uniform.sample_values(box.parameters, special)[: 1 if alike else None]
     at = [(one, still.bind(one)) for one in values]
@@ -266,14 +264,9 @@ def _decide_for_all_values(
     )
 
 
-def _box_proofs_module(kind: type[Model]) -> Any:
-    """The module of a class that proves its hypotheses for all values of parameters in a box; None where there is none."""
-    return class_of(kind).optional("hypotheses.for_all")
-
-
 def _check_quickly(model: Model, box: Region, runs: Sequence[Trajectory]) -> tuple[list[Finding], list[Consequence]]:
     with quick_searches():
-        found, made = _check_module(type(model)).check(model, box, runs, True)
+        found, made = HYPOTHESIS_CHECKS.of(model).decide(model, box, runs, True)
         return [finding for finding in found if not finding.id.startswith(RUN_FINDING_PREFIX)], made
 
 
@@ -282,7 +275,7 @@ def _with_violations_outside(model: Model, box: Region, runs: Sequence[Trajector
     if not any(_holds_locally(finding) for finding in findings):
         return list(findings)
     with quick_searches():
-        found = _check_module(type(model)).check(
+        found = HYPOTHESIS_CHECKS.of(model).decide(
             model, box.widened(WIDER_REGION_FACTOR), runs, len(box.names) > MAX_THOROUGH_STATES
         )[0]
     wide = {other.id: other for other in found}
@@ -309,11 +302,12 @@ def _make_report(
     )  # fmt: skip
 
 
-def _symbolic_report(model: Model, values: Mapping[str, float | None], missing: Sequence[str]) -> Report:
+def _symbolic_report(
+    symbolic: Callable[[Model], list[Finding]], model: Model, values: Mapping[str, float | None], missing: Sequence[str]
+) -> Report:
     """The conditions on parameters that have no value."""
     note = f"parameters without value: {', '.join(missing)}; give them with parameters={{...}} or --set to decide the rest"
-    findings = class_of(model).part("hypotheses.symbolic").findings(model)
-    return _make_report(model, "no region: parameters are symbols", findings, [], values, [note], False)
+    return _make_report(model, "no region: parameters are symbols", symbolic(model), [], values, [note], False)
 
 
 def _make_check_runs(model: Model, notes: list[str]) -> list[Trajectory]:
@@ -329,7 +323,7 @@ def _make_check_runs(model: Model, notes: list[str]) -> list[Trajectory]:
     except UsageError as error:
         notes.append(f"the model was not run: {error}")
         return []
-    if _check_module(type(model)).TWIN:
+    if HYPOTHESIS_CHECKS.of(model).compares_solutions:
         start = (run.x[0] + run.x[-1]) / 2
         if np.abs(start - run.x[0]).max() > ORDER_ROUND_OFF * np.abs(run.x).max():
             try:
@@ -341,16 +335,11 @@ def _make_check_runs(model: Model, notes: list[str]) -> list[Trajectory]:
 
 def _check_run_end(model: Model) -> float | None:
     """Where to cut a long run whose steps are dear; None where it is run as the model says."""
-    effort = _effort_module(model)
+    effort = HYPOTHESIS_CHECKS.of(model).effort
     few = effort.most_steps(model) if effort else MAX_CHECK_STEPS
     if model.step is None or model.t_end is None or model.t_end <= few * model.step:
         return None
     return few * model.step if effort or not read_step_structure(one_step_problem(model)).affine else None
-
-
-def _effort_module(model: Model) -> Any:
-    """The module of a class that says how many steps a check takes, where all are dear; else None."""
-    return class_of(model).optional("hypotheses.effort")
 
 
 def with_start(model: Model, x0: np.ndarray) -> Model:

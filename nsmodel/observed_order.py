@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, UsageError
 from nsmodel.hypotheses.findings import Consequence, measured_consequence
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.base import Model
 from nsmodel.simulation.simulate import simulate
 from nsmodel.simulation.trajectory import Trajectory
@@ -36,8 +36,8 @@ def refined_run_consequences(model: Model, run: Trajectory, effort: Any) -> list
         ROW_RATIO_RANGE[0] <= len(fine.t) / len(wide.t) <= ROW_RATIO_RANGE[1] for fine, wide in pairwise(runs)
     ):
         return []  # edges ask for steps of their own
-    part = class_of(model).optional("hypotheses.refined")
-    return [_observed_order(h, runs), *([] if part is None else part.refinement_consequences(h, runs))]
+    refined_runs = HYPOTHESIS_CHECKS.of(model).refined_runs
+    return [_observed_order(h, runs), *([] if refined_runs is None else refined_runs(h, runs))]
 
 
 def _states_at_common_times(runs: Sequence[Trajectory]) -> Iterator[np.ndarray]:

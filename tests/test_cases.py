@@ -13,8 +13,8 @@ import pytest
 
 import nsmodel
 from nsmodel import FrictionOscillator, ManyBodies, SweepingProcess, simulate
-from nsmodel.classes.registry import CLASSES
 from nsmodel.modeling.base import Model
+from nsmodel.modeling.parts import MODEL_CLASSES
 
 LONGEST = 12_000  # Steps that the test of every case file takes at most.
 
@@ -23,8 +23,8 @@ LONGEST = 12_000  # Steps that the test of every case file takes at most.
 
 def test_every_class_has_a_scheme_and_a_case(cases_of):
     public = {kind for kind in vars(nsmodel).values() if isinstance(kind, type) and issubclass(kind, Model)}
-    assert public == {kind.type for kind in CLASSES}
-    assert [kind.model for kind in CLASSES if not cases_of(kind.type)] == []
+    assert public == {getattr(nsmodel, name) for name in MODEL_CLASSES}
+    assert [name for name in MODEL_CLASSES if not cases_of(getattr(nsmodel, name))] == []
 
 
 def test_case_file_is_described_runs_and_is_verified(case_file, load_case, run_case):
@@ -76,7 +76,12 @@ EXACT = {
 
 
 def test_exact_solutions_of_the_case_files_are_the_closed_forms(cases_of):
-    models = {stem: model for kind in CLASSES for stem, model in cases_of(kind.type).items() if model.exact is not None}
+    models = {
+        stem: model
+        for name in MODEL_CLASSES
+        for stem, model in cases_of(getattr(nsmodel, name)).items()
+        if model.exact is not None
+    }
     assert set(models) == set(EXACT)
     for stem, model in models.items():
         t = np.linspace(0, model.t_end, 997)

@@ -12,9 +12,11 @@ from conftest import CASES, REPOSITORY
 import nsmodel
 from nsmodel import within
 from nsmodel.checking import hypotheses_of
-from nsmodel.classes.registry import CLASSES
 from nsmodel.hypotheses import along
 from nsmodel.hypotheses.findings import VERDICTS
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
+from nsmodel.modeling.parts import MODEL_CLASSES
+from nsmodel.proof.verdict import not_none
 
 # The hypotheses of each case that must be proved. "sampled" where a proof exists is a defect.
 HOLDS = {
@@ -216,9 +218,9 @@ def test_consequences_rest_on_findings_of_the_report(case_file, report_of):
 def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
     page = (REPOSITORY / "docs" / "hypotheses.md").read_text()
     headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
-    hypotheses = list(dict.fromkeys(hypothesis for kind in CLASSES for hypothesis in hypotheses_of(kind.type)))
-    parts = filter(None, (kind.optional("hypotheses.along") for kind in CLASSES))
-    hypotheses += [*along.HYPOTHESES, *(hypothesis for part in parts for hypothesis in part.HYPOTHESES)]
+    checks = [not_none(HYPOTHESIS_CHECKS.of_class_named(name)) for name in MODEL_CLASSES]
+    hypotheses = list(dict.fromkeys(hypothesis for own in checks for hypothesis in own.hypotheses))
+    hypotheses += [*along.RUN_HYPOTHESES, *(hypothesis for own in checks for hypothesis in own.run_hypotheses)]
     ids = [hypothesis.id for hypothesis in hypotheses]
     assert len(set(ids)) == len(ids)
     assert set(ids) <= headings

@@ -1,5 +1,7 @@
 """Checks of models with inputs: what holds for all signals within bounds, what needs a rate, and what an edge breaks."""
 
+from dataclasses import replace
+
 import casadi as ca
 import input_scenes as scenes
 import numpy as np
@@ -26,8 +28,8 @@ from nsmodel import (
     within,
 )
 from nsmodel.certificate.write import write_certificate
-from nsmodel.classes import registry
 from nsmodel.cli import main
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 
 u, t, q, x = (ca.SX.sym(name) for name in ("u", "t", "q", "x"))
 RAMP = table([0, 1, 2], [0, 1, -1], "linear")
@@ -362,11 +364,9 @@ def test_inputs_and_parameters_in_boxes_together():
 
 
 def test_a_class_that_proves_nothing_for_all_values(monkeypatch):
-    """Without modules of its own a class has what is seen at constant values, and nothing that follows from it."""
-    usual = registry.Class.optional if hasattr(registry, "Class") else type(registry.class_of(wall(RAMP))).optional
-    kind = type(registry.class_of(wall(RAMP)))
-    hidden = ("hypotheses.for_all", "hypotheses.driven")
-    monkeypatch.setattr(kind, "optional", lambda own, name: None if name in hidden else usual(own, name))
+    """Without checks of its own a class has what is seen at constant values, and nothing that follows from it."""
+    own = HYPOTHESIS_CHECKS.of(wall(RAMP))
+    monkeypatch.setattr(type(HYPOTHESIS_CHECKS), "of", lambda part, model: replace(own, uniform=None, driven=None))
     report = check(wall(RAMP), quick=True)
     assert report["A1"].verdict == "sampled"
     assert "between them it is not proved" in report["A1"].how

@@ -13,7 +13,7 @@ from nsmodel import LureSystem, complementarity, relay
 from nsmodel.classes.lure.hypotheses import check as lure
 from nsmodel.classes.lure.hypotheses.dissipation import least_rate
 from nsmodel.classes.lure.hypotheses.passivity import decide_input_output, decide_storage
-from nsmodel.classes.lure.hypotheses.symbolic import findings as symbolic_findings
+from nsmodel.classes.lure.hypotheses.symbolic import symbolic_findings as symbolic_findings
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import exact
 

@@ -21,8 +21,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, ManyBodies, SweepingProcess, complementarity, simulate
-from nsmodel.classes.registry import CLASSES
+from nsmodel.modeling.parts import MODEL_CLASSES
 
 GRIDS = (50, 100, 200, 400, 800, 1600)
 
@@ -111,7 +112,7 @@ def test_observed_order(seen, runs_of):
 
 def test_every_scheme_has_an_observed_order(load_case):
     without = {ManyBodies}  # the scheme of SweepingProcess
-    assert {type(load_case(seen.stem)) for seen in ORDERS} == {kind.type for kind in CLASSES} - without
+    assert {type(load_case(seen.stem)) for seen in ORDERS} == {getattr(nsmodel, name) for name in MODEL_CLASSES} - without
 
 
 # ---------------------------------------------------------------------------------------------- sweeping processes

@@ -165,7 +165,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "errors version _utils",
     "proof",
     "files",
-    "modeling classes classes.registry classes.model classes.identity",
+    "modeling classes classes.model classes.identity",
     "event_driven solvers standstill classes.schemes classes.set_valued classes.continuous",
     "simulation.trajectory simulation.summary simulation.windows simulation.run_folder",
     "codegen hypotheses classes.hypotheses classes.equations",
@@ -210,19 +210,6 @@ def test_no_module_needs_itself_through_others():
                 needs[name] |= (parts & needs.keys()) or {node.module}
     graph = graphlib.TopologicalSorter(needs)
     graph.prepare()
-
-
-PARTS = "certificate checking cli files hypotheses modeling plot study".split()
-OF_ONE_CLASS = {"nsmodel.simulation.finite_convergence"}  # finite convergence of oscillators
-BY_THE_REGISTRY = [name for name in MODULES if name.split(".")[1] in PARTS and name not in OF_ONE_CLASS]
-
-
-@pytest.mark.parametrize("name", BY_THE_REGISTRY)
-def test_what_a_class_brings_is_found_by_the_registry(name):
-    """Of these modules none imports a class: a new one is its folder, and a line in the registry."""
-    imported = {node.module or "" for node, *_ in imports_of(name) if isinstance(node, ast.ImportFrom)}
-    found = {module for module in imported if module.startswith("nsmodel.classes.")}
-    assert found <= {"nsmodel.classes.registry", "nsmodel.classes.units"}
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)

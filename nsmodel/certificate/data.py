@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -10,10 +11,11 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.certificate.graph import UnsupportedOperation, exact_matrix_text, exact_number_text, straight_line_program
-from nsmodel.classes.registry import class_of
+from nsmodel.certificate.hints import StatedNumber
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law
+from nsmodel.modeling.parts import Part
 
 Data = dict[str, Any]
 
@@ -26,13 +28,31 @@ class CertificateSubject(NamedTuple):
     box: Mapping[str, Sequence[float]] = MappingProxyType({})
 
 
+@dataclass(frozen=True)
+class CertificateParts:
+    """What a class of models brings to certificates.
+
+    Attributes:
+        stated: {id of a hypothesis: the numbers that its statement has}.
+        subject: (model, findings by id), what a certificate of it speaks of.
+        proofs: (model, its data, finding, findings by id, stated values, room for rounding), data of proofs to be tried in turn.
+    """
+
+    stated: Mapping[str, tuple[StatedNumber, ...]]
+    subject: Callable[[Any, Mapping[str, Finding]], CertificateSubject]
+    proofs: Callable[..., Iterable[Data]]
+
+
+CERTIFICATE = Part[CertificateParts]("certificate_parts")
+
+
 def certificate_subject(model: Model, findings: Mapping[str, Finding]) -> CertificateSubject:
     """The model as data; its parameters have values, and numbers of findings may be data too.
 
     Raises:
         Unproved: the model cannot be written down.
     """
-    subject = class_of(model).part("certificate").subject(model, findings)
+    subject = CERTIFICATE.of(model).subject(model, findings)
     named = {"class": type(subject.model).__name__, "title": subject.model.title or "untitled"}
     return subject._replace(data=named | subject.data)
 

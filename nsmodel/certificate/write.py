@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel.certificate import verify
-from nsmodel.certificate.data import CertificateSubject, certificate_subject
+from nsmodel.certificate.data import CERTIFICATE, CertificateSubject, certificate_subject
 from nsmodel.certificate.graph import UnsupportedOperation, exact_number_text
 from nsmodel.certificate.hints import ROUNDING_ALLOWANCES, CoverTooLarge, UnprovedFinding, stated_values, verify_with_covers
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
 from nsmodel.files.storage import replace_atomically
 from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, Finding
@@ -51,8 +50,8 @@ def certificate_of(report: Report) -> dict[str, Any]:
 
 
 def _prove_statement(subject: CertificateSubject, finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
-    part = class_of(subject.model).part("certificate")
-    stated = part.STATED.get(finding.id, ())
+    part = CERTIFICATE.of(subject.model)
+    stated = part.stated.get(finding.id, ())
     statement: dict[str, Any] = {
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": stated_values(finding, stated),
         "scope": None if finding.scope is None else _scope_data(finding.scope, subject.box), "proof": None,

@@ -9,10 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.convex_split import ConvexSplit
 from nsmodel.modeling.laws import Law
+from nsmodel.study.reference_steps import REFERENCE_STEP
 
 
 def in_units(model: Model, u: float, tau: float) -> Model:
@@ -24,7 +24,7 @@ def in_units(model: Model, u: float, tau: float) -> Model:
     blocks hold, keep their values; edges and ticks move.
     """
     common = {"t": model.t, "names": model.names, "title": model.title, "scheme": model.scheme, **_scaled_time_grid(model, tau)}
-    other = class_of(model).part("units").in_units(model, u, tau, common | {"inputs": _scaled_signals(model, tau)})
+    other = REFERENCE_STEP.of(model).in_units(model, u, tau, common | {"inputs": _scaled_signals(model, tau)})
     l = getattr(model, "lam", ca.SX(0, 1))
     own = (model.t, model.t / tau), (model.state, model.state / u), (l, l / u)
     other._set(blocks=tuple(block.in_units(tau, lambda read: substitute_pairs(read, *own)) for block in model.blocks))

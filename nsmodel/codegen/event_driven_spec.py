@@ -17,7 +17,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.classes.registry import class_of
 from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.recurrences import ANY_DEGREE, DiscTable, RecurrencePrinter, SeriesColumns, constant_factor_index
 from nsmodel.errors import CodegenError
@@ -26,7 +25,7 @@ from nsmodel.event_driven.friction_modes import with_stick_slip_modes
 from nsmodel.event_driven.integrator import MIN_RTOL
 from nsmodel.event_driven.modes import ORDERS
 from nsmodel.event_driven.multipliers import SHORT, SINGULAR, is_monotone
-from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven, with_input_states
+from nsmodel.event_driven.problem import CONTINUOUS_PROBLEM, ContinuousProblem, NotEventDriven, with_input_states
 from nsmodel.event_driven.radau import SlopeMatrix, fixed_branches, stage_count
 from nsmodel.event_driven.recurrences import taylor_decompose
 from nsmodel.event_driven.stable_exponentials import without_overflow
@@ -344,11 +343,11 @@ def make_symbolic_problem(model: Model) -> ContinuousProblem:
     Raises:
         CodegenError: it has no event-driven form, or one that only values of the parameters decide.
     """
-    module = class_of(model).optional("continuous")
-    if module is None:
+    continuous_problem = CONTINUOUS_PROBLEM.optional(model)
+    if continuous_problem is None:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
     try:
-        problem = with_input_states(module.continuous_problem(model), model)
+        problem = with_input_states(continuous_problem(model), model)
         _check_constant_ends(problem)
         if not np.isfinite(numeric_constants(ca.veccat(problem.f, problem.g, problem.h))).all():
             raise CodegenError("there is an infinite number in f, g or h beside a parameter; write the model without that row")
@@ -378,10 +377,10 @@ def piece_spec_of(model: Model, values: Mapping[str, float]) -> PieceSpec:
     Raises:
         CodegenError: the model has no event-driven form, or as above.
     """
-    names, module = model.input_names, class_of(model).optional("continuous")
-    if module is not None:
+    names, continuous_problem = model.input_names, CONTINUOUS_PROBLEM.optional(model)
+    if continuous_problem is not None:
         with suppress(NotEventDriven):
-            _check_constant_ends(module.continuous_problem(model))
+            _check_constant_ends(continuous_problem(model))
     u, model = initial_inputs(model), inputs_as_parameters(model)
     values = {**values, **dict(zip(names, u.tolist(), strict=True))}
     return replace(make_piece_spec(make_symbolic_problem(model), model.switch_times, values), inputs=u.size)

@@ -31,6 +31,7 @@ from nsmodel.modeling.expressions import derivatives
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import LawEnds, find_invalid_row
 from nsmodel.modeling.outputs import Quantity
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.signals.base import Signal, just_after
 from nsmodel.modeling.signals.function import Expression
 from nsmodel.modeling.signals.pwm import Pwm
@@ -151,6 +152,9 @@ class ContinuousProblem:
     def columns(self) -> dict[str, ca.SX]:
         """The columns of a trajectory that are expressions of t, x and l: y, and those of the class."""
         return {"y": self.h if self.outputs is None else self.outputs, **self.records}
+
+
+CONTINUOUS_PROBLEM = Part[Callable[[Any], ContinuousProblem]]("continuous_problem")
 
 
 def with_input_states(problem: ContinuousProblem, model: Model) -> ContinuousProblem:

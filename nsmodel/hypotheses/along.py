@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.base import Model
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
@@ -27,12 +27,12 @@ CONTINUITY_HYPOTHESIS = Hypothesis(
     "run-continuous", "no state jumps: where a multiplier that enters neither y nor y' sets in, y' = 0",
     "definition of a solution: x is absolutely continuous",
 )  # fmt: skip
-HYPOTHESES = (
+RUN_HYPOTHESES = (
     RESIDUAL_HYPOTHESIS,
     FEASIBILITY_HYPOTHESIS,
     QUALIFICATION_HYPOTHESIS,
     CONTINUITY_HYPOTHESIS,
-)  # A class's own are in its module of this name.
+)  # A class's own are the `run_hypotheses` of its checks.
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverges is judged like any other
@@ -48,9 +48,9 @@ def findings_along_run(
         twin: a run of the same model on the same grid from another start.
         quick: of many bodies look at fewer rows.
     """
-    part = class_of(model).optional("hypotheses.along")
+    along_run = HYPOTHESIS_CHECKS.of(model).along_run
     numbers = {finding.id: finding for finding in findings}
-    own = [] if part is None else part.along(model, run, numbers, twin, quick)
+    own = [] if along_run is None else along_run(model, run, numbers, twin, quick)
     return [_residual_finding(run), *own, *_continuity_findings(model, run)]
 
 

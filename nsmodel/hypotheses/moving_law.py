@@ -1,8 +1,8 @@
 """Laws whose ends move, as a check takes them.
 
-That they make a set at all times is a hypothesis of its own, ``ends``. A class's ``hypotheses/driven.py`` says by ``standing``
-in what form its hypotheses are looked at: with time in the law as an input of rate 1 (`timed`), so that at each time the law has
-numbers, or with the ends elsewhere.
+That they make a set at all times is a hypothesis of its own, ``ends``. A class's checks of driven models say by ``freeze_law``
+in what form its hypotheses are looked at: with time in the law as an input of rate 1 (`law_time_as_input`), so that at each time
+the law has numbers, or with the ends elsewhere.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
@@ -35,15 +35,15 @@ EMPTY_LAW_REASON = "the ends of the law are not seen to make a set at all times"
 
 def freeze_law(model: Model) -> Model:
     """The model in the form in which its hypotheses are looked at: itself, where nothing of its law moves."""
-    part = class_of(model).optional("hypotheses.driven")
-    freeze = getattr(part, "freeze_law", None)
+    driven = HYPOTHESIS_CHECKS.of(model).driven
+    freeze = None if driven is None else driven.freeze_law
     return model if freeze is None else freeze(model)
 
 
 def runs_of_frozen_law(model: Model, runs: Sequence[Trajectory]) -> list[Trajectory]:
     """Runs of the model in that form."""
-    part = class_of(model).optional("hypotheses.driven")
-    seen = getattr(part, "run_of_frozen_law", None)
+    driven = HYPOTHESIS_CHECKS.of(model).driven
+    seen = None if driven is None else driven.run_of_frozen_law
     return list(runs) if seen is None else [seen(model, run) for run in runs]
 
 

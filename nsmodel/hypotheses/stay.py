@@ -1,30 +1,22 @@
 """How long solutions, and what a scheme computes, provably stay inside the box of a consequence: by bounds of their speed.
 
-A class that has such a bound has a module ``hypotheses/pace.py``.
+A class that has such a bound has `speed_bound` among its checks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS, SpeedBound
 from nsmodel.hypotheses.region import Region
 from nsmodel.modeling.base import Model
 
 ROUND_UP_FACTOR = 1 + 1e-12
-
-
-class SpeedBound(NamedTuple):
-    """Bounds on the box: how fast the state moves, and how far a predictor reaches ahead of it."""
-
-    speed: float
-    ahead: float
 
 
 def time_limit_clauses(
@@ -46,8 +38,8 @@ def time_limit_clauses(
 def _speed_bound(model: Model, region: Region, findings: Sequence[Finding], found: dict[str, Consequence]) -> SpeedBound | None:
     steps = model.steps if model.steps is not None else model.step
     h = float(np.max(steps)) if steps is not None else 0.0
-    part = class_of(model).optional("hypotheses.pace")
-    return None if part is None else part.speed_bound(model, region, findings, found, h)
+    speed_bound = HYPOTHESIS_CHECKS.of(model).speed_bound
+    return None if speed_bound is None else speed_bound(model, region, findings, found, h)
 
 
 def _time_limit(model: Model, region: Region, bound: SpeedBound) -> float | None:

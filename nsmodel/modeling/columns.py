@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from nsmodel._utils import import_extra
-from nsmodel.classes.registry import class_named
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.files.storage import dumps
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.outputs import Quantity, SymbolsByName, check_output_name, parse_entry_name, read_column
 from nsmodel.modeling.parameters import read_units
+from nsmodel.modeling.parts import Part
 
 if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
@@ -31,10 +31,12 @@ COLUMN_AXES |= {name: "state" for name in ("v", "selection", "defect")}
 COLUMN_AXES |= {"inputs": "input", "inputs_begin": "input", "pressure": "body"}
 
 
+MODEL_TYPE = Part[type[Model]]("model_type")
+
+
 def model_type(run: Trajectory) -> type[Model]:
     """Return the class of the run's model; what all share where it is not known here."""
-    found = class_named(run.metadata.get("model_class"))
-    return Model if found is None else found.type
+    return MODEL_TYPE.of_class_named(run.metadata.get("model_class")) or Model
 
 
 def state_names(run: Trajectory) -> list[str]:

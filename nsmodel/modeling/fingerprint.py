@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.classes.registry import class_of
 from nsmodel.modeling.base import Model
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.pickling import Picklable
 from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.proof.expression_graph import stack_column
@@ -54,11 +54,14 @@ def settings_difference(saved: Mapping[str, Any], now: Mapping[str, Any]) -> str
     return None
 
 
+FUNCTION_VALUES = Part[Callable[[Any, TimeGrid], Sequence[Any]]]("function_values")  # Of functions in Python: known by these.
+
+
 def fingerprint(model: Model, grid: TimeGrid) -> str:
     """A hash of the bound model's expressions, laws and numbers."""
-    digest, own = _model_hash(model).copy(), class_of(model).optional("identity")
+    digest, own = _model_hash(model).copy(), FUNCTION_VALUES.optional(model)
     if own is not None:
-        _update_digest(digest, list(own.given(model, grid)))
+        _update_digest(digest, list(own(model, grid)))
     return digest.hexdigest()[:16]
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.classes.registry import class_named
 from nsmodel.errors import PlotError
 from nsmodel.modeling.columns import model_type, state_names
 from nsmodel.plot import style
@@ -130,10 +130,13 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
     return own.configuration(run, model, row, ax)
 
 
+CLASS_PLOTS = {"SweepingProcess": "nsmodel.classes.sweeping.plots", "ManyBodies": "nsmodel.classes.bodies.plots"}
+
+
 def class_plots(run: Trajectory) -> Any:
     """The pictures that the class of the run's model brings; None where it brings none."""
-    found = class_named(run.metadata.get("model_class"))
-    return None if found is None else found.optional("plots")
+    name = CLASS_PLOTS.get(run.metadata.get("model_class", ""))
+    return None if name is None else import_module(name)
 
 
 def draw_time_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int) -> Axes:

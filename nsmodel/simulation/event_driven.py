@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import CodegenError, StepError, StorageError
 from nsmodel.event_driven.fallback_steps import STEP_BUDGET, FallbackSteps, HybridIntegrator, checkpoint_time
 from nsmodel.event_driven.friction_modes import with_stick_slip_modes
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, Integrator, checked_row_times, checked_tolerances
 from nsmodel.event_driven.problem import (
+    CONTINUOUS_PROBLEM,
     ContinuousProblem,
     NotEventDriven,
     SwitchTimes,
@@ -216,10 +216,10 @@ def event_driven_problem(model: Model) -> ContinuousProblem:
     Raises:
         NotEventDriven: what it cannot take, by name.
     """
-    module = class_of(model).optional("continuous")
-    if module is None:
+    continuous_problem = CONTINUOUS_PROBLEM.optional(model)
+    if continuous_problem is None:
         raise NotEventDriven("many bodies change their contacts at nearly every step; they are for time stepping")
-    return with_stick_slip_modes(without_overflow(with_input_states(module.continuous_problem(model), model)))
+    return with_stick_slip_modes(without_overflow(with_input_states(continuous_problem(model), model)))
 
 
 class EventDrivenPropagator:

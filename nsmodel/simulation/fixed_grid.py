@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,9 +20,9 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import model_ticks
 from nsmodel.modeling.columns import OutputColumns
 from nsmodel.modeling.fingerprint import ALL_VALUES_SUFFIX, INTERPRETED_BACKEND, run_settings
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.simulation import step_inputs
-from nsmodel.simulation.finite_convergence import finite_convergence
 from nsmodel.simulation.options import Options
 from nsmodel.simulation.propagator import (
     GridProgress,
@@ -287,8 +287,12 @@ class SchemePropagator:
         data["warnings"] = [*self.warnings, *self._monotonicity_warnings(), *overrun_warnings(self.totals), *met]
         if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
-            data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
+            data["convergence"] = END_OF_RUN.of(model)(model, x, v, self.totals["rest_from"])
         return data | scene_metadata(model)
+
+
+EndOfRun: TypeAlias = Callable[[Any, np.ndarray, np.ndarray, tuple[int, float] | None], dict[str, Any]]
+END_OF_RUN = Part[EndOfRun]("end_of_run")  # Of a scheme with a velocity: whether and why it has come to rest.
 
 
 class FixedGridPropagator(GridProgress, SchemePropagator):

@@ -11,7 +11,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,7 @@ from nsmodel.errors import StepError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import versions
 from nsmodel.modeling.outputs import Quantity
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.signals.pwm import HeldSignal
 from nsmodel.modeling.signals.schedule import InputSchedule
 from nsmodel.modeling.time_grid import TimeGrid
@@ -117,6 +118,10 @@ class Propagator(Protocol):
     def metadata(self) -> dict[str, Any]:
         """What a trajectory tells beside that of every run."""
         ...
+
+
+GridPropagator: TypeAlias = Callable[[Any, Options, TimeGrid, Callable[[], str | None]], Propagator]
+GRID_PROPAGATOR = Part[GridPropagator]("grid_propagator")  # Of a class whose steps are not those of a one-step problem.
 
 
 class GridProgress:

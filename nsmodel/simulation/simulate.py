@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel._utils import DEFAULT_TOLERANCE
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
@@ -25,7 +24,7 @@ from nsmodel.simulation.event_driven import EventDrivenPropagator, event_driven_
 from nsmodel.simulation.fixed_grid import FixedGridPropagator
 from nsmodel.simulation.loop import RunLoop, check_not_unfinished
 from nsmodel.simulation.options import METHODS, Options
-from nsmodel.simulation.propagator import ResumedBackend, plan_with_inputs, plan_with_known_times
+from nsmodel.simulation.propagator import GRID_PROPAGATOR, ResumedBackend, plan_with_inputs, plan_with_known_times
 from nsmodel.simulation.run_folder import ChunkStore
 from nsmodel.simulation.trajectory import Trajectory
 
@@ -288,5 +287,4 @@ def _fixed_grid_propagator(
 
 def _propagator_factory(model: Model) -> Callable[[Any, Options, TimeGrid, ResumedBackend], Any]:
     """The walk of a model over a grid: its class's own, where it has one."""
-    own = class_of(model).optional("walk")
-    return FixedGridPropagator if own is None else own.ManyBodiesPropagator
+    return GRID_PROPAGATOR.optional(model) or FixedGridPropagator

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE, describe_shortly, format_number
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import CodegenError, StepError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.columns import OutputColumns
@@ -22,7 +21,14 @@ from nsmodel.modeling.time_grid import SAME_STEP_TOLERANCE, TimeGrid, format_val
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.simulation.fixed_grid import make_stepper
 from nsmodel.simulation.options import Options
-from nsmodel.simulation.propagator import Row, is_numerical_error, model_metadata, scheme_metadata, unsolvable_step_error
+from nsmodel.simulation.propagator import (
+    GRID_PROPAGATOR,
+    Row,
+    is_numerical_error,
+    model_metadata,
+    scheme_metadata,
+    unsolvable_step_error,
+)
 from nsmodel.simulation.step_inputs import FreeInput, StateInitialiser, StepInputs, finite_numbers
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.initial_checks import check_start
@@ -97,7 +103,7 @@ class ModelStepper:
         zeros = {name: FreeInput(np.zeros(len(model.input_groups[name]))) for name in self.free}
         self._model: Any = with_inputs(model, {**(options.inputs or {}), **zeros}).bind(options.parameters)
         own: Any = self._model
-        if class_of(own).optional("walk") is not None:
+        if GRID_PROPAGATOR.optional(own) is not None:
             raise UsageError("stepper: many bodies enter and leave as they go; take simulate")
         h = own.step if options.step is None else options.step
         if not (is_number(h) and 0 < h < np.inf):

@@ -12,7 +12,7 @@ and does not come to rest there in finite time: a run that begins to slide shows
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,10 +21,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.classes.registry import class_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import SecondOrder
+from nsmodel.modeling.parts import Part
 
 PRODUCT_ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
 NEGLIGIBLE_RATE = 1e-9  # A rate is 0 below this part of the largest |y'|.
@@ -128,14 +128,17 @@ class ImpactStructure(NamedTuple):
         return self.t, self.s, self.l, self.u
 
 
+IMPACT_STRUCTURE = Part[Callable[[Any], ImpactStructure | None]]("impact_structure")
+
+
 @cached_per_object
 def impact_rows(model: Model) -> tuple[ImpactRow, ...]:
     """Return the rows to watch in runs of the bound ``model``: of most models none.
 
-    A class whose states may jump has a module of this name; its `system` is None of a model whose states do not.
+    A class whose states may jump has the part IMPACT_STRUCTURE; it is None of a model whose states do not.
     """
-    part = class_of(model).optional("hypotheses.impacts")
-    system = None if part is None else part.system(model)
+    part = IMPACT_STRUCTURE.optional(model)
+    system = None if part is None else part(model)
     if system is None or not system.l.numel():
         return ()
     entries = partial(_nonzero_entries, system, _sample_points(system))
@@ -166,7 +169,7 @@ def impact_rows(model: Model) -> tuple[ImpactRow, ...]:
         own = np.unique(acted[(rows.start <= acting) & (acting < rows.stop)])
         found.append(ImpactRow(
             names=tuple(system.multipliers[rows]), column=system.first + first, lower=0.0 if cone else float(system.lower[first]),
-            upper=np.inf if cone else float(system.upper[first]), degree=degree, moved=tuple(system.states[j] for j in own),
+            upper=np.inf if cone else float(system.upper[first]), degree=degree, moved=tuple(system.states[int(j)] for j in own),
             pushed=np.linalg.norm(pushes[:, rows], axis=1),
             rate=ca.Function(
                 "rate", list(system.given), [ca.densify(_cone_gap_rate(Y, rate) if cone else rate), ca.densify(rate)]

@@ -1,21 +1,23 @@
 """What a run says about hypotheses before it starts: cheap checks at the start, in words; a start outside the set is refused.
 
-What is looked at is the class's own: `refuse_start` and `warnings` of its module of this name, made of what stands here.
+What is looked at is the class's own, its part INITIAL_CHECKS, made of what stands here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.convex_split import ConvexSplit
 from nsmodel.modeling.laws import Law
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.variants import initial_inputs, with_initial_inputs
 from nsmodel.solvers.plan import Plan
 from nsmodel.solvers.structure import least_eigenvalue
@@ -28,18 +30,37 @@ FEASIBILITY_SLACK, MIN_FEASIBILITY_SLACK = (
 MAX_EIGENVALUE_ROWS = 1500  # Rows up to which a matrix is looked at with all its eigenvalues.
 
 
+@dataclass(frozen=True, kw_only=True)
+class InitialChecks:
+    """What a class of models looks at before a run.
+
+    Attributes:
+        warnings: (model), what the user should know before trusting uniqueness or convergence.
+        check_start: (model), raises UsageError for a start outside the set; left out: the class's propagator does.
+        admitted: (model), what ``check_start`` asks of a model with parameters, as columns of expressions >= 0.
+    """
+
+    warnings: Callable[[Any], list[str]]
+    check_start: Callable[[Any], None] | None = None
+    admitted: Callable[[Any], list[ca.SX]] | None = None
+
+
+INITIAL_CHECKS = Part[InitialChecks]("initial_checks")
+
+
 def check_start(model: Model) -> None:
     """Refuse a start outside the set that the state must stay in (S-start), and laws that the parameters made empty.
 
     Raises:
         UsageError: names the constraint, its value and the start; the friction element; the term; the law's component.
     """
-    class_of(model).part("hypotheses.quick").check_start(_model_at_start(model))
+    if own := INITIAL_CHECKS.of(model).check_start:
+        own(_model_at_start(model))
 
 
 def admitted(model: Any) -> ca.SX:
-    """What `refuse_start` asks of a model with parameters, as a column of their expressions, each a finite number >= 0."""
-    own = getattr(class_of(model).part("hypotheses.quick"), "admitted", None)
+    """What `check_start` asks of a model with parameters, as a column of their expressions, each a finite number >= 0."""
+    own = INITIAL_CHECKS.of(model).admitted
     rows = ca.vertcat(ca.SX(0, 1), *([] if own is None else own(model)))
     rows = ca.substitute(rows, model.u, ca.SX(initial_inputs(model))) if model.u.numel() else rows
     known = {str(symbol) for symbol in ca.symvar(model.p)}
@@ -62,7 +83,7 @@ def start_margin(g: ca.SX, model: Any, label: str) -> ca.SX:
 
 def warnings(model: Model) -> list[str]:
     """What the model itself gives the user to know before trusting uniqueness or convergence."""
-    return class_of(model).part("hypotheses.quick").warnings(_model_at_start(model))
+    return INITIAL_CHECKS.of(model).warnings(_model_at_start(model))
 
 
 def _model_at_start(model: Model) -> Model:

@@ -5,22 +5,21 @@ The papers' schemes: each turns a model into the nonsmooth problem of one step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.classes.registry import class_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.convex_split import ConvexSplit
 from nsmodel.modeling.expressions import derivatives
 from nsmodel.modeling.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 from nsmodel.modeling.laws.base import LawEnds, RewrittenLaw
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.variants import initial_inputs
 from nsmodel.proof.expression_graph import operation_codes, stack_column
 
@@ -291,48 +290,74 @@ def _stack_symbols(columns: list[ca.SX]) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *columns)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Scheme:
+    """A time-stepping scheme of a class of models.
+
+    Attributes:
+        one_step_problem: (model), the problem of one step.
+        initial_rows: (model, h), the rows (state, records) that are known before the first step.
+        symbolic_initial_rows: (model, h), the same as expressions of h and the parameters; left out: the model's start.
+        symbolic_start_state: (model, h), what the first step starts from, if that is not the model's start.
+        derived_columns: (model, arrays, step that starts at each row), the columns that follow from others.
+        kept_within: (model), rows c(t, state) >= 0 within which the state is kept; left out: the model's constraints.
+        state_before_short_step: (model, state, ratio), where the state holds more than a position.
+    """
+
+    one_step_problem: Callable[[Any], OneStepProblem]
+    initial_rows: Callable[[Any, float], list[tuple[np.ndarray, dict[str, np.ndarray]]]]
+    symbolic_initial_rows: Callable[[Any, ca.SX], list[tuple[ca.SX, dict[str, ca.SX]]]] | None = None
+    symbolic_start_state: Callable[[Any, ca.SX], ca.SX] | None = None
+    derived_columns: Callable[[Any, dict[str, np.ndarray], np.ndarray], dict[str, np.ndarray]] | None = None
+    kept_within: Callable[[Any], ca.SX] | None = None
+    state_before_short_step: Callable[[Any, np.ndarray, float], np.ndarray] | None = None
+
+
+SCHEMES = Part[Mapping[str, Scheme]]("schemes_by_name")
+
+
+def _scheme_of(model: Any) -> Scheme:
+    return SCHEMES.of(model)[model.scheme]
+
+
 @cached_per_object
 def one_step_problem(model: Model) -> OneStepProblem:
     """Return the one-step problem of the model's scheme."""
-    return _scheme_module(model).one_step_problem(model)
+    return _scheme_of(model).one_step_problem(model)
 
 
 def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Return (state, records) of the rows that are known before the first step; h is the first step."""
-    rows = _scheme_module(model).initial_rows(model, h)
+    rows = _scheme_of(model).initial_rows(model, h)
     u = initial_inputs(model, rows[0][0][: len(model.names)])
     return [(np.concatenate([state, u, u]), records) for state, records in rows]
 
 
 def symbolic_initial_rows(model: Any, h: ca.SX) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
     """The same as `initial_rows` as expressions of h and the parameters, the state as far as the model's own names go."""
-    own = getattr(_scheme_module(model), "start_rows", None)
+    own = _scheme_of(model).symbolic_initial_rows
     return [(model.start, {})] if own is None else own(model, h)
 
 
 def symbolic_start_state(model: Any, h: ca.SX) -> ca.SX | None:
     """Return the state that the first step starts from as an expression of h, where the scheme has one of its own."""
-    own = getattr(_scheme_module(model), "start_of", None)
+    own = _scheme_of(model).symbolic_start_state
     return None if own is None else ca.vertcat(own(model, h), np.tile(initial_inputs(model), 2))
 
 
 def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """Return the columns that follow from others: reactions, energy. ``h_next`` is the step that starts at each row."""
-    derive = getattr(_scheme_module(model), "derived_columns", None)
+    derive = _scheme_of(model).derived_columns
     return {} if derive is None else derive(model, arrays, h_next)
 
 
 def state_constraints(model: Any) -> ca.SX:
     """Return what the state is kept within, as rows c(t, state) >= 0."""
-    kept = getattr(_scheme_module(model), "kept_within", None)
+    kept = _scheme_of(model).kept_within
     return ca.vertcat(ca.SX(0, 1), *getattr(model, "constraints", {}).values()) if kept is None else kept(model)
 
 
 def state_before_short_step(model: Any, state: np.ndarray, ratio: float) -> np.ndarray:
     """Return the state before a last step that is shorter than the others by ``ratio``."""
-    shorten, own = getattr(_scheme_module(model), "shortened", None), state.size - 2 * model.u.numel()
+    shorten, own = _scheme_of(model).state_before_short_step, state.size - 2 * model.u.numel()
     return state if shorten is None else np.concatenate([shorten(model, state[:own], ratio), state[own:]])
-
-
-def _scheme_module(model: Any) -> ModuleType:
-    return class_of(model).scheme(model.scheme)

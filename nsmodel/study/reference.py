@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nsmodel._utils import former_names, short_repr
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.columns import output_names
@@ -31,6 +30,7 @@ from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import NumericLaw, numeric_law
 from nsmodel.solvers.structure import read_step_structure
 from nsmodel.study.lines import Point
+from nsmodel.study.reference_steps import REFERENCE_STEP
 
 MAX_SINGLE_STEPS = 300  # Steps that are taken for one question; what is left stays on its line, or is not known.
 EQUAL_TIME_TOLERANCE = 1e-12  # Of the run: times that are nearer than this are one.
@@ -113,9 +113,9 @@ class RunAtRows:
 def make_row_stepper(run: FixedGridPropagator, start: np.ndarray, made: Trajectory) -> StepFromRow:
     """Return the step from the rows of a run that was ``made`` by ``run``, whose packed state at the start was ``start``."""
     model, n = run.model, len(run.model.names)
-    part = class_of(model).optional("study")
+    states_before_step = REFERENCE_STEP.of(model).states_before_step
     own = start[: start.size - 2 * model.u.numel()]
-    state_at = part.states(model, made, own) if part is not None else lambda row, h: made.x[row]
+    state_at = states_before_step(model, made, own) if states_before_step else lambda row, h: made.x[row]
     state_at = _states_with_inputs(run, made, state_at) if model.u.numel() else state_at
     stepper = make_stepper(run.model, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
 

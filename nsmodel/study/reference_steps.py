@@ -20,16 +20,16 @@ The theta-gamma scheme written down once more, for the judges of the classes tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law, LawFactor
+from nsmodel.modeling.parts import Part
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, stack_column
 from nsmodel.simulation.step_inputs import reinitialised_step_mask
 from nsmodel.simulation.trajectory import Trajectory
@@ -253,16 +253,36 @@ def subgradient_residual(
     return worst
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReferenceStep:
+    """The scheme of a class of models written a second time, in NumPy, and the class in other units.
+
+    Attributes:
+        residuals: (model, run), how far each equation of the scheme is missed in the steps of a run.
+        acting: (model, run), the terms that make the state in each step (N, n), in its own unit.
+        in_units: (model, u, tau, fields of all classes), the model with states u and times tau times as large.
+        states_before_step: (model, run, start), (row, h) -> what a step of h from a row starts from; left out: the row's state.
+    """
+
+    residuals: Callable[[Any, Trajectory], StepResiduals]
+    acting: Callable[[Any, Trajectory], np.ndarray]
+    in_units: Callable[[Any, float, float, dict[str, Any]], Model]
+    states_before_step: Callable[[Any, Trajectory, np.ndarray], Callable[[int, float], np.ndarray]] | None = None
+
+
+REFERENCE_STEP = Part[ReferenceStep]("reference_step")
+
+
 @np.errstate(all="ignore")  # a run that diverges is judged like any other
 def formula_residuals(model: Model, run: Trajectory) -> StepResiduals:
     """The misfits of all steps of a run of the bound ``model``; nothing for a run without steps."""
-    return class_of(model).part("judge").residuals(model, run) if len(run.t) > 2 else {}
+    return REFERENCE_STEP.of(model).residuals(model, run) if len(run.t) > 2 else {}
 
 
 @np.errstate(all="ignore")
 def state_term_sizes(model: Model, run: Trajectory) -> np.ndarray:
     """What acts on each state in each step, whether it moves or not (N, n): the terms that make the state, in its own unit."""
-    return class_of(model).part("judge").acting(model, run) if len(run.t) > 1 else run.x[1:]
+    return REFERENCE_STEP.of(model).acting(model, run) if len(run.t) > 1 else run.x[1:]
 
 
 def theta_gamma_residual(

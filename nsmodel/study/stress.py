@@ -13,11 +13,11 @@ from itertools import product
 import numpy as np
 
 from nsmodel.checking import check, with_start
-from nsmodel.classes.registry import class_of
 from nsmodel.classes.units import in_units
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.hypotheses.along import CONTINUITY_HYPOTHESIS, QUALIFICATION_HYPOTHESIS
 from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, VIOLATED
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.inputs import Signals
 from nsmodel.modeling.parameters import Values, describe_argument
@@ -247,7 +247,7 @@ def _check_run_inequalities(model: Model, run: Trajectory, h: float, end: float)
     runs = [run]
     if len(run) < 3:
         return {}
-    if class_of(model).part("hypotheses.check").TWIN:
+    if HYPOTHESIS_CHECKS.of(model).compares_solutions:
         other, message = _run_until_error(with_start(model, (run.x[0] + run.x[-1]) / 2), h, end)
         if not message and other is not None and not np.array_equal(other.x[0], run.x[0]):
             runs.append(other)

@@ -18,10 +18,10 @@ import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE, has_live_display
 from nsmodel.checking import check
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.hypotheses.along import findings_along_run
 from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.inputs import Signals
 from nsmodel.modeling.parameters import Values, describe_argument
@@ -415,7 +415,7 @@ class _StudySession:
 
     def _check_hypotheses(self, run: Trajectory) -> list[Finding] | None:
         """What the inequalities along a run rest on; None where the class promises none."""
-        if class_of(self.model).optional("hypotheses.along") is None:
+        if HYPOTHESIS_CHECKS.of(self.model).along_run is None:
             return None
         try:
             return list(check(self.model, [run], quick=True).findings)

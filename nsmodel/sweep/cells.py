@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel._utils import former_names
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.simulation.options import METHODS
+from nsmodel.simulation.propagator import GRID_PROPAGATOR
 from nsmodel.simulation.simulate import simulate
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.one_step_problem import one_step_problem
@@ -366,7 +366,7 @@ def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, 
         return f"the solver {options['solver']} is asked for"
     if not group.names:
         return "no parameter varies within a model"
-    if class_of(group.model).optional("walk") is not None:
+    if GRID_PROPAGATOR.optional(group.model) is not None:
         return "many bodies"
     whole = [name for name, one in request.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
     if whole:

@@ -1,1 +1,100 @@
-"""First-order systems M x' = f + g(x, l), y = h(x, l), -y ∈ N_K(l)."""
+"""First-order systems: what the class brings to the rest of the package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nsmodel.certificate.data import CertificateParts
+    from nsmodel.event_driven.problem import ContinuousProblem
+    from nsmodel.hypotheses.framework import HypothesisChecks
+    from nsmodel.modeling.base import Model
+    from nsmodel.solvers.impacts import ImpactStructure
+    from nsmodel.solvers.initial_checks import InitialChecks
+    from nsmodel.solvers.one_step_problem import Scheme
+    from nsmodel.study.reference_steps import ReferenceStep
+
+
+def model_type() -> type[Model]:
+    """Return the class."""
+    from nsmodel.classes.first_order.model import FirstOrderSystem
+
+    return FirstOrderSystem
+
+
+def schemes_by_name() -> Mapping[str, Scheme]:
+    """Return its schemes."""
+    from nsmodel.classes.first_order.schemes import theta_gamma
+    from nsmodel.solvers.one_step_problem import Scheme
+
+    return {
+        "theta-gamma": Scheme(one_step_problem=theta_gamma.one_step_problem, initial_rows=theta_gamma.initial_rows),
+    }
+
+
+def initial_checks() -> InitialChecks:
+    """Return what is looked at before a run."""
+    from nsmodel.classes.first_order.hypotheses import quick
+    from nsmodel.solvers.initial_checks import InitialChecks
+
+    return InitialChecks(check_start=quick.check_start, warnings=quick.warnings)
+
+
+def impact_structure() -> Callable[[Any], ImpactStructure | None]:
+    """Return the system in which impacts are looked for."""
+    from nsmodel.classes.first_order.hypotheses.impacts import impact_system
+
+    return impact_system
+
+
+def continuous_problem() -> Callable[[Any], ContinuousProblem]:
+    """Return what states it in continuous time."""
+    from nsmodel.classes.first_order import continuous
+
+    return continuous.continuous_problem
+
+
+def hypothesis_checks() -> HypothesisChecks:
+    """Return its hypotheses, and what decides them."""
+    from nsmodel.classes.first_order.hypotheses import check, driven, for_all
+    from nsmodel.hypotheses.framework import DrivenChecks, HypothesisChecks, UniformChecks
+
+    return HypothesisChecks(
+        hypotheses=check.HYPOTHESES,
+        decide=check.check,
+        uniform=UniformChecks(
+            special_values=for_all.special_values, findings=for_all.uniform_findings, consequences=for_all.uniform_consequences
+        ),
+        driven=DrivenChecks(
+            fields=driven.DRIVEN_FIELDS,
+            findings=driven.driven_findings,
+            consequences=driven.driven_consequences,
+            freeze_law=driven.freeze_law,
+            run_of_frozen_law=driven.run_of_frozen_law,
+            parametric_form=driven.parametric_model_and_region,
+        ),
+    )
+
+
+def latex_equations() -> Callable[[Any], list[str]]:
+    """Return what writes its equations in LaTeX."""
+    from nsmodel.classes.first_order import equations
+
+    return equations.equations
+
+
+def certificate_parts() -> CertificateParts:
+    """Return what writes its certificates."""
+    from nsmodel.certificate.data import CertificateParts
+    from nsmodel.classes.first_order import certificate
+
+    return CertificateParts(stated=certificate.STATED, subject=certificate.subject, proofs=certificate.proofs)
+
+
+def reference_step() -> ReferenceStep:
+    """Return its scheme a second time, and the class in other units."""
+    from nsmodel.classes.first_order import judge, study, units
+    from nsmodel.study.reference_steps import ReferenceStep
+
+    return ReferenceStep(residuals=judge.residuals, acting=judge.acting, in_units=units.in_units, states_before_step=study.states)

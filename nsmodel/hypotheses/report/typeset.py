@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError
 from nsmodel.hypotheses.report import sympy_algebra
 from nsmodel.hypotheses.report.formula import SymbolNames, formulas, translate_expression
 from nsmodel.hypotheses.report.notation import bracketed, number_latex, symbol_latex, text_latex, vector_latex
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law
+from nsmodel.modeling.parts import Part
 
 if TYPE_CHECKING:
     import sympy
@@ -45,13 +45,16 @@ def to_sympy(expr: ca.SX) -> sympy.Matrix:
     return sp.Matrix(rows, columns, lambda i, j: sympy_algebra.condition_as_number(entries[i + rows * j]))
 
 
+EQUATIONS = Part[Callable[[Any], list[str]]]("latex_equations")
+
+
 def model_equations(model: Model) -> list[str]:
     """Return the model in LaTeX, one formula a line (without dollar signs); long vectors and lists are abbreviated.
 
     Args:
         model: bound or not; parameters without a number stay symbols.
     """
-    return class_of(model).part("equations").equations(model)
+    return EQUATIONS.of(model)(model)
 
 
 def law_latex(law: Law) -> str:

@@ -25,10 +25,10 @@ RUN_MOTION = Hypothesis(
     "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",
     "projection on a convex set that holds q_k",
 )  # fmt: skip
-HYPOTHESES = (RUN_MOTION,)
+RUN_HYPOTHESES = (RUN_MOTION,)
 
 
-def along(
+def class_findings_along_run(
     model: ManyBodies, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Q(t), (A5), and the length of a step."""

@@ -26,7 +26,6 @@ from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.simulation.trajectory import Trajectory
 
 HYPOTHESES = sweeping.HYPOTHESES
-TWIN = False  # No two solutions are compared.
 MAX_ONE_BY_ONE = 60, 200  # Up to so many constraints (quick, else) A5 is decided on the model written out, with more proofs.
 
 

@@ -15,10 +15,10 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope, intersect_scopes
 from nsmodel.simulation.trajectory import Trajectory
 
-PARTS = {"f": ("f",)}
+DRIVEN_FIELDS = {"f": ("f",)}
 
 
-def findings(
+def driven_findings(
     model: ManyBodies, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each value of the inputs, and S-f with the L_t of their rates; see the inclusions' module of this name."""
@@ -30,9 +30,9 @@ def findings(
     return [made if finding.id == S_F.id else finding for finding in own]
 
 
-def consequences(
+def driven_consequences(
     model: ManyBodies, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal."""
     del motion, runs
-    return state_for_each_signal(for_all.consequences(model, region, own))
+    return state_for_each_signal(for_all.uniform_consequences(model, region, own))

@@ -20,7 +20,7 @@ def is_refined(model: ManyBodies, steps: int) -> bool:
     return model.bodies.count * steps <= MAX_BODY_STEPS[1]
 
 
-def notes(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
+def effort_notes(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
     """What the reader of a report on many bodies should know beside."""
     changing = model.leave is not None or model.enter.any()
     found = ["bodies leave or enter: the theory speaks of each interval between such times"] if changing else []

@@ -21,12 +21,12 @@ from nsmodel.hypotheses.uniform import ParameterValues, findings_for_box, unaffe
 READS = {hypothesis.id: ("constraints",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "constraints")}
 
 
-def values(model: ManyBodies, box: IntervalBox) -> list[ParameterValues]:
+def special_values(model: ManyBodies, box: IntervalBox) -> list[ParameterValues]:
     """No values are special."""
     return []
 
 
-def findings(model: ManyBodies, region: Region, quick: bool) -> list[Finding]:
+def uniform_findings(model: ManyBodies, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     return findings_for_box([velocity_finding(model, region)], unaffected_findings(check, model, region, quick, READS), region)
 
@@ -40,7 +40,7 @@ def velocity_finding(model: ManyBodies, region: Region, motion: InputBounds = NO
     return make_finding(S_F, answer.verdict, answer.how, answer.value, scope=scope)
 
 
-def consequences(model: ManyBodies, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+def uniform_consequences(model: ManyBodies, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters; nothing where gamma is not known."""
     known = {finding.id: finding.value for finding in own}
     if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):

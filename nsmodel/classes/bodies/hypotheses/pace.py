@@ -10,8 +10,8 @@ import numpy as np
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.sweeping.hypotheses.pace import sweeping_speed_bound, velocity_norm_bound
 from nsmodel.hypotheses.findings import Consequence, Finding
+from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.stay import SpeedBound
 
 
 def speed_bound(

@@ -94,7 +94,7 @@ class ContactRows:
         return ContactRows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
-def one_step_problem(model: ManyBodies) -> NoReturn:
+def one_step_problem(model: ManyBodies, *_: float) -> NoReturn:
     """Refuse: the rows of a step are not known beforehand.
 
     Raises:

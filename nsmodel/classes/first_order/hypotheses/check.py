@@ -61,7 +61,6 @@ F_UNIQUE = Hypothesis(
 )
 F_STEP = Hypothesis("F-step", "h < h*, the least step at which W is singular", f"{SICONOS_NOTES}: W is regular for small h")
 HYPOTHESES = (F_JACOBIANS, F_W, F_MLCP, F_UNIQUE, F_STEP)
-TWIN = False  # No two solutions are compared.
 KINK_OPERATION_NAMES = {
     ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin", ca.OP_SIGN: "sign", ca.OP_IF_ELSE_ZERO: "if_else",
     ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil",

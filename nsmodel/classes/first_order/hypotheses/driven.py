@@ -20,7 +20,7 @@ from nsmodel.hypotheses.scope import IntervalBox, Scope
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.simulation.trajectory import Trajectory
 
-PARTS = {"f": ("f",), "g": ("g",), "h": ("h",), "law": ("law",)}
+DRIVEN_FIELDS = {"f": ("f",), "g": ("g",), "h": ("h",), "law": ("law",)}
 F_INPUTS = Hypothesis(
     "F-inputs", "h and g are Lipschitz in t along the inputs, at each x and l: no jump of one moves what a row holds",
     "definition of a solution: x is absolutely continuous",
@@ -76,7 +76,7 @@ def parametric_model_and_region(
     return other, region
 
 
-def findings(
+def driven_findings(
     model: FirstOrderSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each value of the inputs, and F-inputs where one stands in h or g; see the inclusions' module of this name."""
@@ -135,7 +135,7 @@ def _output_jump(model: FirstOrderSystem, box: IntervalBox, edges: Sequence[Inpu
     return None
 
 
-def consequences(
+def driven_consequences(
     model: FirstOrderSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows of steps; of the order for signals that are smooth between their edges alone."""
@@ -143,7 +143,7 @@ def consequences(
     moved = [finding.id for finding in own if finding.id == F_INPUTS.id]
     read = motion.indices_read_by(model.f, model.g, model.h)
     made = []
-    for item in for_all.consequences(model, region, own):
+    for item in for_all.uniform_consequences(model, region, own):
         if item.name == "order":
             ids = [*item.rests_on, *moved]
             item = make_consequence(item.name, item.statement, own, ids, item.source, item.value)

@@ -78,12 +78,12 @@ class AffineSystem(NamedTuple):
         return low, high
 
 
-def values(model: FirstOrderSystem, box: IntervalBox) -> list[ParameterValues]:
+def special_values(model: FirstOrderSystem, box: IntervalBox) -> list[ParameterValues]:
     """No values are special."""
     return []
 
 
-def findings(model: FirstOrderSystem, region: Region, quick: bool) -> list[Finding]:
+def uniform_findings(model: FirstOrderSystem, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     if not any(depends_on_symbol(getattr(model, part), model.p) for part in FIELDS_OF_SYSTEM):
         return check(model.bind(sample_values(region.parameters)[0]), replace(region, parameters={}), (), quick)[0]
@@ -101,7 +101,7 @@ def findings(model: FirstOrderSystem, region: Region, quick: bool) -> list[Findi
     return [replace(finding, scope=scope) for finding in own]
 
 
-def consequences(model: FirstOrderSystem, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+def uniform_consequences(model: FirstOrderSystem, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters."""
     return first_order_consequences(model, _affine_system(model, region) is not None, own, ())
 

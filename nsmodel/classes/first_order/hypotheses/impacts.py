@@ -10,7 +10,7 @@ from nsmodel.solvers.impacts import ImpactStructure, impact_structure
 from nsmodel.solvers.rounding_errors import equilibrate_matrix
 
 
-def system(model: FirstOrderSystem) -> ImpactStructure | None:
+def impact_system(model: FirstOrderSystem) -> ImpactStructure | None:
     """The model as a system; None where there is no law, or M has no inverse."""
     if not model.law.size or _is_mass_singular(model.M):
         return None

@@ -29,10 +29,10 @@ CESARO = Hypothesis(
 RUN_CONTRACTION = Hypothesis(
     "run-contraction", "|x(t) - x~(t)| <= e^{L t} |x_0 - x~_0| for two runs", "catching-up 2026, one-sided Lipschitz bound"
 )
-HYPOTHESES = (NORM_BOUND, DEFECTS, CESARO, RUN_CONTRACTION)
+RUN_HYPOTHESES = (NORM_BOUND, DEFECTS, CESARO, RUN_CONTRACTION)
 
 
-def along(
+def class_findings_along_run(
     model: MonotoneInclusion, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
 ) -> list[Finding]:  # fmt: skip
     """C, the bounds of a step, and two runs."""

@@ -11,9 +11,7 @@ from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.region import Region
 from nsmodel.simulation.trajectory import Trajectory
 
-__all__ = ["HYPOTHESES", "TWIN", "check"]
-
-TWIN = True  # Two solutions are compared: a check makes a second run, from another start.
+__all__ = ["HYPOTHESES", "check"]
 
 
 def check(

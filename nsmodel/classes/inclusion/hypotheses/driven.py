@@ -21,11 +21,11 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.proof import interval_bounds
 from nsmodel.simulation.trajectory import Trajectory
 
-PARTS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
+DRIVEN_FIELDS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
 PAIR_CONSEQUENCES = ("contraction", "stability")
 START_TOLERANCE = 1e-10  # Of the start, by which it may be outside.
-DRIVEN_FIELDS = tuple(field for fields in PARTS.values() for field in fields)
+ALL_DRIVEN_FIELDS = tuple(field for fields in DRIVEN_FIELDS.values() for field in fields)
 
 
 def parametric_model_and_region(
@@ -39,7 +39,7 @@ def parametric_model_and_region(
     return moving.time_as_parameter(model), replace(region, parameters=MappingProxyType(boxes))
 
 
-def findings(
+def driven_findings(
     model: MonotoneInclusion, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each time and value of the inputs, and M-H.
@@ -57,7 +57,7 @@ def findings(
     return [*timed, moving.set_motion_finding(model, region, motion, quick)]
 
 
-def consequences(
+def driven_consequences(
     model: MonotoneInclusion, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows of solutions for each signal; see `findings`."""
@@ -66,7 +66,7 @@ def consequences(
         replace(item, statement=f"{item.statement}, of two solutions of one signal") if item.name in PAIR_CONSEQUENCES else item
         for item in made
     ]
-    read = motion.indices_read_by(*(getattr(model, name) for name in DRIVEN_FIELDS))
+    read = motion.indices_read_by(*(getattr(model, name) for name in ALL_DRIVEN_FIELDS))
     made = [scheme_limit_consequence(item, motion, read) if item.name == "convergence of the scheme" else item for item in made]
     if not _starts_inside(model, region, motion):
         why = "x0 is not seen to be in C(0) for all u(0)"

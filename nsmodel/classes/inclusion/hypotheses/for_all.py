@@ -59,12 +59,12 @@ FIELDS_OF_INCLUSION = {
 }  # fmt: skip
 
 
-def values(model: MonotoneInclusion, box: IntervalBox) -> list[ParameterValues]:
+def special_values(model: MonotoneInclusion, box: IntervalBox) -> list[ParameterValues]:
     """Values of a single parameter at which the width of C in some state vanishes."""
     return parameter_roots(ca.vertsplit(model.upper - model.lower), model, box)
 
 
-def findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Finding]:
+def uniform_findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     same = unaffected_findings(check, model, region, quick, FIELDS_OF_INCLUSION)
     moving = MovingSet(model.x, model.p, set_constraints(model)[0], *region.parameter_bounds())
@@ -92,7 +92,7 @@ def _contains_zero(C: MovingSet) -> bool:
     return float(np.min(low)) >= 0
 
 
-def consequences(model: MonotoneInclusion, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+def uniform_consequences(model: MonotoneInclusion, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters."""
     low, high = region.parameter_bounds()
     ends = interval_bounds.enclose(model.x0, model.p, low, high)

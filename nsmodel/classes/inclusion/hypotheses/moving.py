@@ -87,11 +87,11 @@ def check(
     box = {str(model.t): time}
     at_all = replace(region, parameters=MappingProxyType(box))
     seen = []
-    for one in uniform.sample_values(box, for_all.values(frozen, box)):
+    for one in uniform.sample_values(box, for_all.special_values(frozen, box)):
         with quick_searches():
             own = autonomous.check(frozen.bind(one), replace(region, parameters={}), (), True)[0]
         seen.append((one, {finding.id: finding for finding in own}))
-    proved = {finding.id: finding for finding in for_all.findings(frozen, at_all, quick)}
+    proved = {finding.id: finding for finding in for_all.uniform_findings(frozen, at_all, quick)}
     findings = [finding_in_time(finding, str(model.t), time) for finding in uniform.join_findings(box, seen, proved)]
     findings.append(set_motion_finding(model, region, NO_INPUT_BOUNDS, quick))
     return findings, moving_consequences(model, findings, runs)

@@ -13,8 +13,8 @@ from nsmodel.classes.inclusion.hypotheses.growth import velocity_bound
 from nsmodel.classes.inclusion.hypotheses.selected_field import constraint_set, decompose_field
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.hypotheses.findings import Consequence, Finding
+from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.stay import SpeedBound
 
 
 def speed_bound(

@@ -22,7 +22,7 @@ from nsmodel.modeling.laws import complementarity
 from nsmodel.solvers.one_step_problem import OneStepProblem, Prediction, with_carried_inputs
 
 
-def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
+def catching_up_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the exact projection of the predictor (here the ``state``) on C: z - y_k - grad c(z)' n = 0, 0 <= n ⟂ c(z) >= 0."""
     h, predictor, z = ca.SX.sym("h"), ca.SX.sym("predictor", model.x.numel()), ca.SX.sym("x_next", model.x.numel())
     c, names = set_constraints(model)

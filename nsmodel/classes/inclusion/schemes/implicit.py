@@ -23,10 +23,10 @@ from nsmodel.proof import polynomial
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.solvers.one_step_problem import OneStepProblem, with_carried_inputs
 
-__all__ = ["initial_rows", "kept_within", "one_step_problem"]
+__all__ = ["implicit_problem", "initial_rows", "kept_within"]
 
 
-def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
+def implicit_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the resolvent as (z, l, n): the velocity v = F - S and the reaction grad c' n make x_{k+1} = x_k + h (v + ...)."""
     h, z, chosen = ca.SX.sym("h"), ca.SX.sym("x_next", model.x.numel()), velocity_selection(model)
     u_end = ca.SX.sym("u_next", model.u.numel())

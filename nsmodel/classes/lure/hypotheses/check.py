@@ -43,7 +43,6 @@ _HYPOTHESES_BY_ID = {
 }
 REPORT_ORDER = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c", "5.x0", "7.1")
 HYPOTHESES = tuple(_HYPOTHESES_BY_ID[id] for id in REPORT_ORDER)
-TWIN = True  # Two solutions are compared: a check makes a second run, from another start.
 CONTRACTION_HYPOTHESIS = Hypothesis(
     "run-contraction", "|x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P for two runs", f"{LURE_PAPER}, (40)"
 )

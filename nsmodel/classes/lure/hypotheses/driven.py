@@ -27,7 +27,7 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.proof import interval_bounds
 from nsmodel.simulation.trajectory import Trajectory
 
-PARTS = {"f": ("f",), "e": ("e",), "law": ("law",)}
+DRIVEN_FIELDS = {"f": ("f",), "e": ("e",), "law": ("law",)}
 INTEGRABLE_SOURCE = f"{LURE_PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
 BOUNDED_SOURCE = f"{LURE_PAPER}, Section 5, at each time; for K(t) bounded and measurable Filippov 1988, Section 7"
 STABILITY_NAMES = ("Lyapunov stable", "globally asymptotically stable")
@@ -37,7 +37,7 @@ SIGNAL_PHRASES = {
 }
 
 
-def findings(
+def driven_findings(
     model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those for constant inputs: none asks how f moves; see the inclusions' module of this name."""
@@ -45,12 +45,12 @@ def findings(
     return list(own)
 
 
-def consequences(
+def driven_consequences(
     model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal; nothing is at rest that a signal drives."""
     del runs
-    made = [item for item in for_all.consequences(model, region, own) if item.name not in STABILITY_NAMES]
+    made = [item for item in for_all.uniform_consequences(model, region, own) if item.name not in STABILITY_NAMES]
     for few, whole in SIGNAL_PHRASES.items():
         made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]
     made = [replace(item, source=INTEGRABLE_SOURCE) if item.name == "well posed" else item for item in made]

@@ -62,7 +62,7 @@ class EnergyMatrix(NamedTuple):
     diagonal: ca.SX | None = None
 
 
-def values(model: LureSystem, box: IntervalBox) -> list[ParameterValues]:
+def special_values(model: LureSystem, box: IntervalBox) -> list[ParameterValues]:
     """Values of a single parameter at which a leading minor of C B or of D + D' vanishes: there ranks change."""
     minors = (
         ca.det(ca.densify(matrix[:size, :size]))
@@ -72,7 +72,7 @@ def values(model: LureSystem, box: IntervalBox) -> list[ParameterValues]:
     return parameter_roots(minors, model, box)
 
 
-def findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
+def uniform_findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     drifts = depends_on_symbol(
         ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p
@@ -94,7 +94,7 @@ def findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
     return findings_for_box(own, same, region)
 
 
-def consequences(model: LureSystem, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+def uniform_consequences(model: LureSystem, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters."""
     rate = next(finding for finding in own if finding.id == HYPOMONOTONE.id)
     known = rate.verdict == HOLDS

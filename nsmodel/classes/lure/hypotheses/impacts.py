@@ -8,7 +8,7 @@ from nsmodel.classes.lure.model import LureSystem
 from nsmodel.solvers.impacts import ImpactStructure, impact_structure
 
 
-def system(model: LureSystem) -> ImpactStructure | None:
+def impact_system(model: LureSystem) -> ImpactStructure | None:
     """The model as a system; None where phi stands in for a law."""
     if model.law is None or not model.law.size:
         return None

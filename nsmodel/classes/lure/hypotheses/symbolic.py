@@ -30,7 +30,7 @@ class _ParameterConditions(NamedTuple):
     remark: str = ""
 
 
-def findings(model: LureSystem) -> list[Finding]:
+def symbolic_findings(model: LureSystem) -> list[Finding]:
     """Return 4.1 and 5.1 as conditions on the parameters that have no value; those with one take it.
 
     ``holds`` is for all values of the parameters; ``unknown`` carries the exact conditions on them; ``violated`` means that

@@ -25,16 +25,16 @@ RUN_BOUND = Hypothesis(
     "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
     "catching-up 2026, Lemma 4.4",
 )
-HYPOTHESES = (RUN_ENERGY, RUN_DISSIPATED)
+RUN_HYPOTHESES = (RUN_ENERGY, RUN_DISSIPATED)
 
 
-def along(
+def class_findings_along_run(
     model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
 ) -> list[Finding]:  # fmt: skip
     """dom g, and Proposition 4.1."""
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     if model.is_forced:
-        energies = [make_finding(hypothesis, UNKNOWN, FORCED_TEXT) for hypothesis in HYPOTHESES]
+        energies = [make_finding(hypothesis, UNKNOWN, FORCED_TEXT) for hypothesis in RUN_HYPOTHESES]
     else:
         energies = (
             _energy_findings(model, run, numbers) if has_every_row(run) else missing_rows_findings(RUN_ENERGY, RUN_DISSIPATED)

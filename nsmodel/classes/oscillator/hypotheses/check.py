@@ -47,7 +47,6 @@ O_DRY = Hypothesis(
 )
 O_STEPS = Hypothesis("O-steps", "the steps are positive and nondecreasing", f"{CABOT_PAPER}, Proposition 4.1")
 HYPOTHESES = (O_THETA, O_G, O_DRY, O_STEPS)
-TWIN = False  # No two solutions are compared.
 RADIUS_LABEL = "radius of A(0)"
 TIGHT_BOUND = 1e-7  # A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g.
 BOUNDARY_MARGIN = 1e-9  # A margin below this, beside the forces, at the end of a run may be 0.

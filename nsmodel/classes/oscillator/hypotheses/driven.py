@@ -15,7 +15,7 @@ from nsmodel.hypotheses.moving_law import time_as_input
 from nsmodel.hypotheses.region import Region
 from nsmodel.simulation.trajectory import Trajectory
 
-PARTS = {"force": ("force",), "friction": ("elements",)}
+DRIVEN_FIELDS = {"force": ("force",), "friction": ("elements",)}
 
 
 def freeze_law(model: FrictionOscillator) -> FrictionOscillator:
@@ -25,7 +25,7 @@ def freeze_law(model: FrictionOscillator) -> FrictionOscillator:
     return time_as_input(model, lambda tau: {"elements": elements_at_end(model, tau, model.u)})
 
 
-def findings(
+def driven_findings(
     model: FrictionOscillator, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory],
     quick: bool
 ) -> list[Finding]:  # fmt: skip
@@ -34,7 +34,7 @@ def findings(
     return [forced_steps_finding(runs) if item.id == O_STEPS.id and runs else item for item in own]
 
 
-def consequences(
+def driven_consequences(
     model: FrictionOscillator, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """A step has one solution; nothing is said of rest."""

@@ -53,14 +53,14 @@ POTENTIAL_LOWER_BOUND = "lower bound of g"
 ZERO_ARGUMENT, NEAR_ZERO_ARGUMENT = np.zeros(1), np.full(1, 1e-6)
 
 
-def values(model: FrictionOscillator, box: IntervalBox) -> list[ParameterValues]:
+def special_values(model: FrictionOscillator, box: IntervalBox) -> list[ParameterValues]:
     """Values of a single parameter at which some theta_j'(0) or an entry of the Hessian of g vanishes."""
     slopes = [ca.substitute(ca.gradient(element.theta, model.s), model.s, 0) for element in model.elements]
     H = ca.hessian(potential_without_domain(model.potential, model.x, "potential"), model.x)[0]
     return parameter_roots([*slopes, *(entry for entry in stored_entries(H) if not ca.depends_on(entry, model.x))], model, box)
 
 
-def findings(model: FrictionOscillator, region: Region, quick: bool) -> list[Finding]:
+def uniform_findings(model: FrictionOscillator, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     same = unaffected_findings(check, model, region, quick, FIELDS_OF_OSCILLATOR)
     known = {finding.id for finding in same}
@@ -72,7 +72,7 @@ def findings(model: FrictionOscillator, region: Region, quick: bool) -> list[Fin
     return findings_for_box([make(model, region) for id, make in makers.items() if id not in known], same, region)
 
 
-def consequences(model: FrictionOscillator, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+def uniform_consequences(model: FrictionOscillator, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters."""
     C = _moving_domain(model, region)
     made = oscillator_consequences(model, own, ca.SX(0), outer_set(C), None, ())

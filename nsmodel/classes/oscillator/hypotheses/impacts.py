@@ -9,7 +9,7 @@ from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.solvers.impacts import ImpactStructure
 
 
-def system(model: FrictionOscillator) -> ImpactStructure | None:
+def impact_system(model: FrictionOscillator) -> ImpactStructure | None:
     """s = (x, v): what moves an oscillator against its constraints; other forces are bounded, and do not enter y'."""
     if not model.constraint_names:
         return None

@@ -13,11 +13,11 @@ from nsmodel.hypotheses.along import QUALIFICATION_HYPOTHESIS, constraint_findin
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Finding, make_finding
 from nsmodel.simulation.trajectory import Trajectory
 
-HYPOTHESES = ()
+RUN_HYPOTHESES = ()
 MAX_GAMMA_ROWS = 2000  # of a run, where gamma is evaluated
 
 
-def along(
+def class_findings_along_run(
     model: SweepingProcess, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Q(t), and (A5)."""

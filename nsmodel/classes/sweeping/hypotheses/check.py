@@ -39,7 +39,6 @@ A5_ACTIVE = Hypothesis("A5'", "the same over the active constraints, g_i = 0 (qu
 S_F = Hypothesis("S-f", "|f(t,q) - f(t,q')| <= K_f |q - q'|, |f(t,q)| <= L_f (1 + |q|)", f"{BERNICOT_VENEL}, (7) and (8)")
 S_START = Hypothesis("S-start", "q_0 is in Q(0)", f"{BERNICOT_VENEL}, (4)")
 HYPOTHESES = (S_CONVEX, A0, A1, A2, A3, A4, A5, A5_ACTIVE, S_F, S_START)
-TWIN = False  # No two solutions are compared.
 
 MINIMISED_VALUES = ("a", "c", "least")  # Of these numbers the least over the constraints counts, of the others the largest.
 MANY_STATES = 24  # With more states fewer points are looked at.

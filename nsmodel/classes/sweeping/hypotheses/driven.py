@@ -30,11 +30,11 @@ from nsmodel.hypotheses.scope import Scope, intersect_scopes
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.simulation.trajectory import Trajectory
 
-PARTS = {"f": ("f",), "constraints": ("constraints",)}
+DRIVEN_FIELDS = {"f": ("f",), "constraints": ("constraints",)}
 JUMP_SAMPLE_POINTS = 64  # Where a jump of a constraint is looked for.
 
 
-def findings(
+def driven_findings(
     model: SweepingProcess, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each time and value of the inputs, but for speeds and the start; see the inclusions' module of this name."""
@@ -49,12 +49,12 @@ def findings(
     return list(made.values())
 
 
-def consequences(
+def driven_consequences(
     model: SweepingProcess, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal: of the set at each time, of solutions, and of the scheme where speeds are known."""
     del motion, runs
-    return state_for_each_signal(for_all.consequences(model, region, own))
+    return state_for_each_signal(for_all.uniform_consequences(model, region, own))
 
 
 def state_for_each_signal(made: Sequence[Consequence]) -> list[Consequence]:

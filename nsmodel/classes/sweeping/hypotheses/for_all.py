@@ -32,12 +32,12 @@ from nsmodel.proof.jumps import jump_nodes
 READS = {hypothesis.id: ("g",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "g"), S_START.id: ("g", "q0")}
 
 
-def values(model: SweepingProcess, box: IntervalBox) -> list[ParameterValues]:
+def special_values(model: SweepingProcess, box: IntervalBox) -> list[ParameterValues]:
     """No values are special."""
     return []
 
 
-def findings(model: SweepingProcess, region: Region, quick: bool) -> list[Finding]:
+def uniform_findings(model: SweepingProcess, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     same = unaffected_findings(check, model, region, quick, READS)
     constraints = constraints_with_parameters(model, region)
@@ -50,7 +50,7 @@ def findings(model: SweepingProcess, region: Region, quick: bool) -> list[Findin
     return findings_for_box((item for item in own if item is None or item.verdict == HOLDS), same, region)
 
 
-def consequences(model: SweepingProcess, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+def uniform_consequences(model: SweepingProcess, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters; nothing where gamma is not known."""
     known = {finding.id: finding.value for finding in own}
     if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):

@@ -14,8 +14,9 @@ import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding
+from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.stay import ROUND_UP_FACTOR, SpeedBound
+from nsmodel.hypotheses.stay import ROUND_UP_FACTOR
 from nsmodel.proof import extremum
 
 

@@ -1,0 +1,78 @@
+r"""What the classes of models bring to the rest of the package: typed parts, each asked for by the module that needs it.
+
+A module declares what it needs, ``EQUATIONS = Part[Callable[[Any], list[str]]]("latex_equations")``, and asks
+``EQUATIONS.of(model)``; the package of a class that has the part defines a function of this name, without arguments, that
+returns it. ``grep 'Part\['`` lists all parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from typing import Any, Generic, TypeVar
+
+from nsmodel.errors import ModelError
+
+MODEL_CLASSES = {  # Class of models: its package.
+    "SweepingProcess": "nsmodel.classes.sweeping",
+    "FrictionOscillator": "nsmodel.classes.oscillator",
+    "FirstOrderSystem": "nsmodel.classes.first_order",
+    "LureSystem": "nsmodel.classes.lure",
+    "MonotoneInclusion": "nsmodel.classes.inclusion",
+    "ManyBodies": "nsmodel.classes.bodies",
+}
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Part(Generic[T]):
+    """What a module of the package needs of a class of models.
+
+    Attributes:
+        name: of the function in the class's package that returns it.
+    """
+
+    name: str
+
+    def of(self, model: Any) -> T:
+        """Return the part of the class of a model, or of a class.
+
+        Raises:
+            ModelError: the type is none of a class of this package, or its class lacks the part.
+        """
+        found = self.optional(model)
+        if found is None:
+            raise ModelError(f"{_class_name(model)} has no part '{self.name}': define it in {_package_of(model)}")
+        return found
+
+    def optional(self, model: Any) -> T | None:
+        """Return the part of the class of a model, or of a class; None where its class lacks it.
+
+        Raises:
+            ModelError: the type is none of a class of this package.
+        """
+        return _read_part(_package_of(model), self.name)
+
+    def of_class_named(self, name: str | None) -> T | None:
+        """Return the part of the class that a run names as its model's; None where no class here has the name or the part."""
+        return _read_part(MODEL_CLASSES[name], self.name) if name in MODEL_CLASSES else None
+
+
+@cache
+def _read_part(package: str, name: str) -> Any:
+    make = getattr(import_module(package), name, None)
+    return None if make is None else make()
+
+
+def _class_name(model: Any) -> str:
+    return (model if isinstance(model, type) else type(model)).__name__
+
+
+def _package_of(model: Any) -> str:
+    kind = model if isinstance(model, type) else type(model)
+    package = MODEL_CLASSES.get(kind.__name__, "")
+    if not package or kind.__module__ != f"{package}.model":
+        raise ModelError(f"{kind.__name__} is no class of models; expected one of {', '.join(MODEL_CLASSES)}")
+    return package
