@@ -18,7 +18,7 @@ IDS = ["M-T", "M-C", "M-A1", "M-A2", "M-A3", "M-24"]
 
 def check(model, runs=(), quick=False):
     model = model.bind({})
-    findings, consequences = inclusion.check(model, region_of(model, runs), runs, quick)
+    findings, consequences = inclusion.check_autonomous(model, region_of(model, runs), runs, quick)
     assert [finding.id for finding in findings] == IDS
     return {finding.id: finding for finding in findings}, {consequence.name: consequence for consequence in consequences}
 

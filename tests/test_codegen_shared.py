@@ -15,6 +15,7 @@ import pytest
 import nsmodel
 from nsmodel import load
 from nsmodel.codegen import bodies, fragments, structs
+from nsmodel.codegen.bodies import BODIES_CONSTANTS
 from nsmodel.codegen.fragments import C_FOLDER, prefix_names
 from nsmodel.codegen.source import write_source
 from nsmodel.codegen.step_spec import make_step_spec
@@ -56,13 +57,13 @@ def test_a_number_in_c_has_a_name(name):
 @pytest.mark.parametrize("name", sorted(FRAGMENTS))
 def test_a_number_that_the_c_alone_has_is_none_of_python(name):
     own = re.findall(r"^#define (\w+) \S*\d", FRAGMENTS[name], re.MULTILINE)
-    table = fragments.BODIES_CONSTANTS if name in OF_BODIES else fragments.STEP_CONSTANTS
+    table = BODIES_CONSTANTS if name in OF_BODIES else fragments.STEP_CONSTANTS
     assert [(key, module) for key in own for module, _ in table if hasattr(import_module(f"nsmodel.{module}"), key)] == []
 
 
 @pytest.mark.parametrize(
     ("table", "files"),
-    [(fragments.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES), (fragments.BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"})],
+    [(fragments.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES), (BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"})],
     ids=["steps", "bodies"],
 )
 def test_the_c_has_the_constants_of_python(table, files):

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE
-from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.codegen import bodies, event_driven_source
+from nsmodel.codegen import event_driven_source
 from nsmodel.codegen.constant_steps import MAX_LENGTHS, step_matrices
-from nsmodel.codegen.export import library_description, step_library_files
+from nsmodel.codegen.export import LIBRARY_FILES, WORST_CASE_NEEDS, LibraryRequest, library_description, step_library_files
 from nsmodel.codegen.features import MAX_WORK
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.source import LibrarySource, write_source
@@ -31,7 +30,6 @@ from nsmodel.modeling.variants import with_inputs
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
 MAX_WORST_CASE_ROWS = 4  # Of a law all of whose index sets have their inverses beforehand.
-_WORST_CASE = "worst_case (--worst-case) needs matrices that are numbers (none that move, parameters given with --set)"
 
 # No prefix: keywords, the standard headers (NAME.h would hide them), the example.
 _RESERVED = frozenset(
@@ -121,22 +119,21 @@ def write(
     lengths = _step_lengths(step)
     grid = _step_grid(bound, lengths, any_step=any_step)
     mark = fingerprint(bound, grid)
-    if isinstance(bound, ManyBodies):
-        if event_driven:
-            raise CodegenError("event-driven integration does not take many bodies; they are for time stepping")
-        if worst_case:
-            raise CodegenError(f"{_WORST_CASE}; those of many bodies change as they meet")
-        files, about = bodies.bodies_library_files(bound, name, grid, float(tolerance), mark, most)
+    if library_files := LIBRARY_FILES.optional(bound):
+        request = LibraryRequest(mark, float(tolerance), most, event_driven, worst_case)
+        files, about = library_files(bound, name, grid, request)
     else:
         spec = make_step_spec(model, parameters, grid, float(tolerance), lengths)
         spec = replace(spec, worst_case=worst_case, ticking=bool(bound.blocks))
         if grid.drive is not None and grid.drive.moving:
             if worst_case:
-                raise CodegenError(f"{_WORST_CASE} and steps of known lengths; a block places edges of a pwm")
+                raise CodegenError(f"{WORST_CASE_NEEDS} and steps of known lengths; a block places edges of a pwm")
             spec = replace(spec, h=grid.requested_step, lengths=lengths[1:])
         source = write_source(spec, name, mark, most)
         if worst_case and not _solves_no_system(source):
-            raise CodegenError(f"{_WORST_CASE} and a law of at most {MAX_WORST_CASE_ROWS} rows, none of them of a curved set")
+            raise CodegenError(
+                f"{WORST_CASE_NEEDS} and a law of at most {MAX_WORST_CASE_ROWS} rows, none of them of a curved set"
+            )
         if {"RESTARTED", "FIXED"} <= source.flags and step_matrices(spec.problem, 0.0) is None:
             raise CodegenError(
                 "after a jump of an input the reaction is found by a step of length 0, whose matrix is singular: take gamma=1"

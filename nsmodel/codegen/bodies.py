@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from typing import Any
 
 import casadi as ca
@@ -12,15 +12,20 @@ import numpy as np
 from nsmodel.classes.bodies.groups import Family
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BODIES_SCHEME, BodiesProblem, uses_neighbour_search
-from nsmodel.codegen import fragments, structs
+from nsmodel.codegen import structs
 from nsmodel.codegen import structs as statuses
+from nsmodel.codegen.export import WORST_CASE_NEEDS, LibraryRequest
 from nsmodel.codegen.expressions import c_function, c_table
-from nsmodel.codegen.features import MAX_WORK
-from nsmodel.codegen.fragments import comment_text, compiler_guard, prefix_names, prune_unused, read_fragment
+from nsmodel.codegen.fragments import comment_text, compiler_guard, define_lines, prefix_names, prune_unused, read_fragment
 from nsmodel.errors import CodegenError
 from nsmodel.modeling.fingerprint import versions
 from nsmodel.modeling.time_grid import TimeGrid
 
+BODIES_CONSTANTS: Sequence[tuple[str, str]] = (
+    ("solvers.residuals", "REACH"),
+    ("solvers.contact_search", "FARTHER"),
+    ("codegen.structs", "READY"),
+)
 BODIES_FRAGMENTS = ("block_ldl.c", "group.c", "bodies.c")
 MAX_BODIES = 20_000  # Bodies whose numbers are written into a library.
 CONTACTS_PER_BODY = 6  # Room for contacts of each body in a library,
@@ -42,7 +47,7 @@ def solver_source(d: int) -> str:
             HEADERS,
             "#include <time.h>\n",
             compiler_guard().replace("static int", "int"),
-            f"#define DIM {d}\n{fragments.bodies_defines()}",
+            f"#define DIM {d}\n{define_lines(BODIES_CONSTANTS)}",
             statuses.status_enum(),
             *parts,
         ]
@@ -60,7 +65,7 @@ def library_source(model: ManyBodies, name: str) -> str:
     """All of the C of a bound model's library."""
     text = [
         f'#include "{name}.h"\n\n{HEADERS}', compiler_guard(), f"#define DIM {model.bodies.d} /* states of a body */\n",
-        fragments.bodies_defines(), *_bodies_fragments(), _model_functions(model), _model_tables(model),
+        define_lines(BODIES_CONSTANTS), *_bodies_fragments(), _model_functions(model), _model_tables(model),
         read_fragment("bodies_api.c", frozenset(), {"STATUS_CASES": statuses.status_cases()}),
     ]  # fmt: skip
     return prefix_names(prune_unused("\n".join(text)), name)
@@ -132,13 +137,18 @@ def _flat_table(name: str, values: Any, kind: str = "double") -> str:
 
 
 def bodies_library_files(
-    model: ManyBodies, name: str, grid: TimeGrid, tolerance: float, fingerprint: str, most: int = MAX_WORK
+    model: ManyBodies, name: str, grid: TimeGrid, request: LibraryRequest
 ) -> tuple[dict[str, str], dict[str, Any]]:
-    """Every file of the library by name, and what it is, for programs; no step does more work than ``most``.
+    """Every file of the library by name, and what it is, for programs; no step does more work than ``request.max_work``.
 
     Raises:
-        CodegenError: f is a function of numbers, there are more than MOST bodies, a reach depends on t.
+        CodegenError: f is a function of numbers, there are more than MAX_BODIES bodies, a reach depends on t; event-driven
+            integration or a bound of the worst case is asked for.
     """
+    if request.event_driven:
+        raise CodegenError("event-driven integration does not take many bodies; they are for time stepping")
+    if request.worst_case:
+        raise CodegenError(f"{WORST_CASE_NEEDS}; those of many bodies change as they meet")
     n, d = model.bodies.q0.shape
     if model.is_driven:
         raise CodegenError(
@@ -152,23 +162,23 @@ def bodies_library_files(
     replacements = {
         "NAME": name, "UPPER": name.upper(), "TITLE": comment_text(" ".join(model.title.split()) or name),
         "SCHEME": BODIES_SCHEME,
-        "BODIES": str(n), "DIM": str(d), "NX": str(n * d), "STEP": repr(grid.step(0)), "TOLERANCE": repr(tolerance),
-        "CONTACTS": str(contacts), "MEMORY": str(memory), "HASH": fingerprint, "LAST": str(grid.N),
+        "BODIES": str(n), "DIM": str(d), "NX": str(n * d), "STEP": repr(grid.step(0)), "TOLERANCE": repr(request.tolerance),
+        "CONTACTS": str(contacts), "MEMORY": str(memory), "HASH": request.fingerprint, "LAST": str(grid.N),
         "FAMILIES": comment_text(", ".join(model.constraints) or "none"),
         "STATES": f"{d} of each of {n} bodies, one after the other",
         "UNIT_T": f" ({comment_text(model.units['t'])})" if "t" in model.units else "",
-        "STATUSES": prefix_names(statuses.status_enum(), name), "WORK": str(most),
+        "STATUSES": prefix_names(statuses.status_enum(), name), "WORK": str(request.max_work),
         "SIZE": f"{(memory + 41 * contacts) / 1e6:.3g} MB",
     }  # fmt: skip
     about = {
         "name": name, "title": model.title, "model_class": type(model).__name__, "scheme": BODIES_SCHEME, "paper": model.paper,
         "sizes": {"NX": n * d, "NSTATE": n * d, "NP": 0, "NL": 0, "N": n * d, "M": 0, "BODIES": n, "DIM": d},
         "states": list(model.names), "families": list(model.constraints), "parameters": {}, "multipliers": [], "rows": [],
-        "units": dict(model.units), "step": grid.step(0), "any_step": True, "tolerance": tolerance, "memory": memory,
-        "max_work": most,
+        "units": dict(model.units), "step": grid.step(0), "any_step": True, "tolerance": request.tolerance, "memory": memory,
+        "max_work": request.max_work,
         "used": ["cells for neighbours, groups of bodies that touch, active set and interior point on a sparse L D L'"],
         "left_out": ["pairs that cannot meet in a step, with a check; rows that the solution satisfies"],
-        "velocity": False, "force": False, "model_hash": fingerprint, "versions": versions(),
+        "velocity": False, "force": False, "model_hash": request.fingerprint, "versions": versions(),
     }  # fmt: skip
     files = {
         f"{name}.h": read_fragment("bodies_header.h", frozenset(), replacements),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Set
-from typing import NamedTuple
+from collections.abc import Callable, Set
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from nsmodel.codegen.fragments import read_fragment
 from nsmodel.codegen.source import LibrarySource, array_names
 from nsmodel.codegen.step_spec import StepSpec
 from nsmodel.modeling.fingerprint import versions
+from nsmodel.modeling.parts import Part
 from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.proof.verdict import not_none
 
@@ -22,6 +23,23 @@ MAX_SEGMENTS = 10_000  # Nor more stretches of steps between edges of inputs,
 BEND_TOLERANCE = 1e-9  # which go on where an input bends by less than this part of its size.
 HEADER_WIDTH = 100  # Characters of the table's header in a line of the example,
 MAX_STRING_LENGTH = 900  # and of one name: C99 asks for strings of 4095 bytes, escapes counted.
+
+
+WORST_CASE_NEEDS = "worst_case (--worst-case) needs matrices that are numbers (none that move, parameters given with --set)"
+
+
+class LibraryRequest(NamedTuple):
+    """What is asked of a library beside its model: see `write`; ``fingerprint`` is that of the model."""
+
+    fingerprint: str
+    tolerance: float
+    max_work: int
+    event_driven: bool
+    worst_case: bool
+
+
+LibraryFiles: TypeAlias = Callable[[Any, str, TimeGrid, LibraryRequest], tuple[dict[str, str], dict[str, Any]]]
+LIBRARY_FILES = Part[LibraryFiles]("library_files")  # Of a class whose steps are not those of a one-step problem.
 
 
 def step_library_files(spec: StepSpec, source: LibrarySource, grid: TimeGrid, fingerprint: str) -> dict[str, str]:

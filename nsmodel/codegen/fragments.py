@@ -124,11 +124,6 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
     ("codegen.features", "AFFINE_ITERATIONS FRAGILE_REFINEMENTS"),
     ("codegen.structs", "READY"),
 )
-BODIES_CONSTANTS: Sequence[tuple[str, str]] = (
-    ("solvers.residuals", "REACH"),
-    ("solvers.contact_search", "FARTHER"),
-    ("codegen.structs", "READY"),
-)
 PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
     (
         "event_driven.integrator",
@@ -169,20 +164,16 @@ PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
 
 def step_defines() -> str:
     """What a step uses, as lines of C; ``fragments.prune_unused`` leaves out what a scene does not."""
-    return _define_lines(STEP_CONSTANTS)
-
-
-def bodies_defines() -> str:
-    """What the step of many bodies uses."""
-    return _define_lines(BODIES_CONSTANTS)
+    return define_lines(STEP_CONSTANTS)
 
 
 def piece_defines() -> str:
     """What event-driven integration uses."""
-    return _define_lines(PIECE_CONSTANTS)
+    return define_lines(PIECE_CONSTANTS)
 
 
-def _define_lines(table: Sequence[tuple[str, str]]) -> str:
+def define_lines(table: Sequence[tuple[str, str]]) -> str:
+    """``#define`` of the constants NAME, or NAME:NAME_IN_C, of (module, constants), as lines of C."""
     return "".join(define_line(module, name) for module, names in table for name in names.split())
 
 

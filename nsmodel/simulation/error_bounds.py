@@ -28,7 +28,7 @@ import numpy as np
 from nsmodel.classes.lure.hypotheses import least_omega
 from nsmodel.classes.lure.hypotheses.dissipation import least_rate
 from nsmodel.classes.lure.hypotheses.pairing import well_conditioned_block
-from nsmodel.classes.lure.hypotheses.passivity import decide_storage
+from nsmodel.classes.lure.hypotheses.storage import find_storage_matrix
 from nsmodel.event_driven.integrator import Integrator
 from nsmodel.event_driven.interval_proof import (
     MAX_REPORTED_FAILURES,
@@ -191,7 +191,7 @@ def _law_matrices(problem: ContinuousProblem) -> _LawMatrices:
 
 def _choose_metric(problem: ContinuousProblem, J: ca.SX, linear: _LawMatrices, stored: StoredPieces) -> _QuadraticMetric:
     """The P with P B = C', exactly, with a small omega at some points of the run."""
-    pairing = decide_storage(linear.B, linear.C).pairing
+    pairing = find_storage_matrix(linear.B, linear.C).pairing
     if pairing is None:
         raise NoErrorBound("there is no P = P' > 0 with P g_l = h_x', in which the law would be monotone")
     at = ca.Function("at", [problem.t, problem.x], [ca.densify(J)])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nsmodel.certificate.data import CertificateParts
+    from nsmodel.codegen.export import LibraryFiles
     from nsmodel.hypotheses.framework import HypothesisChecks
     from nsmodel.modeling.base import Model
     from nsmodel.simulation.propagator import GridPropagator
@@ -53,6 +54,13 @@ def grid_propagator() -> GridPropagator:
     from nsmodel.classes.bodies.walk import ManyBodiesPropagator
 
     return ManyBodiesPropagator
+
+
+def library_files() -> LibraryFiles:
+    """Return what writes its library in C."""
+    from nsmodel.codegen.bodies import bodies_library_files
+
+    return bodies_library_files
 
 
 def hypothesis_checks() -> HypothesisChecks:

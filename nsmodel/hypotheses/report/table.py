@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding
+from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, Consequence, Finding
 from nsmodel.hypotheses.scope import scope_text
+from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report

@@ -53,7 +53,7 @@ MIN_EIGENVALUE_SAMPLES = 64  # Fewer points show nothing.
 CONTRACTION_IDS = ("M-T", "M-C", "M-A1", "M-24")
 
 
-def check(
+def check_autonomous(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence]]:
     """Return one finding a hypothesis, and what follows; see `check.check`."""

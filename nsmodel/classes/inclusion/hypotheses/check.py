@@ -25,4 +25,5 @@ def check(
         runs: of this model; their steps enter the tolerances.
         quick: skip global searches.
     """
-    return (moving if model.moves else autonomous).check(model, region, runs, quick)
+    decide = moving.check_moving if model.moves else autonomous.check_autonomous
+    return decide(model, region, runs, quick)

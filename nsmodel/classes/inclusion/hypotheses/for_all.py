@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.hypotheses import autonomous as inclusion
-from nsmodel.classes.inclusion.hypotheses.autonomous import HYPOTHESES, M_A3, autonomous_consequences, check
+from nsmodel.classes.inclusion.hypotheses.autonomous import HYPOTHESES, M_A3, autonomous_consequences, check_autonomous
 from nsmodel.classes.inclusion.hypotheses.continuity import field_continuity
 from nsmodel.classes.inclusion.hypotheses.growth import linear_growth
 from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided_lipschitz
@@ -66,7 +66,7 @@ def special_values(model: MonotoneInclusion, box: IntervalBox) -> list[Parameter
 
 def uniform_findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
-    same = unaffected_findings(check, model, region, quick, FIELDS_OF_INCLUSION)
+    same = unaffected_findings(check_autonomous, model, region, quick, FIELDS_OF_INCLUSION)
     moving = MovingSet(model.x, model.p, set_constraints(model)[0], *region.parameter_bounds())
     C = outer_set(moving)
     start, box = np.array(ca.DM(model.bind(box_middle(region.parameters)).x0)).ravel(), C.part(region.lower, region.upper)

@@ -79,7 +79,7 @@ class HausdorffBound(NamedTuple):
     how: str
 
 
-def check(
+def check_moving(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence]]:
     """Return one finding a hypothesis, of all t between the ends of the region, and what follows; see `check.check`."""
@@ -89,7 +89,7 @@ def check(
     seen = []
     for one in uniform.sample_values(box, for_all.special_values(frozen, box)):
         with quick_searches():
-            own = autonomous.check(frozen.bind(one), replace(region, parameters={}), (), True)[0]
+            own = autonomous.check_autonomous(frozen.bind(one), replace(region, parameters={}), (), True)[0]
         seen.append((one, {finding.id: finding for finding in own}))
     proved = {finding.id: finding for finding in for_all.uniform_findings(frozen, at_all, quick)}
     findings = [finding_in_time(finding, str(model.t), time) for finding in uniform.join_findings(box, seen, proved)]

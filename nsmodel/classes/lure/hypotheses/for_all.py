@@ -27,8 +27,9 @@ from nsmodel.classes.lure.hypotheses.pairing import (
     matrix_witness,
     well_conditioned_block,
 )
-from nsmodel.classes.lure.hypotheses.passivity import D_PSD_HYPOTHESIS, STORAGE_HYPOTHESIS, broken_conditions
+from nsmodel.classes.lure.hypotheses.passivity import D_PSD_HYPOTHESIS, STORAGE_HYPOTHESIS
 from nsmodel.classes.lure.hypotheses.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C
+from nsmodel.classes.lure.hypotheses.storage import broken_conditions
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, make_finding
 from nsmodel.hypotheses.region import Region

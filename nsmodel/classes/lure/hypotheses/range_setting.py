@@ -9,8 +9,9 @@ import numpy as np
 
 from nsmodel.classes.lure.hypotheses import domains, potential_domains
 from nsmodel.classes.lure.hypotheses.domains import Domains, EmptyDomain, UndecidedDomain
-from nsmodel.classes.lure.hypotheses.passivity import PASSIVITY_ROUNDING, decide_input_output
+from nsmodel.classes.lure.hypotheses.passivity import decide_input_output
 from nsmodel.classes.lure.hypotheses.potential_domains import ConvexPotential
+from nsmodel.classes.lure.hypotheses.storage import PASSIVITY_ROUNDING
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import SAMPLED
 from nsmodel.proof import exact

@@ -11,8 +11,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses import check, for_all
-from nsmodel.classes.sweeping.hypotheses.check import A2, A3, S_F, S_START, joined_finding
+from nsmodel.classes.sweeping.hypotheses import for_all
+from nsmodel.classes.sweeping.hypotheses.check import A2, A3, S_F, S_START, joined_finding, start_finding
 from nsmodel.classes.sweeping.hypotheses.constants import uniform_shape_answers
 from nsmodel.classes.sweeping.hypotheses.constraint import (
     ON_THE_BOX,
@@ -142,7 +142,7 @@ def _input_start_finding(model: SweepingProcess, region: Region, motion: InputBo
     known = model.bind(motion.start, partly=True)
     box = {name: ends for name, ends in region.parameters.items() if name not in motion.start}
     if not box:
-        return check.start_finding(known)
-    at = [(one, {S_START.id: check.start_finding(known.bind(one))}) for one in uniform.sample_values(box)]
+        return start_finding(known)
+    at = [(one, {S_START.id: start_finding(known.bind(one))}) for one in uniform.sample_values(box)]
     proof = for_all.uniform_start_finding(known, replace(region, parameters=box))
     return uniform.join_findings(box, at, {} if proof is None else {S_START.id: proof})[0]
