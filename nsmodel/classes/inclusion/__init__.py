@@ -24,9 +24,9 @@ def model_type() -> type[Model]:
 
 def function_values() -> Callable[..., Sequence[Any]]:
     """Return the values by which its functions in Python are known."""
-    from nsmodel.classes.inclusion.identity import given
+    from nsmodel.classes.inclusion.identity import values_of_functions
 
-    return given
+    return values_of_functions
 
 
 def schemes_by_name() -> Mapping[str, Scheme]:

@@ -6,7 +6,7 @@ from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.modeling.time_grid import TimeGrid
 
 
-def given(model: MonotoneInclusion, grid: TimeGrid) -> list[list[float]]:
+def values_of_functions(model: MonotoneInclusion, grid: TimeGrid) -> list[list[float]]:
     """The tolerances at the steps of the run, where they are a function."""
     if not callable(model.tolerances):
         return []
