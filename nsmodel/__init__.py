@@ -34,16 +34,16 @@ from nsmodel.version import VERSION
 __version__ = VERSION
 
 if TYPE_CHECKING:
-    from nsmodel.checking import check
-    from nsmodel.classes.bodies.groups import Bodies, Family, Items, neighbours
-    from nsmodel.classes.bodies.model import ManyBodies
-    from nsmodel.classes.first_order.model import FirstOrderSystem
-    from nsmodel.classes.inclusion.model import MonotoneInclusion
-    from nsmodel.classes.lure.model import LureSystem
-    from nsmodel.classes.oscillator.model import FrictionOscillator
-    from nsmodel.classes.sweeping.model import SweepingProcess
+    from nsmodel.hypotheses.check import check
     from nsmodel.hypotheses.findings import Finding
-    from nsmodel.hypotheses.report.report import Report
+    from nsmodel.hypotheses.report import Report
+    from nsmodel.models.first_order_system.model import FirstOrderSystem
+    from nsmodel.models.friction_oscillator.model import FrictionOscillator
+    from nsmodel.models.lure_system.model import LureSystem
+    from nsmodel.models.many_bodies.families import Bodies, Family, Items, neighbours
+    from nsmodel.models.many_bodies.model import ManyBodies
+    from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
+    from nsmodel.models.sweeping_process.model import SweepingProcess
     from nsmodel.simulation.loop import RunInterrupted
     from nsmodel.simulation.simulate import explain, simulate
     from nsmodel.simulation.stepper import ModelStepper, stepper
@@ -122,16 +122,16 @@ former_names.install()
 _later(
     __name__,
     {
-        "nsmodel.checking": ["check"],
+        "nsmodel.hypotheses.check": ["check"],
         "nsmodel.hypotheses.findings": ["Finding"],
-        "nsmodel.hypotheses.report.report": ["Report"],
-        "nsmodel.classes.bodies.groups": ["Bodies", "Family", "Items", "neighbours"],
-        "nsmodel.classes.bodies.model": ["ManyBodies"],
-        "nsmodel.classes.first_order.model": ["FirstOrderSystem"],
-        "nsmodel.classes.inclusion.model": ["MonotoneInclusion"],
-        "nsmodel.classes.lure.model": ["LureSystem"],
-        "nsmodel.classes.oscillator.model": ["FrictionOscillator"],
-        "nsmodel.classes.sweeping.model": ["SweepingProcess"],
+        "nsmodel.hypotheses.report": ["Report"],
+        "nsmodel.models.many_bodies.families": ["Bodies", "Family", "Items", "neighbours"],
+        "nsmodel.models.many_bodies.model": ["ManyBodies"],
+        "nsmodel.models.first_order_system.model": ["FirstOrderSystem"],
+        "nsmodel.models.monotone_inclusion.model": ["MonotoneInclusion"],
+        "nsmodel.models.lure_system.model": ["LureSystem"],
+        "nsmodel.models.friction_oscillator.model": ["FrictionOscillator"],
+        "nsmodel.models.sweeping_process.model": ["SweepingProcess"],
         "nsmodel.simulation.loop": ["RunInterrupted"],
         "nsmodel.simulation.simulate": ["explain", "simulate"],
         "nsmodel.simulation.stepper": ["ModelStepper", "stepper"],

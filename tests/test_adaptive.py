@@ -38,7 +38,6 @@ from nsmodel import (
     relay,
     second_order_cone,
 )
-from nsmodel.classes.units import in_units
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.event_driven import fallback_steps
 from nsmodel.modeling.time_grid import make_grid
@@ -46,6 +45,7 @@ from nsmodel.simulation import error_control
 from nsmodel.simulation.fixed_grid import make_stepper
 from nsmodel.simulation.simulate import prepare as prepare_any
 from nsmodel.simulation.simulate import simulate as simulate_any
+from nsmodel.study.units import in_units
 
 simulate, prepare = (partial(call, method="time-stepping") for call in (simulate_any, prepare_any))
 TIGHT = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}

@@ -15,13 +15,13 @@ from test_many_bodies import discs, misfit, scattered
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
-from nsmodel.codegen.bodies_step import CompiledBodiesStep
 from nsmodel.codegen.library import compiler
 from nsmodel.codegen.structs import NO_ROOM, STATUSES
 from nsmodel.crowd import Noise
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.solvers.contact_solver import COLD_BODIES_START, BodiesStepper
+from nsmodel.models.many_bodies.contact_solver import COLD_BODIES_START, BodiesStepper
+from nsmodel.models.many_bodies.schemes import BodiesProblem
+from nsmodel.models.many_bodies.step_library import CompiledBodiesStep
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -18,10 +18,10 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, ball, check, relay
-from nsmodel.certificate import verify
-from nsmodel.certificate.graph import straight_line_program
-from nsmodel.certificate.write import certificate_of, write_certificate
 from nsmodel.cli import main
+from nsmodel.hypotheses.certificates import verify
+from nsmodel.hypotheses.certificates.hints import straight_line_program
+from nsmodel.hypotheses.certificates.write import certificate_of, write_certificate
 
 CASES = "cabot_4_2 diode_bridge gene_network inclusion_8_2_full moving_disc moving_half_line point_past_disc relay_oscillator "
 CASES += "rlc_diode sliding_relay two_discs two_masses zhuravlev_ivanov friction_oscillator"

@@ -12,13 +12,13 @@ import pytest
 from scipy.optimize import linprog
 
 from nsmodel import Bodies, Family, Items, ManyBodies, UsageError, check, neighbours, pwm, simulate, table, within
-from nsmodel.classes.bodies.hypotheses import check as deciding
-from nsmodel.classes.bodies.hypotheses import families, network
-from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES
-from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma
 from nsmodel.crowd import Room, crowd, place
 from nsmodel.files.storage import dumps
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.models.many_bodies import check as deciding
+from nsmodel.models.many_bodies import contact_network, representatives
+from nsmodel.models.sweeping_process.check import HYPOTHESES
+from nsmodel.models.sweeping_process.mfcq_constant import disc_row_gamma
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study import study
 from nsmodel.study.stress import stress
@@ -125,7 +125,7 @@ def test_the_constants_of_discs_come_from_the_two_smallest():
 
 def test_ranges_of_numbers_stand_for_many_members(monkeypatch):
     model = discs(3.0 * np.arange(8).reshape(4, 2), [0.5, 0.2, 0.9, 0.3])
-    monkeypatch.setattr(families, "MAX_LISTED_MEMBERS", 0)
+    monkeypatch.setattr(representatives, "MAX_LISTED_MEMBERS", 0)
     report = check(model, ())
     assert report["A0"].verdict == HOLDS
     assert report["A0"].value["c"] == pytest.approx(0.4 / 2 / SQRT2)
@@ -145,7 +145,7 @@ def test_products_of_numbers_are_taken_in_all_their_combinations():
 
 def test_a_body_is_no_pair_with_itself(monkeypatch):
     """Only one body has radius 0, so that no pair has two of them."""
-    monkeypatch.setattr(families, "MAX_LISTED_MEMBERS", 0)
+    monkeypatch.setattr(representatives, "MAX_LISTED_MEMBERS", 0)
     bodies = Bodies(3.0 * np.arange(8).reshape(4, 2), r=[0, 0.3, 0.3, 0.3])
     i, j = bodies.member("i"), bodies.member("j")
     pair = Family(ca.norm_2(i.q - j.q) - i.r - j.r * (1 + t), i, j)
@@ -169,7 +169,7 @@ def test_numbers_below_the_rounding_of_others_count(added, order):
 
 
 def test_left_out_combinations_prove_nothing(monkeypatch):
-    monkeypatch.setattr(families, "MAX_COMBINATIONS", 2)
+    monkeypatch.setattr(representatives, "MAX_COMBINATIONS", 2)
     bodies = Bodies(9.0 * np.arange(5.0), w=1.0 + np.arange(5))
     i = bodies.member("i")
     model = ManyBodies(bodies=bodies, constraints={"floor": Family(i.w * i.q + 1, i)}, t_end=1, step=0.1)
@@ -505,15 +505,15 @@ def random_contacts(rng, bodies, count):
     return (u, other), first, second, N / np.linalg.norm(N, axis=1)[:, None]
 
 
-@pytest.mark.parametrize("small", [network.MAX_WOLFE_GROUP, 1])
+@pytest.mark.parametrize("small", [contact_network.MAX_WOLFE_GROUP, 1])
 def test_gamma_of_small_networks_agrees_with_brute_force(small, monkeypatch):
     """With SMALL = 1 every group goes to the interior point method. A linear program says whether there is any escape."""
-    monkeypatch.setattr(network, "MAX_WOLFE_GROUP", small)
+    monkeypatch.setattr(contact_network, "MAX_WOLFE_GROUP", small)
     rng, opposed = np.random.default_rng(2), 0
     for _ in range(60):
         slopes, first, second, N = random_contacts(rng, int(rng.integers(2, 5)), int(rng.integers(1, 8)))
         free = linprog(np.zeros(N.shape[1]), A_ub=-N, b_ub=-np.ones(len(N)), bounds=(None, None)).status == 0
-        found = network.network_constant(slopes, first, second)
+        found = contact_network.network_constant(slopes, first, second)
         assert np.isfinite(found.gamma) == free
         opposed += not free
         if free:
@@ -525,10 +525,12 @@ def test_gamma_of_small_networks_agrees_with_brute_force(small, monkeypatch):
 def test_gamma_of_a_long_row_of_discs_and_of_groups():
     i = np.arange(299)
     e = np.tile([1.0, 0.0], (299, 1))
-    found = network.network_constant((-e, e), i, i + 1)
+    found = contact_network.network_constant((-e, e), i, i + 1)
     assert found.gamma == pytest.approx(disc_row_gamma(300), rel=1e-6)
     assert found.attained <= disc_row_gamma(300) * (1 + 1e-9)
-    two = network.network_constant((np.vstack([-e, -e]), np.vstack([e, e])), np.append(i, i + 500), np.append(i + 1, i + 501))
+    two = contact_network.network_constant(
+        (np.vstack([-e, -e]), np.vstack([e, e])), np.append(i, i + 500), np.append(i + 1, i + 501)
+    )
     assert two.gamma == pytest.approx(SQRT2 * disc_row_gamma(300), rel=1e-6)
 
 
@@ -588,11 +590,11 @@ def test_a_large_gamma_is_not_infinite():
 
 
 def test_opposing_normals_of_a_large_group_are_still_found(monkeypatch):
-    monkeypatch.setattr(network, "MAX_WOLFE_GROUP", 1)
+    monkeypatch.setattr(contact_network, "MAX_WOLFE_GROUP", 1)
     e = np.tile([1.0, 0.0], (100, 1))
     i = np.arange(99)
     G, H = np.vstack([-e[:99], e[:1], -e[:1]]), np.vstack([e[:99], 0 * e[:2]])
-    found = network.network_constant((G, H), np.append(i, [0, 99]), np.append(i + 1, [-1, -1]))
+    found = contact_network.network_constant((G, H), np.append(i, [0, 99]), np.append(i + 1, [-1, -1]))
     assert np.isinf(found.attained)
 
 

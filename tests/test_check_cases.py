@@ -11,8 +11,8 @@ from conftest import CASES, REPOSITORY
 
 import nsmodel
 from nsmodel import within
-from nsmodel.checking import hypotheses_of
-from nsmodel.hypotheses import along
+from nsmodel.hypotheses import along_run
+from nsmodel.hypotheses.check import hypotheses_of
 from nsmodel.hypotheses.findings import VERDICTS
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.parts import MODEL_CLASSES
@@ -220,7 +220,7 @@ def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
     headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
     checks = [not_none(HYPOTHESIS_CHECKS.of_class_named(name)) for name in MODEL_CLASSES]
     hypotheses = list(dict.fromkeys(hypothesis for own in checks for hypothesis in own.hypotheses))
-    hypotheses += [*along.RUN_HYPOTHESES, *(hypothesis for own in checks for hypothesis in own.run_hypotheses)]
+    hypotheses += [*along_run.RUN_HYPOTHESES, *(hypothesis for own in checks for hypothesis in own.run_hypotheses)]
     ids = [hypothesis.id for hypothesis in hypotheses]
     assert len(set(ids)) == len(ids)
     assert set(ids) <= headings

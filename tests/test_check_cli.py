@@ -173,5 +173,5 @@ def test_a_run_that_is_done_is_not_refused_for_what_cannot_be_checked(nsmodel, t
 
 
 def test_a_quiet_run_is_not_checked_for_nothing(nsmodel, monkeypatch):
-    monkeypatch.setattr("nsmodel.checking.check", None)
+    monkeypatch.setattr("nsmodel.hypotheses.check.check", None)
     assert nsmodel("run", "relay.py", "--quiet")[0] == 0

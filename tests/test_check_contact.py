@@ -12,9 +12,9 @@ from fuzz_models import COUNT, FULL
 from scipy.optimize import fsolve
 
 from nsmodel import SweepingProcess
-from nsmodel.classes.sweeping.hypotheses.check import check
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region
+from nsmodel.models.sweeping_process.check import check
 from nsmodel.proof.jumps import jump_lower_bound, prove_jump
 from nsmodel.proof.krawczyk import enclose_zero
 from nsmodel.proof.ray_expansion import growth_exponent
@@ -130,7 +130,7 @@ def test_a_pillar_and_a_crowd_around_it():
     assert found.verdict == HOLDS
     rng, worst = np.random.default_rng(0), 1.0
     f = ca.Function("g", [q], [ca.vertcat(*rows.values()), ca.jacobian(ca.vertcat(*rows.values()), q)])
-    from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
+    from nsmodel.models.sweeping_process.mfcq_constant import mfcq_constant
 
     for _ in range(300):  # a row that leans on the pillar, at random angles
         x = np.array([0.6, 1.5]) + 0.4 * direction(rng)

@@ -11,9 +11,9 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import FirstOrderSystem, ball, box, complementarity, polyhedron, relay, simulate
-from nsmodel.classes.first_order.hypotheses.check import HYPOTHESES, check
-from nsmodel.classes.first_order.hypotheses.step_matrix import decide_p_matrix, regular_steps
 from nsmodel.hypotheses.region import region_of
+from nsmodel.models.first_order_system.check import HYPOTHESES, check
+from nsmodel.models.first_order_system.step_matrix import decide_p_matrix, regular_steps
 from nsmodel.proof import exact
 
 T = ca.SX.sym("t")

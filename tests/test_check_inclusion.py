@@ -8,9 +8,9 @@ from scipy.optimize import nnls
 
 import nsmodel
 from nsmodel import MonotoneInclusion, relay
-from nsmodel.classes.inclusion.hypotheses import autonomous as inclusion
-from nsmodel.classes.inclusion.set_valued import set_constraints, velocity_selection
 from nsmodel.hypotheses.region import region_of
+from nsmodel.models.monotone_inclusion import autonomous as inclusion
+from nsmodel.models.monotone_inclusion.schemes import set_constraints, velocity_selection
 from nsmodel.solvers.residuals import numeric_law
 
 IDS = ["M-T", "M-C", "M-A1", "M-A2", "M-A3", "M-24"]

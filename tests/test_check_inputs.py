@@ -27,8 +27,8 @@ from nsmodel import (
     table,
     within,
 )
-from nsmodel.certificate.write import write_certificate
 from nsmodel.cli import main
+from nsmodel.hypotheses.certificates.write import write_certificate
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 
 u, t, q, x = (ca.SX.sym(name) for name in ("u", "t", "q", "x"))

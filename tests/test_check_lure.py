@@ -10,12 +10,12 @@ from fuzz_models import COUNT, FULL, share
 
 import nsmodel
 from nsmodel import LureSystem, complementarity, relay
-from nsmodel.classes.lure.hypotheses import check as lure
-from nsmodel.classes.lure.hypotheses.dissipation import least_rate
-from nsmodel.classes.lure.hypotheses.passivity import decide_input_output, decide_storage
-from nsmodel.classes.lure.hypotheses.symbolic import symbolic_findings as symbolic_findings
 from nsmodel.hypotheses.region import region_of
+from nsmodel.models.lure_system import check as lure
+from nsmodel.models.lure_system.passivity import decide_input_output, decide_storage
+from nsmodel.models.lure_system.symbolic import symbolic_findings as symbolic_findings
 from nsmodel.proof import exact
+from nsmodel.proof.dissipation import least_rate
 
 # -- independent of the package ------------------------------------------------------------------------------------------
 

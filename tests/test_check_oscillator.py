@@ -7,9 +7,9 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import FrictionOscillator
-from nsmodel.classes.oscillator.hypotheses import check as oscillator
-from nsmodel.classes.oscillator.hypotheses.radius import friction_radius
 from nsmodel.hypotheses.region import region_of
+from nsmodel.models.friction_oscillator import check as oscillator
+from nsmodel.models.friction_oscillator.rest_points import friction_radius
 from nsmodel.proof import polynomial
 from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.convex import rules

@@ -11,7 +11,7 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import LureSystem, ball, box, complementarity, equality, polyhedron, relay, second_order_cone
-from nsmodel.classes.lure.hypotheses.range_condition import RANGE_HYPOTHESES, range_findings
+from nsmodel.models.lure_system.range_condition import RANGE_HYPOTHESES, range_findings
 from nsmodel.proof import conic, exact
 from nsmodel.proof.conic import ConicSystem
 

@@ -11,7 +11,7 @@ from fuzz_models import share
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, ManyBodies, MonotoneInclusion, SweepingProcess, check, relay
-from nsmodel.hypotheses.scope import Scope, intersect_scopes
+from nsmodel.hypotheses.findings import Scope, intersect_scopes
 from nsmodel.proof.domain import check_defined_in_time
 
 t, q, S = ca.SX.sym("t"), ca.SX.sym("q", 2), ca.SX.sym("s")

@@ -10,12 +10,11 @@ import pytest
 from fuzz_models import COUNT, FULL
 
 from nsmodel import SweepingProcess
-from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES, check
-from nsmodel.classes.sweeping.hypotheses.consequences import log_error_constant
-from nsmodel.classes.sweeping.hypotheses.geometry import disc_row_gamma, gram_bound, mfcq_constant
-from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region, region_of
+from nsmodel.models.sweeping_process.check import HYPOTHESES, check, log_error_constant
+from nsmodel.models.sweeping_process.constraint_shapes import read_shapes
+from nsmodel.models.sweeping_process.mfcq_constant import disc_row_gamma, gram_bound, mfcq_constant
 
 t = ca.SX.sym("t")
 SQRT2 = np.sqrt(2)

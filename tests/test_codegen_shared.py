@@ -14,13 +14,14 @@ import pytest
 
 import nsmodel
 from nsmodel import load
-from nsmodel.codegen import bodies, fragments, structs
-from nsmodel.codegen.bodies import BODIES_CONSTANTS
+from nsmodel.codegen import fragments, structs
 from nsmodel.codegen.fragments import C_FOLDER, prefix_names
 from nsmodel.codegen.source import write_source
 from nsmodel.codegen.step_spec import make_step_spec
 from nsmodel.modeling.laws import LAW_C_FOLDER as LAWS
 from nsmodel.modeling.time_grid import make_grid
+from nsmodel.models.many_bodies import step_library
+from nsmodel.models.many_bodies.step_library import BODIES_CONSTANTS
 
 CASES = Path(nsmodel.__file__).parents[1] / "cases"
 FRAGMENTS = {path.name: path.read_text(encoding="utf-8") for path in (*C_FOLDER.glob("*.[ch]"), *LAWS.glob("*.c"))}
@@ -112,7 +113,7 @@ def test_the_structs_of_a_run_are_those_of_the_c(case, tmp_path):
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_the_structs_of_many_bodies_are_those_of_the_c(d, tmp_path):
     for structure in (structs.BODIES_MOTION, structs.TIMED_BODIES_REPORT):
-        in_c, in_python = layout(bodies.solver_source(d), "model", tmp_path, structure)
+        in_c, in_python = layout(step_library.solver_source(d), "model", tmp_path, structure)
         assert in_c == in_python
 
 

@@ -58,12 +58,13 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.cli import main
-from nsmodel.codegen import bodies_step, library
+from nsmodel.codegen import library
 from nsmodel.codegen import library as cache
-from nsmodel.codegen.bodies import solver_source
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
 from nsmodel.modeling.time_grid import make_grid
+from nsmodel.models.many_bodies import step_library
+from nsmodel.models.many_bodies.step_library import solver_source
 from nsmodel.simulation.fixed_grid import SchemePropagator
 from nsmodel.simulation.simulate import explain, prepare
 from nsmodel.simulation.step_backend import STEPS_IN_C, STEPS_IN_C_FOR_ALL
@@ -788,10 +789,10 @@ def test_many_bodies_share_a_solver(load_case, monkeypatch):
     monkeypatch.setattr(cache, "has_cached_library", lambda key: kept and key == kept[0])
     cost = prepare(model, compiled=False).propagator._estimate_cost()
     alone = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
-    kept.append(bodies_step._source_key(solver_source(2), library.compiler()))
+    kept.append(step_library._source_key(solver_source(2), library.compiler()))
     shared = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
     assert 100 < shared < alone / 10
-    monkeypatch.setattr(bodies_step, "CompiledBodiesStep", None)  # nothing is built where it does not pay
+    monkeypatch.setattr(step_library, "CompiledBodiesStep", None)  # nothing is built where it does not pay
     assert STEPS_IN_C not in explain(model, t_end=(shared - 1) * model.step)
     with pytest.raises(TypeError):
         explain(model, t_end=shared * model.step)

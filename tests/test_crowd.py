@@ -13,18 +13,18 @@ from conftest import REPOSITORY
 from PIL import Image, ImageDraw
 
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StorageError, Trajectory, UsageError, simulate
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.cli import main
 from nsmodel.crowd import Noise, People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
-from nsmodel.crowd.geometry import distances, has_free_path
-from nsmodel.crowd.people import exit_zone_expression
-from nsmodel.crowd.picture import outlines, simplify_outline
 from nsmodel.errors import MissingExtraError, PlotError
+from nsmodel.models.crowd.geometry import distances, has_free_path
+from nsmodel.models.crowd.people import exit_zone_expression
+from nsmodel.models.crowd.room import outlines, simplify_outline
+from nsmodel.models.many_bodies.arching import find_arches, is_held_by_contacts
+from nsmodel.models.many_bodies.contact_solver import COLD_BODIES_START, BodiesStepper
+from nsmodel.models.many_bodies.schemes import BodiesProblem
 from nsmodel.plot import animate, save_all
 from nsmodel.plot import crowd as pictures
-from nsmodel.solvers.contact_solver import COLD_BODIES_START, BodiesStepper
 from nsmodel.solvers.contacts import NO_CONTACTS, Contacts
-from nsmodel.standstill import find_arches, is_held_by_contacts
 
 DOOR = [(10, 4), (10, 6)]
 HALVES = [[(5, 0), (5, 7)], [(5, 9), (5, 10)]]

@@ -21,9 +21,9 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.codegen import library
 from nsmodel.codegen import library as cache
+from nsmodel.models.sweeping_process.mfcq_constant import mfcq_constant
 
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)

@@ -21,8 +21,8 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.classes.units import in_units as units_of_package
 from nsmodel.modeling.laws import Law
+from nsmodel.study.units import in_units as units_of_package
 
 T, Q, X, LAM, S = (ca.SX.sym(name) for name in ("t", "q", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)

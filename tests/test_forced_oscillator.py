@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nsmodel import FrictionOscillator, LureSystem, ModelError, check, relay, simulate, stepper, stress, table
-from nsmodel.classes.oscillator.equations import equations
-from nsmodel.classes.units import in_units
+from nsmodel.models.friction_oscillator.documents import equations
+from nsmodel.study.units import in_units
 
 t, x, s, u = (ca.SX.sym(name) for name in "txsu")
 F, W = 2.0, 0.7

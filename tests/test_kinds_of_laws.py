@@ -27,7 +27,7 @@ from nsmodel import (
 )
 from nsmodel.codegen import write
 from nsmodel.errors import CodegenError
-from nsmodel.hypotheses.report.typeset import model_equations
+from nsmodel.hypotheses.equations import model_equations
 from nsmodel.modeling.laws import FACTOR_KINDS, BallSet, ConeSet, EllipsoidSet, Law
 from nsmodel.plot.strip import index_strip
 from nsmodel.study.reference_steps import formula_residuals

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, ModelError, check, complementarity, product, pwm, relay, simulate, stress
-from nsmodel.certificate import verify
-from nsmodel.certificate.write import certificate_of
-from nsmodel.classes.lure.equations import equations
-from nsmodel.classes.units import in_units
+from nsmodel.hypotheses.certificates import verify
+from nsmodel.hypotheses.certificates.write import certificate_of
+from nsmodel.models.lure_system.documents import equations
+from nsmodel.study.units import in_units
 
 t = ca.SX.sym("t")
 

@@ -17,12 +17,12 @@ from processes import kill_when_there, start
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StepError, StorageError, Trajectory, UsageError, neighbours
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.modeling.fingerprint import fingerprint
 from nsmodel.modeling.time_grid import make_grid
+from nsmodel.models.many_bodies.contact_search import least_gap, near_contact_rows
+from nsmodel.models.many_bodies.contact_solver import BODIES_SOLVERS, COLD_BODIES_START, BodiesStepper
+from nsmodel.models.many_bodies.schemes import BodiesProblem
 from nsmodel.simulation.simulate import prepare
-from nsmodel.solvers.contact_search import least_gap, near_contact_rows
-from nsmodel.solvers.contact_solver import BODIES_SOLVERS, COLD_BODIES_START, BodiesStepper
 from nsmodel.solvers.contacts import Contacts
 
 loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
@@ -578,8 +578,8 @@ def test_a_compiled_step_that_fails_is_taken_interpreted(monkeypatch):
         def __call__(self, *args):
             raise StepError("not certified")
 
-    monkeypatch.setitem(sys.modules, "nsmodel.codegen.bodies_step", type(sys)("bodies"))
-    sys.modules["nsmodel.codegen.bodies_step"].CompiledBodiesStep = Failing
+    monkeypatch.setitem(sys.modules, "nsmodel.models.many_bodies.step_library", type(sys)("bodies"))
+    sys.modules["nsmodel.models.many_bodies.step_library"].CompiledBodiesStep = Failing
     run = prepare(model, compiled=True)
     assert run.propagator.settings["way of stepping"].startswith("compiled by")
     assert run.go().x == pytest.approx(simulate(model).x, abs=0)

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nsmodel import MonotoneInclusion, StepError, Trajectory, check, explain, relay, simulate, stress
-from nsmodel.classes.inclusion.judge import residuals
+from nsmodel.models.monotone_inclusion.reference_steps import residuals
 
 T = ca.SX.sym("t")
 X, Y = ca.SX.sym("x"), ca.SX.sym("x", 2)

@@ -32,14 +32,14 @@ from nsmodel import (
     table,
     within,
 )
-from nsmodel.certificate.write import certificate_of
-from nsmodel.classes.lure.equations import equations
-from nsmodel.classes.units import in_units
 from nsmodel.errors import CodegenError, EmptyLawError
+from nsmodel.hypotheses.certificates.write import certificate_of
+from nsmodel.models.lure_system.documents import equations
 from nsmodel.simulation import event_driven, fixed_grid, step_backend
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.time_stepper import Stepper
 from nsmodel.study.reference_steps import formula_residuals as misfits
+from nsmodel.study.units import in_units
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 t, u, s, x, l = (ca.SX.sym(name) for name in "tusxl")

@@ -39,13 +39,13 @@ def imports_of(name):
     return found
 
 
-HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot", "nsmodel.checking", "nsmodel.crowd"]
+HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot", "nsmodel.hypotheses.check", "nsmodel.crowd"]
 HEAVY += [
     "nsmodel.stress",
     "nsmodel.study",
     "nsmodel.sweep",
     "nsmodel.codegen",
-    "nsmodel.hypotheses.along",
+    "nsmodel.hypotheses.along_run",
     "nsmodel.proof.interval_bounds",
     "nsmodel.proof.exact",
 ]

@@ -129,7 +129,7 @@ def test_formulas_are_mathml():
 
 def test_models_of_all_cases_show_their_equations(case_file):
     """Every formula is well formed, and no command is left that the reader of LaTeX does not know."""
-    from nsmodel.hypotheses.report.typeset import model_equations
+    from nsmodel.hypotheses.equations import model_equations
     from nsmodel.rich import mathml as reader
 
     model = nsmodel.load(case_file)

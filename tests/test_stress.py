@@ -32,10 +32,10 @@ from nsmodel import (
     simulate,
     stress,
 )
-from nsmodel.classes.units import in_units
 from nsmodel.cli import main
 from nsmodel.study.reference_steps import formula_residuals, majorant, state_term_sizes
 from nsmodel.study.stress import LEFT_OUT, RIGHT, STOPPED, WRONG, stress_variants
+from nsmodel.study.units import in_units
 
 EPS = np.finfo(float).eps
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
@@ -355,7 +355,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert "56: 0 right, 0 stopped, 0 wrong, 56 left out" in capsys.readouterr().out
     assert main(["stress", str(file), "--vary", "gap"]) == 2
     assert "expected NAME=V1,V2" in capsys.readouterr().err
-    for module in ("nsmodel.study.reference_steps", "nsmodel.classes.sweeping.judge"):
+    for module in ("nsmodel.study.reference_steps", "nsmodel.models.sweeping_process.reference_steps"):
         for name in ("EQUATION", "ROUNDING"):
             monkeypatch.setattr(sys.modules[module], name, 0.0)
     assert main(["stress", str(file), "--set", "n=1", "--json"]) == 1

@@ -23,7 +23,6 @@ from nsmodel import (
     study,
     table,
 )
-from nsmodel.classes.units import in_units
 from nsmodel.cli import main
 from nsmodel.modeling.signals.pwm import Pwm
 from nsmodel.simulation.simulate import prepare
@@ -32,6 +31,7 @@ from nsmodel.study import methods
 from nsmodel.study.reference import RunAtRows, make_row_stepper, nonuniqueness_reason
 from nsmodel.study.reference_steps import formula_residuals
 from nsmodel.study.stress import RIGHT, STOPPED
+from nsmodel.study.units import in_units
 
 T = input_scenes.T
 UNITS = pytest.mark.parametrize(("u", "tau"), [(1e-9, 1e9), (3.0, 1e-9), (1.0, 7.0)])

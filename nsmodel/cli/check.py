@@ -12,7 +12,7 @@ from nsmodel.cli.status import EXIT_AT_FAULT, EXIT_DONE, report_refusal
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.files.storage import write_text
 from nsmodel.hypotheses.findings import VIOLATED
-from nsmodel.hypotheses.report.report import Report
+from nsmodel.hypotheses.report import Report
 from nsmodel.modeling.signals import Within, within
 
 BOUND_OPTIONS = ("rate", "start")
@@ -58,7 +58,7 @@ def add(commands: Commands) -> None:
 
 def _run_check(arguments: argparse.Namespace) -> int:
     """Check each file; several end in a line a file. The status is that of the worst."""
-    from nsmodel.checking import check
+    from nsmodel.hypotheses.check import check
 
     several = len(arguments.files) > 1
     for option in ("markdown", "html", "certificate"):
@@ -141,7 +141,7 @@ def _parse_bound(setting: str) -> tuple[str, Within]:
 
 
 def _save_certificate(report: Report, folder: str, silenced: bool) -> None:
-    from nsmodel.certificate.write import write_certificate
+    from nsmodel.hypotheses.certificates.write import write_certificate
 
     path, proved, left = write_certificate(report, folder)
     if not silenced:

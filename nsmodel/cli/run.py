@@ -230,7 +230,7 @@ def _report_run(
 
 def _quick_verdict(model: Model, run: Trajectory) -> str:
     """What the quick check says, in one line; a run that is done is not refused for what cannot be checked."""
-    from nsmodel.checking import check
+    from nsmodel.hypotheses.check import check
 
     try:
         return check(model, [run], quick=True).verdict

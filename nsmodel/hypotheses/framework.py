@@ -6,11 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from nsmodel.hypotheses.findings import Consequence, Finding, Hypothesis
+from nsmodel.hypotheses.findings import Consequence, Finding, Hypothesis, IntervalBox
 from nsmodel.hypotheses.inputs import InputBounds
-from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import IntervalBox
-from nsmodel.hypotheses.uniform import ParameterValues
+from nsmodel.hypotheses.region import ParameterValues, Region
 from nsmodel.modeling.parts import Part
 from nsmodel.simulation.trajectory import Trajectory
 

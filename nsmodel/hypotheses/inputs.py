@@ -14,10 +14,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.findings import UNKNOWN, Consequence
-from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import IntervalBox
-from nsmodel.hypotheses.uniform import depends_on_symbol
+from nsmodel.hypotheses.findings import UNKNOWN, Consequence, IntervalBox
+from nsmodel.hypotheses.region import Region, depends_on_symbol
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.inputs import signal_label, signals_by_name
 from nsmodel.modeling.signals.base import ConstantSignal, Signal, SignalJump, SizedBounds, Within

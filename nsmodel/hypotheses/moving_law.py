@@ -15,11 +15,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, Scope, make_finding
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Scope
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.signals.function import Expression

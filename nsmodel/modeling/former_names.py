@@ -13,6 +13,13 @@ from typing import Any
 PACKAGE = "nsmodel"
 PACKAGES = {
     "blocks": "modeling.standard_blocks",
+    "classes": "models",
+    "classes.bodies": "models.many_bodies",
+    "classes.first_order": "models.first_order_system",
+    "classes.inclusion": "models.monotone_inclusion",
+    "classes.lure": "models.lure_system",
+    "classes.oscillator": "models.friction_oscillator",
+    "classes.sweeping": "models.sweeping_process",
     "laws": "modeling.laws",
     "model": "modeling",
     "signals": "modeling.signals",
@@ -21,9 +28,23 @@ PACKAGES = {
 MODULES = PACKAGES | {
     "blocks.block": "modeling.block",
     "blocks.common": "modeling.standard_blocks",
+    "checking": "hypotheses.check",
+    "classes.bodies.groups": "models.many_bodies.families",
+    "classes.bodies.model": "models.many_bodies.model",
+    "classes.first_order.model": "models.first_order_system.model",
+    "classes.inclusion.model": "models.monotone_inclusion.model",
+    "classes.lure.model": "models.lure_system.model",
+    "classes.oscillator.model": "models.friction_oscillator.model",
+    "classes.sweeping.model": "models.sweeping_process.model",
     "contacts": "solvers.contacts",
+    "crowd.noise": "models.crowd.people",
+    "crowd.paths": "models.crowd.paths",
+    "crowd.people": "models.crowd.people",
+    "crowd.room": "models.crowd.room",
     "dense": "event_driven.dense_output",
     "grid": "modeling.time_grid",
+    "hypotheses.report.report": "hypotheses.report",
+    "hypotheses.scope": "hypotheses.findings",
     "laws.ball": "modeling.laws.ball",
     "laws.block": "modeling.laws.base",
     "laws.box": "modeling.laws.box",
@@ -92,7 +113,11 @@ MODULES = PACKAGES | {
     "sweep.work": "sweep.executor",
     "trajectory": "simulation.trajectory",
 }
+INSIDE_MODULES = "crowd.", "hypotheses.report."
 CLASSES = {
+    "classes.bodies.groups.Member": "GroupMember",
+    "crowd.noise.Wavering": "NoisyVelocity",
+    "crowd.room.Grid": "RoomGrid",
     "grid.Grid": "TimeGrid",
     "model.convex.Term": "ConvexTerm",
     "model.exact.Sampled": "SampledExactState",
@@ -136,6 +161,14 @@ class FormerModules(MetaPathFinder, Loader):
 
 
 def install() -> None:
-    """Let imports find former modules, after all others."""
+    """Let imports find former modules, after all others.
+
+    No finder is asked for a module inside of what is no package any more: those are loaded here.
+    """
     if not any(isinstance(finder, FormerModules) for finder in sys.meta_path):
         sys.meta_path.append(FormerModules())
+    for name in MODULES:
+        if name.startswith(INSIDE_MODULES):
+            finder, module = FormerModules(), ModuleType(f"{PACKAGE}.{name}")
+            finder.exec_module(module)
+            sys.modules.setdefault(module.__name__, module)

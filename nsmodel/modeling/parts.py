@@ -15,12 +15,12 @@ from typing import Any, Generic, TypeVar
 from nsmodel.errors import ModelError
 
 MODEL_CLASSES = {  # Class of models: its package.
-    "SweepingProcess": "nsmodel.classes.sweeping",
-    "FrictionOscillator": "nsmodel.classes.oscillator",
-    "FirstOrderSystem": "nsmodel.classes.first_order",
-    "LureSystem": "nsmodel.classes.lure",
-    "MonotoneInclusion": "nsmodel.classes.inclusion",
-    "ManyBodies": "nsmodel.classes.bodies",
+    "SweepingProcess": "nsmodel.models.sweeping_process",
+    "FrictionOscillator": "nsmodel.models.friction_oscillator",
+    "FirstOrderSystem": "nsmodel.models.first_order_system",
+    "LureSystem": "nsmodel.models.lure_system",
+    "MonotoneInclusion": "nsmodel.models.monotone_inclusion",
+    "ManyBodies": "nsmodel.models.many_bodies",
 }
 
 T = TypeVar("T")

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.crowd.measure import Flow, Maps, evacuation_times, positions, present
 from nsmodel.errors import PlotError
+from nsmodel.models.crowd.measure import Flow, Maps, evacuation_times, positions, present
 from nsmodel.plot import style
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class CrowdArtists:
 
     def _contact_lines(self, row: int) -> tuple[np.ndarray, np.ndarray]:
         """The lines (K, 2, 2) between those that touch: two people, or one and the nearest point of a wall; their reactions."""
-        from nsmodel.crowd.geometry import nearest_points
+        from nsmodel.models.crowd.geometry import nearest_points
 
         q, contacts = self.q[row], self.run.contacts(row)
         i, j = contacts.first, contacts.second

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nsmodel.crowd.measure import present
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.files.storage import replace_atomically
+from nsmodel.models.crowd.measure import present
 from nsmodel.plot import style
 from nsmodel.proof.verdict import not_none
 

@@ -130,7 +130,7 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
     return own.configuration(run, model, row, ax)
 
 
-CLASS_PLOTS = {"SweepingProcess": "nsmodel.classes.sweeping.plots", "ManyBodies": "nsmodel.classes.bodies.plots"}
+CLASS_PLOTS = {"SweepingProcess": "nsmodel.plot.forbidden_set", "ManyBodies": "nsmodel.plot.many_bodies"}
 
 
 def class_plots(run: Trajectory) -> Any:

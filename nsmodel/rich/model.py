@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nsmodel._utils import join_within_width, truncate_text
-from nsmodel.hypotheses.report.typeset import model_equations
+from nsmodel.hypotheses.equations import model_equations
 from nsmodel.modeling.description import model_facts
 from nsmodel.rich import page
 

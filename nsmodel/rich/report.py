@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from nsmodel._utils import truncate_text
-from nsmodel.hypotheses.report import table
-from nsmodel.hypotheses.report.typeset import model_equations
+from nsmodel.hypotheses import report as table
+from nsmodel.hypotheses.equations import model_equations
 from nsmodel.proof.verdict import HOLDS, VERDICTS
 from nsmodel.rich import page
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.findings import Consequence, Finding
-    from nsmodel.hypotheses.report.report import Report
+    from nsmodel.hypotheses.report import Report
 
 REPORT_ROWS = 14  # More are folded.
 VERDICT_ORDER = {verdict: k for k, verdict in enumerate(("violated", "unknown", "sampled", "holds"))}

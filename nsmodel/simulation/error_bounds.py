@@ -25,10 +25,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.lure.hypotheses import least_omega
-from nsmodel.classes.lure.hypotheses.dissipation import least_rate
-from nsmodel.classes.lure.hypotheses.pairing import well_conditioned_block
-from nsmodel.classes.lure.hypotheses.storage import find_storage_matrix
 from nsmodel.event_driven.integrator import Integrator
 from nsmodel.event_driven.interval_proof import (
     MAX_REPORTED_FAILURES,
@@ -45,10 +41,12 @@ from nsmodel.event_driven.modes import describe_undecided
 from nsmodel.event_driven.piece import Piece
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrences import taylor_decompose
-from nsmodel.proof import exact, interval_bounds
+from nsmodel.proof import dissipation, exact, interval_bounds
+from nsmodel.proof.dissipation import least_rate
 from nsmodel.proof.expression_graph import rewrite_nodes
 from nsmodel.proof.interval_arithmetic import next_up
 from nsmodel.proof.interval_functions import Interval, interval_function, point_intervals
+from nsmodel.proof.storage_matrix import find_storage_matrix, well_conditioned_block
 
 BOXES_PER_PIECE = 8  # Boxes that each piece is covered by.
 METRIC_SAMPLES = 8  # Jacobians for which P is chosen.
@@ -124,7 +122,7 @@ class _QuadraticMetric:
         off = np.maximum(high - middle, middle - low) * (1 + SUM_ROUNDING_SHARE)
         Q = self._sizes @ off / np.outer(self._unit, self._unit)
         more = float(((Q + Q.T) / 2).sum(axis=1).max(initial=0.0)) / self._least * (1 + SUM_ROUNDING_SHARE)
-        about, scale = least_omega.growth_rate(self.doubles, middle), float(np.abs(middle).max(initial=0.0))
+        about, scale = dissipation.growth_rate(self.doubles, middle), float(np.abs(middle).max(initial=0.0))
         PJ = exact.matrix_product(self.P, exact.rational(middle))
         for lift in (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-6, 1e-3):
             omega = about + lift * scale if abs(about) > NEGLIGIBLE_OMEGA * scale else lift * scale

@@ -12,10 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from nsmodel.checking import check, with_start
-from nsmodel.classes.units import in_units
 from nsmodel.errors import NsmodelError, StepError, UsageError
-from nsmodel.hypotheses.along import CONTINUITY_HYPOTHESIS, QUALIFICATION_HYPOTHESIS
+from nsmodel.hypotheses.along_run import CONTINUITY_HYPOTHESIS, QUALIFICATION_HYPOTHESIS
+from nsmodel.hypotheses.check import check, with_start
 from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, VIOLATED
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.base import Model
@@ -30,6 +29,7 @@ from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.initial_checks import UNIQUENESS_WARNING
 from nsmodel.study.reference_steps import EVALUATION_ROUNDING, formula_residuals, state_term_sizes, worst_ratio
 from nsmodel.study.stress_result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
+from nsmodel.study.units import in_units
 
 STEPS_PER_CELL = 24
 STEP_FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE, has_live_display
-from nsmodel.checking import check
 from nsmodel.errors import NsmodelError, StepError, UsageError
-from nsmodel.hypotheses.along import findings_along_run
+from nsmodel.hypotheses.along_run import findings_along_run
+from nsmodel.hypotheses.check import check
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.base import Model

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel._utils import escape_invisible
-from nsmodel.crowd.measure import present
 from nsmodel.errors import PlotError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.modeling import laws
@@ -24,6 +23,7 @@ from nsmodel.modeling.columns import (
     state_names,
     units_of,
 )
+from nsmodel.models.crowd.measure import present
 from nsmodel.plot import style
 from nsmodel.view.packed import PackedRows, pack_codes, pack_column
 

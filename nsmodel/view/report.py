@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsmodel._utils import escape_invisible
-from nsmodel.hypotheses.report import table
+from nsmodel.hypotheses import report as table
 from nsmodel.view.page import standalone_page, write_page
 
 if TYPE_CHECKING:
-    from nsmodel.hypotheses.report.report import Report
+    from nsmodel.hypotheses.report import Report
 
 REPORT_SCRIPTS = ("elements", "report")
 

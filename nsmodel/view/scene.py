@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel._utils import escape_invisible
-from nsmodel.crowd.measure import positions, present
 from nsmodel.modeling.columns import state_names, units_of
+from nsmodel.models.crowd.measure import positions, present
 from nsmodel.plot import style
 from nsmodel.plot.plane import class_plots
 from nsmodel.view.packed import pack_codes, pack_numbers

@@ -22,8 +22,8 @@ from tqdm import tqdm
 
 import nsmodel
 from nsmodel import check
-from nsmodel.certificate import verify
-from nsmodel.certificate.write import certificate_of
+from nsmodel.hypotheses.certificates import verify
+from nsmodel.hypotheses.certificates.write import certificate_of
 
 from .checked import MAKERS, draw
 

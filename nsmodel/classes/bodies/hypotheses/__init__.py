@@ -1,1 +1,0 @@
-"""Sweeping processes of many bodies: each hypothesis once a family."""

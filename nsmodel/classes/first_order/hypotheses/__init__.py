@@ -1,1 +1,0 @@
-"""Hypotheses of the theta-gamma scheme for first-order nonsmooth systems."""

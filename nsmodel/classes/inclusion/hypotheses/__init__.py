@@ -1,1 +1,0 @@
-"""Hypotheses of maximal monotone inclusions by catching-up (2026)."""

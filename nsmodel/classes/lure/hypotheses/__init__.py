@@ -1,1 +1,0 @@
-"""Hypotheses of multivalued Lur'e systems (Brogliato and Goeleven 2013)."""

@@ -1,1 +1,0 @@
-"""How a step of this class is written as a nonsmooth problem."""

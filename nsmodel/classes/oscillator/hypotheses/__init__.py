@@ -1,1 +1,0 @@
-"""Hypotheses of oscillators under dry friction (Cabot 2004)."""

@@ -1,1 +1,0 @@
-"""Hypotheses of sweeping processes (Bernicot and Venel 2010)."""

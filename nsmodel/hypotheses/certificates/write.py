@@ -1,0 +1,207 @@
+"""``nsmodel check FILE --certificate DIR``: certificate.json, and the program that verifies it.
+
+The data of a model that its certificate speaks of: graphs, matrices, the law, the start.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.files.storage import replace_atomically
+from nsmodel.hypotheses.certificates import verify
+from nsmodel.hypotheses.certificates.hints import (
+    ROUNDING_ALLOWANCES,
+    CoverTooLarge,
+    StatedNumber,
+    UnprovedFinding,
+    UnsupportedOperation,
+    exact_matrix_text,
+    exact_number_text,
+    stated_values,
+    straight_line_program,
+    verify_with_covers,
+)
+from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, Finding, Scope
+from nsmodel.hypotheses.moving_law import freeze_law
+from nsmodel.hypotheses.report import Report
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.laws import Law
+from nsmodel.modeling.parts import Part
+
+Data = dict[str, Any]
+
+
+class CertificateSubject(NamedTuple):
+    """What a certificate speaks of: the model with its constraints one by one, as data; ``box`` of inputs that are no states."""
+
+    model: Model
+    data: Data
+    box: Mapping[str, Sequence[float]] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class CertificateParts:
+    """What a class of models brings to certificates.
+
+    Attributes:
+        stated: {id of a hypothesis: the numbers that its statement has}.
+        subject: (model, findings by id), what a certificate of it speaks of.
+        proofs: (model, its data, finding, findings by id, stated values, room for rounding), data of proofs to be tried in turn.
+    """
+
+    stated: Mapping[str, tuple[StatedNumber, ...]]
+    subject: Callable[[Any, Mapping[str, Finding]], CertificateSubject]
+    proofs: Callable[..., Iterable[Data]]
+
+
+CERTIFICATE = Part[CertificateParts]("certificate_parts")
+
+
+def certificate_subject(model: Model, findings: Mapping[str, Finding]) -> CertificateSubject:
+    """The model as data; its parameters have values, and numbers of findings may be data too.
+
+    Raises:
+        Unproved: the model cannot be written down.
+    """
+    subject = CERTIFICATE.of(model).subject(model, findings)
+    named = {"class": type(subject.model).__name__, "title": subject.model.title or "untitled"}
+    return subject._replace(data=named | subject.data)
+
+
+def column_text(column: Any) -> list[str]:
+    """A column."""
+    return [exact_number_text(entry) for entry in np.array(ca.DM(column)).ravel()]
+
+
+def expression_program(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
+    """The program, or why there is none: not every statement needs it."""
+    try:
+        return straight_line_program(expr, inputs, names)
+    except UnsupportedOperation as why:
+        return {"inputs": list(names), "why": str(why)}
+
+
+def dense_matrix_text(entries: Any) -> list[list[str]]:
+    """A matrix, also an empty one."""
+    values = np.array(ca.DM(ca.densify(entries))).reshape(entries.shape)
+    return exact_matrix_text(values) if values.size else [[] for _ in range(len(values))]
+
+
+def _array_text(value: Any) -> str | list[str] | list[list[str]]:
+    array = np.asarray(value, float)
+    if array.ndim > 1:
+        return exact_matrix_text(array)
+    return [exact_number_text(number) for number in array] if array.ndim else exact_number_text(float(array))
+
+
+def law_data(law: Law) -> list[Data]:
+    """The blocks of a law."""
+    return [
+        {"kind": block.kind, "size": block.size} | {name: _array_text(value) for name, value in block.data().items()}
+        for block in law.blocks
+    ]
+
+
+def step_sizes_text(model: Model) -> list[str]:
+    """The model's own steps."""
+    steps = [model.step] if model.steps is None else list(np.ravel(model.steps))
+    return [exact_number_text(step) for step in steps if step is not None]
+
+
+CERTIFICATE_FORMAT = 2
+
+
+def certificate_of(report: Report) -> dict[str, Any]:
+    """The certificate of a report: the model's data and their hash, a statement for each hypothesis that holds.
+
+    A statement without proof says why under "why"; ``verify`` then answers "not checkable". What was measured along runs has
+    no statement.
+
+    Raises:
+        UsageError: a model with inputs, or with a law that moves.
+    """
+    report.model.check_allowed("certificate")
+    if freeze_law(report.model) is not report.model:
+        raise UsageError("certificate: the law moves with time; a certificate says nothing of laws that move")
+    found: dict[str, Any] = {"format": CERTIFICATE_FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
+    findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
+    reason, subject = "", CertificateSubject(report.model, {})
+    try:
+        subject = certificate_subject(report.model, findings)
+    except UnprovedFinding as why:
+        reason = str(why)
+    found["model"] = subject.data
+    found["hash"] = verify.digest(found["model"])
+    for finding in report.findings:
+        if finding.verdict == HOLDS and not finding.id.startswith(RUN_FINDING_PREFIX):
+            found["statements"].append(_prove_statement(subject, finding, findings, reason))
+    return found
+
+
+def _prove_statement(subject: CertificateSubject, finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
+    part = CERTIFICATE.of(subject.model)
+    stated = part.stated.get(finding.id, ())
+    statement: dict[str, Any] = {
+        "id": finding.id, "statement": finding.statement, "source": finding.source, "value": stated_values(finding, stated),
+        "scope": None if finding.scope is None else _scope_data(finding.scope, subject.box), "proof": None,
+    }  # fmt: skip
+    for room in ROUNDING_ALLOWANCES if not reason else ():
+        value = stated_values(finding, stated, room)
+        try:
+            proofs = part.proofs(subject.model, subject.data, finding, findings, value, room)
+        except (UnprovedFinding, UnsupportedOperation, verify.NotCheckable) as why:
+            reason = str(why)
+            break
+        for proof in proofs:
+            proved = statement | {"value": value, "proof": proof}
+            try:
+                answer = verify_with_covers(subject.data, proved)
+            except CoverTooLarge as why:
+                reason = str(why)
+                continue
+            if answer == "yes":
+                return proved
+            reason = answer.partition(": ")[2]
+    return statement | {"why": reason}
+
+
+def _scope_data(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """The scope; what lies on a box of states has the box of the other inputs too."""
+    states = {**box, **scope.states} if scope.states else {}
+    return {
+        "states": {name: [exact_number_text(end) for end in ends] for name, ends in states.items()} or None,
+        "time": None if scope.time is None else [exact_number_text(end) for end in scope.time],
+    }
+
+
+def write_certificate(report: Report, folder: str | Path) -> tuple[Path, int, int]:
+    """Write certificate.json and verify.py into a folder, which is made.
+
+    Returns:
+        the path of the certificate; how many statements are proved in it, and how many are not checkable.
+
+    Raises:
+        UsageError: no folder can be made there.
+    """
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"certificate: {target} cannot be made a folder ({error.strerror})") from error
+    certificate = certificate_of(report)
+    path = target / "certificate.json"
+    with replace_atomically(path) as temporary:
+        temporary.write_text(json.dumps(certificate, indent=1) + "\n", encoding="utf-8")
+    shutil.copyfile(verify.__file__, target / "verify.py")
+    left = sum(statement["proof"] is None for statement in certificate["statements"])
+    return path, len(certificate["statements"]) - left, left

@@ -1,0 +1,127 @@
+"""Certificates of first-order systems: f, g, h, inverses at each step.
+
+The class in LaTeX.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.certificates.hints import (
+    KEEP_EXACT,
+    AdaptiveCover,
+    StatedNumber,
+    UnprovedFinding,
+    exact_matrix_text,
+    exact_number_text,
+)
+from nsmodel.hypotheses.certificates.write import (
+    CertificateSubject,
+    Data,
+    column_text,
+    dense_matrix_text,
+    expression_program,
+    law_data,
+    step_sizes_text,
+)
+from nsmodel.hypotheses.equations import (
+    entry_formulas,
+    function_call_latex,
+    law_latex,
+    matrix_latex,
+    start_line,
+    state_lines,
+    symbol_names,
+    vector_lines,
+)
+from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.latex import vector_latex
+from nsmodel.models.first_order_system.model import FirstOrderSystem
+from nsmodel.proof import exact
+
+STATED = {"F-step": (StatedNumber("h", KEEP_EXACT),), "F-W": (StatedNumber("h", KEEP_EXACT),)}
+
+
+def subject(model: FirstOrderSystem, findings: Mapping[str, Finding]) -> CertificateSubject:
+    """The model as data; the multipliers lie in K, where it is bounded."""
+    z, names = ca.vertcat(model.t, model.x, model.lam), ["t", *(model.names or ()), *model.multiplier_names]
+    data = {
+        **{name: expression_program(getattr(model, name), z, names) for name in "fgh"},
+        "M": dense_matrix_text(model.M), "theta": exact_number_text(model.theta), "gamma": exact_number_text(model.gamma),
+        "x0": column_text(model.x0), "steps": sorted(set(step_sizes_text(model)), key=Fraction), "law": law_data(model.law),
+    }  # fmt: skip
+    ends = np.array(ca.DM(ca.horzcat(model.law.lower, model.law.upper))).reshape(-1, 2)
+    box = {name: tuple(end) for name, end in zip(model.multiplier_names, ends, strict=True) if np.isfinite(end).all()}
+    return CertificateSubject(model, data, box)
+
+
+def proofs(
+    model: FirstOrderSystem, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+) -> list[Any]:
+    """Hints: the inverse of M or of W, covers."""
+    return [_inverse_hint(model, finding, value)]
+
+
+def _inverse_hint(model: FirstOrderSystem, finding: Finding, value: dict[str, str]) -> Any:
+    if finding.id == "F-jacobians":
+        return {"cover": AdaptiveCover()}
+    if finding.id in ("F-mlcp", "F-unique"):
+        return _mlcp_hint(model)
+    steps = model.steps if model.steps is not None else [model.step]
+    value["h"] = exact_number_text(np.max(np.asarray(steps, float)))
+    inverse = exact.inverse_matrix(exact.rational(np.array(ca.DM(ca.densify(model.M)))))
+    if inverse is None:
+        raise UnprovedFinding("M is singular")
+    return {"inverse": exact_matrix_text(inverse), "cover": AdaptiveCover()}
+
+
+def _mlcp_hint(model: FirstOrderSystem) -> Any:
+    """W^-1 at each step, and T with T (W_mlcp + W_mlcp') = B where there is one."""
+    z = ca.vertcat(model.t, model.x, model.lam)
+    J = [ca.jacobian(getattr(model, name), u) for name in "fgh" for u in (model.x, model.lam)]
+    if any(ca.depends_on(part, z) for part in J):
+        raise UnprovedFinding("f, g or h is not affine")
+    A, _, K, B, C, D = (exact.rational(np.array(ca.DM(ca.densify(part))).reshape(part.shape)) for part in J)
+    M, theta, gamma = exact.rational(np.array(ca.DM(ca.densify(model.M)))), Fraction(model.theta), Fraction(model.gamma)
+    found: dict[str, list[Any]] = {"inverses": [], "T": []}
+    for h in np.unique(np.asarray(model.step if model.steps is None else model.steps, float)):
+        inverse = exact.inverse_matrix(M - Fraction(h) * (theta * A + gamma * K))
+        if inverse is None:
+            raise UnprovedFinding("W is singular")
+        W = D + Fraction(h) * gamma * exact.matrix_product(C, inverse, B)
+        T = exact.solve_linear_system(W + W.T, B.T)
+        found["inverses"].append(exact_matrix_text(inverse))
+        found["T"].append(None if T is None else exact_matrix_text(T.T))
+    return found
+
+
+def equations(model: FirstOrderSystem) -> list[str]:
+    """The model, one formula a line."""
+    names = symbol_names(model)
+    left = r"\dot{x}" if model.M.is_eye() else r"M\,\dot{x}"
+    f = function_call_latex("f", model.f, model, names, "x")
+    start = start_line("x(0)", model.x0, names)
+    mass = [] if model.M.is_eye() else [f"M = {matrix_latex(model.M, names)}"]
+    if not model.lam.numel():
+        return [f"{left} = {f}", *state_lines(model), *vector_lines(f, model.f, names), *mass, start]
+    h, g = (
+        function_call_latex("h", model.h, model, names, "x", r"\lambda"),
+        function_call_latex("g", model.g, model, names, "x", r"\lambda"),
+    )
+    symbols = vector_latex(entry_formulas(model.lam, names))
+    return [
+        rf"{left} = {f} + r,\quad y = {h},\quad r = {g},\quad -y \in N_K(\lambda)",
+        *state_lines(model),
+        *vector_lines(f, model.f, names),
+        *vector_lines(h, model.h, names),
+        *vector_lines(g, model.g, names),
+        *([] if symbols == r"\lambda" else [rf"\lambda = {symbols}"]),
+        *mass,
+        law_latex(model.law),
+        start,
+    ]

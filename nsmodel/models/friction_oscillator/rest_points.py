@@ -1,0 +1,385 @@
+"""The largest ball in A(0) = sum_j H_j' B(0, r_j): its radius is the least sigma(d) = sum_j r_j |H_j d| over |d| = 1.
+
+Bounds from below: sigma(d) >= g'd for each g = sum_j r_j H_j'u_j with |u_j| <= 1. On a cone of directions g'd/|d| is quasiconcave
+where it is >= 0, and so least at one of the cone's edges. The cones over cells of the faces of a cube are cut until the bounds
+meet a value that is attained. g is best with u_j = H_j d/|H_j d| at the middle d of the cell; where H_j d may vanish there, with
+the u_j that leave g as parallel to d as they can: at a minimiser on the sphere some g is a multiple of d.
+
+Where an oscillator under dry friction can come to rest: {x : 0 in A(0) + dg(x)} (Cabot 2004, Theorem 4.1 ii).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, make_consequence
+from nsmodel.hypotheses.region import Region, box_middle, depends_on_symbol, potential_without_domain
+from nsmodel.models.friction_oscillator import friction_law
+from nsmodel.models.friction_oscillator.model import FrictionOscillator
+from nsmodel.proof import exact, polynomial
+from nsmodel.proof import interval_bounds as proof
+from nsmodel.proof.convex.lower_bounds import LowerBoundResult, minimise_potential
+from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.proof.expression_graph import stack_column
+from nsmodel.proof.parameter_hull import mixture_corners
+
+FrictionElements = Sequence[tuple[float, np.ndarray]]  # r_j > 0 and H_j
+MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius.
+MAX_CELLS, CELL_BATCH, CELL_TOLERANCE = 60_000, 2048, 1e-10
+MACHINE_EPS = float(np.finfo(float).eps)
+
+
+class RadiusBound(NamedTuple):
+    """``low`` <= radius <= ``value`` = sigma(``at``)."""
+
+    low: float
+    value: float
+    at: np.ndarray
+
+
+def support_function(elements: FrictionElements, d: np.ndarray) -> float:
+    """Return sigma(d) = sum_j r_j |H_j d|."""
+    return float(sum(r * np.linalg.norm(H @ d) for r, H in elements))
+
+
+def friction_radius(elements: FrictionElements, n: int) -> RadiusBound:
+    """Bound the radius; the H_j have full column rank together."""
+    even = [(r, H) for r, H in elements if n == 1 or _is_isotropic(H)]  # their part of sigma is constant on the sphere
+    rest = [(r, H) for r, H in elements if n > 1 and not _is_isotropic(H)]
+    low = _support_lower_bound(even)
+    if not rest:
+        return RadiusBound(min(low, support_function(even, np.eye(n)[0])), support_function(even, np.eye(n)[0]), np.eye(n)[0])
+    free = exact.nullspace(np.vstack([H for _, H in rest]))
+    if free.shape[1]:
+        d = exact.doubles(free[:, 0])
+        d = d / np.linalg.norm(d)
+        return RadiusBound(low, max(low, support_function(elements, d)), d)
+    own = _anisotropic_radius(rest, n)
+    value = support_function(elements, own.at)
+    return RadiusBound(min(float(np.nextafter(low + own.low, 0)) if even else own.low, value), value, own.at)
+
+
+def _anisotropic_radius(elements: FrictionElements, n: int) -> RadiusBound:
+    """The radius of elements of which none is isotropic."""
+    stacked = np.vstack([r * H for r, H in elements])
+    value, d = _minimise_support(elements, [*np.linalg.svd(stacked)[2], *np.eye(n)])
+    low = _singular_value_bound(elements, n)
+    if n <= MAX_CELL_STATES:
+        found = _radius_by_cells(elements, n, value, d)
+        low, value, d = max(low, found.low), found.value, found.at
+    return RadiusBound(min(low, value), value, d)
+
+
+def _is_isotropic(H: np.ndarray) -> bool:
+    """Whether H'H = c^2 I, exactly."""
+    G = exact.matrix_product(H.T, H)
+    return bool((G == G[0, 0] * exact.eye(len(G))).all())
+
+
+def _support_lower_bound(elements: FrictionElements) -> float:
+    """A lower bound of sigma(e_1), whole roots exactly."""
+    total = 0.0
+    for r, H in elements:
+        square = exact.matrix_product(H[:, :1].T, H[:, :1])[0, 0] * Fraction(r) ** 2
+        root = float(np.sqrt(float(square)))
+        while Fraction(root) ** 2 > square:
+            root = float(np.nextafter(root, 0))
+        total = root if not total else float(np.nextafter(total + root, 0))
+    return total
+
+
+def _singular_value_bound(elements: FrictionElements, n: int) -> float:
+    """The least singular value of the stacked r_j H_j, as sum |a_j| >= |(a_1, a_2, ...)|, by exact signs."""
+    G = sum((Fraction(r) ** 2 * exact.matrix_product(H.T, H) for r, H in elements), exact.zeros(n, n))
+    near = float(np.linalg.eigvalsh(exact.doubles(G))[0])
+    for guess in (
+        near * (1 - 1e-12),
+        near * (1 - 1e-6),
+        near / 2,
+        *(float(np.trace(exact.doubles(G))) * 10.0**-k for k in range(8, 40, 4)),
+    ):
+        if guess > 0 and exact.is_psd(G - Fraction(guess) * exact.eye(n)):
+            return float(np.sqrt(guess)) * (1 - 2 * MACHINE_EPS)
+    return 0.0
+
+
+def _minimise_support(elements: FrictionElements, starts: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Local minima of sigma on the sphere, by repeated least squares."""
+    best = min(((support_function(elements, d), d) for d in starts), key=lambda item: item[0])
+    for d in starts:
+        for _ in range(50):
+            sizes = [max(float(np.linalg.norm(H @ d)), 1e-9 * float(np.linalg.norm(H))) for _, H in elements]
+            weighted = sum((r / size * H.T @ H for (r, H), size in zip(elements, sizes, strict=True)), np.zeros((len(d), len(d))))
+            d = np.linalg.eigh(weighted)[1][:, 0]
+            best = min(best, (support_function(elements, d), d), key=lambda item: item[0])
+        best = min(best, _support_in_kernel(elements, d), key=lambda item: item[0])
+    return best
+
+
+def _support_in_kernel(elements: FrictionElements, d: np.ndarray) -> tuple[float, np.ndarray]:
+    """Where some terms of sigma vanish up to rounding: the same direction with these terms 0."""
+    small = [H / np.linalg.norm(H) for _, H in elements if np.linalg.norm(H @ d) <= 1e-6 * np.linalg.norm(H)]
+    if small:
+        _, values, vectors = np.linalg.svd(np.vstack(small))
+        free = vectors[np.count_nonzero(values > 1e-9) :]
+        inner = free.T @ (free @ d)
+        if np.linalg.norm(inner) > 0.5:
+            d = inner / np.linalg.norm(inner)
+    return support_function(elements, d), d
+
+
+# -- cells -------------------------------------------------------------------------------------------------------------
+
+
+def _radius_by_cells(elements: FrictionElements, n: int, value: float, at: np.ndarray) -> RadiusBound:
+    """The radius by cutting the faces of a cube; ``value`` is attained, ``at`` some direction."""
+    middle, half = np.eye(n), 1.0 - np.eye(n)
+    bound, count, low = _cell_bounds(elements, middle, half), n, np.inf
+    while count < MAX_CELLS and len(bound):
+        here = sum(r * np.linalg.norm(middle @ H.T, axis=1) for r, H in elements) / np.linalg.norm(middle, axis=1)
+        d = middle[int(np.argmin(here))]
+        d = d / np.linalg.norm(d)
+        if support_function(elements, d) < value:
+            value, at = min((value, at), _minimise_support(elements, [d]), key=lambda item: item[0])
+        order = np.argsort(bound)
+        middle, half, bound = middle[order], half[order], bound[order]
+        worst = int(np.searchsorted(bound, value * (1 - CELL_TOLERANCE)))
+        low = min(low, float(bound[worst:].min(initial=np.inf)))
+        if not worst:
+            bound = bound[:0]
+            break
+        number = min(worst, CELL_BATCH)
+        axis = np.argmax(half[:number], axis=1)
+        rows = np.arange(number)
+        step = np.zeros((number, n))
+        step[rows, axis] = half[rows, axis] / 2
+        smaller = half[:number] - step
+        parts = np.vstack([middle[:number] - step, middle[:number] + step])
+        new = np.maximum(_cell_bounds(elements, parts, np.vstack([smaller, smaller])), np.tile(bound[:number], 2))
+        middle, half = np.vstack([parts, middle[number:worst]]), np.vstack([smaller, smaller, half[number:worst]])
+        bound = np.concatenate([new, bound[number:worst]])
+        count += 2 * number
+    return RadiusBound(float(min(value * (1 - CELL_TOLERANCE), low, bound.min(initial=np.inf))), value, at)
+
+
+def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Lower bounds (k,) of sigma(d) / |d| on the cells middle +- half, rounding included."""
+    n = middle.shape[1]
+    size = sum(r * float(np.linalg.norm(H)) for r, H in elements)
+    rows = sum(len(H) for _, H in elements)
+    corners = middle[:, None, :] + half[:, None, :] * np.array(list(product([-1.0, 1.0], repeat=n)))[None]
+    lengths = np.linalg.norm(corners, axis=2)
+    unit = middle / np.linalg.norm(middle, axis=1)[:, None]
+    reach = np.linalg.norm(half, axis=1)
+    plain, firm = np.zeros(middle.shape), np.zeros(middle.shape)
+    columns, scale = [], []
+    for r, H in elements:
+        image = middle @ H.T
+        length = np.linalg.norm(image, axis=1)
+        u = image / np.where(length > 0, length, 1.0)[:, None]
+        loose = length <= np.linalg.norm(H) * reach
+        plain += r * u @ H
+        firm += np.where(loose[:, None], 0.0, r * u @ H)
+        columns.append(np.where(loose[:, None, None], (r * H.T)[None], 0.0))
+        scale.append(len(H))
+    S = np.concatenate(columns, axis=2)
+    across = S - unit[:, :, None] * (unit[:, None, :] @ S)
+    wanted = firm - unit * (unit * firm).sum(axis=1)[:, None]
+    u = -(np.linalg.pinv(across, rcond=1e-10) @ wanted[:, :, None])[:, :, 0]
+    at = 0
+    for m in scale:
+        part = u[:, at : at + m]
+        u[:, at : at + m] = part / np.maximum(1.0, np.linalg.norm(part, axis=1))[:, None]
+        at += m
+    found = np.full(len(middle), -np.inf)
+    for g in (plain, firm + (S @ u[:, :, None])[:, :, 0]):
+        found = np.maximum(found, ((corners @ g[:, :, None])[:, :, 0] / lengths).min(axis=1))
+    return np.maximum(found, 0.0) - (64 + 8 * (n + rows)) * MACHINE_EPS * size
+
+
+MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
+THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.
+SLOPE_MARGIN = 1e-9
+
+
+class RestInterval(NamedTuple):
+    """A set around the rest points of one state; ``strict``: 0 is interior to A(0) + dg at each of them, seen in doubles."""
+
+    low: float
+    high: float
+    strict: bool
+
+
+def rest_point_consequences(
+    model: FrictionOscillator, findings: Sequence[Finding], every: Sequence[str], g: ca.SX, domain: ConvexSet,
+    below: LowerBoundResult, source: str,
+) -> list[Consequence]:  # fmt: skip
+    """Sets that hold the limits: an interval for one state, an ellipsoid for a quadratic potential and isotropic friction."""
+    radius = outer_radius(model)
+    if domain.n == 1 and np.isfinite(radius):
+        name = next(iter(model.names or ()))
+        found = rest_interval(g, domain, below.at, radius)
+        where = f"where d(0, dg({name})) <= {radius:.6g}"
+        statement = (
+            f"every limit {name}_inf lies in [{_round_outwards(found.low, -1)}, {_round_outwards(found.high, 1)}], {where}"
+        )
+        values = {f"least {name}_inf": found.low, f"largest {name}_inf": found.high}
+        out = [make_consequence("rest points", statement, findings, every, source, values)]
+        if found.strict:
+            base = make_consequence("finite from every start", "", findings, every, source)
+            statement = "0 is interior to A(0) + dg(x) at every rest point: each sequence stops in finitely many steps"
+            verdict = SAMPLED if base.verdict == HOLDS else base.verdict
+            out.append(replace(base, statement=statement, verdict=verdict, source=f"{source.split(' (')[0]} (iii)"))
+        return out
+    P = polynomial.as_quadratic(polynomial.read_polynomials(g, domain.x)[0], domain.n)
+    ball = len(model.elements) == 1 and np.array_equal(np.array(ca.DM(model.elements[0].H)), np.eye(domain.n))
+    if P is None or domain.rows.numel() or not ball or not np.isfinite(radius):
+        return []
+    values = _eigenvalue_lower_bounds(exact.doubles(P.H))
+    axes = {
+        f"semi-axis {i + 1}": float(np.nextafter(radius / value, np.inf)) if value > 0 else np.inf
+        for i, value in enumerate(values[:6])
+    }
+    statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue"
+    return [make_consequence("rest points", statement, findings, every, source, axes)]
+
+
+def rest_points_for_all(
+    model: FrictionOscillator, region: Region, findings: Sequence[Finding], every: Sequence[str], domain: ConvexSet, source: str
+) -> list[Consequence]:
+    """An interval that holds the limits of one state for all values of parameters, on which the domain does not depend.
+
+    Beyond the ends of all g_k, of which g is a convex combination, each |g_k'| exceeds its radius, and so do the sums.
+    """
+    found, x0 = [], np.array(ca.DM(model.bind(box_middle(region.parameters)).x0)).ravel()
+    for one in _mixture_models(model, region):
+        g, radius = potential_without_domain(one.potential, model.x, "potential"), outer_radius(one)
+        if not np.isfinite(radius):
+            return []
+        found.append(rest_interval(g, domain, minimise_potential(g, domain, x0)[0], radius))
+    if not found:
+        return []
+    low, high = min(part.low for part in found), max(part.high for part in found)
+    name = next(iter(model.names))
+    statement = f"every limit {name}_inf lies in [{_round_outwards(low, -1)}, {_round_outwards(high, 1)}]"
+    values = {f"least {name}_inf": low, f"largest {name}_inf": high}
+    return [make_consequence("rest points", statement, findings, every, source, values)]
+
+
+def _mixture_models(model: FrictionOscillator, region: Region) -> list[FrictionOscillator]:
+    """Models of whose laws and potential those of all values are convex combinations; none where H depends on the parameters."""
+    g = potential_without_domain(model.potential, model.x, "potential")
+    at = mixture_corners(stack_column([*(e.theta for e in model.elements), g]), model.p, *region.parameter_bounds())
+    if at is None or any(depends_on_symbol(element.H, model.p) for element in model.elements):
+        return []
+    made = [copy(model) for _ in at]
+    for one, rows in zip(made, at, strict=True):
+        laws = zip(model.elements, ca.vertsplit(rows)[:-1], strict=True)
+        one._set(elements=tuple(element._replace(theta=theta) for element, theta in laws), potential=rows[-1])
+    return made
+
+
+def outer_radius(model: FrictionOscillator) -> float:
+    """A number that no |f| with f in A(0) exceeds: sum theta_j'(0) |H_j|, from upper bounds."""
+    total = Fraction(0)
+    for element in model.elements:
+        high, H = friction_law.slope_at_zero_bounds(element, model.s)[1], exact.rational(np.array(ca.DM(element.H)))
+        if not np.isfinite(high):
+            return np.inf
+        G = exact.matrix_product(H.T, H)
+        square = G[0, 0] if (G == G[0, 0] * exact.eye(len(G))).all() else sum((entry * entry for entry in H.ravel()), Fraction(0))
+        root = float(np.sqrt(float(square)))
+        while Fraction(root) ** 2 < square:
+            root = float(np.nextafter(root, np.inf))
+        total += Fraction(max(high, 0.0)) * Fraction(root)
+    return exact.round_up(total)
+
+
+def _eigenvalue_lower_bounds(H: np.ndarray) -> np.ndarray:
+    """Lower bounds of the eigenvalues, the largest first; those of a diagonal matrix are its entries."""
+    if not np.any(H - np.diag(np.diag(H))):
+        return np.sort(np.diag(H))[::-1]
+    values = np.linalg.eigvalsh(H)[::-1]
+    return values - 16 * len(H) * np.finfo(float).eps * np.abs(values).max(initial=0.0)
+
+
+def _round_outwards(end: float, sign: int) -> str:
+    """Six digits, rounded outwards."""
+    text = f"{end:.6g}"
+    if np.isfinite(end) and (float(text) - end) * sign < 0:
+        text = f"{float(text) + sign * 10.0 ** (np.floor(np.log10(abs(end))) - 5):.6g}"
+    return text
+
+
+def rest_interval(g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float) -> RestInterval:
+    """A set that holds the rest points of one state: {x in dom g : g'(x-) <= radius, g'(x+) >= -radius}, around a minimum of g.
+
+    It is exact for a quadratic. Else an end is a point before which the slope is proved to exceed the radius, somewhere: being
+    monotone, it does so from there on. Without such a point the end is infinite, or that of the domain.
+    """
+    P = polynomial.as_quadratic(polynomial.read_polynomials(g, domain.x)[0], 1)
+    low, high = (float(end[0]) for end in domain.bounding_box)
+    if P is not None and P.H[0, 0] > 0 and len(domain.affine) == domain.rows.numel():
+        ends = [(-P.q[0, 0] + sign * Fraction(radius)) / P.H[0, 0] for sign in (-1, 1)]
+        left, right = max(low, exact.round_down(ends[0])), min(high, exact.round_up(ends[1]))
+        return RestInterval(left, right, left > float(ends[0]) and right < float(ends[1]))
+    slope = ca.gradient(g, domain.x)
+    centre = float(minimum[0])
+    ends, strict = [], True
+    for sign, hull in ((-1.0, low), (1.0, high)):
+        end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
+        ends.append(max(end, hull) if sign < 0 else min(end, hull))
+        strict = strict and _has_slack(slope, domain, centre, sign, ends[-1], radius)
+    return RestInterval(ends[0], ends[1], strict)
+
+
+def _proved_end(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, d: float, radius: float) -> float | None:
+    """An end proved close to centre + sign d: the slope exceeds the radius there, or the domain has ended; else None."""
+    near = centre + sign * d
+    far = near + sign * max(THIN_WIDTH * abs(near), np.finfo(float).tiny)
+    box = np.array([min(near, far)]), np.array([max(near, far)])
+    low, high = (float(np.ravel(end)[0]) for end in proof.enclose(slope, domain.x, *box))
+    outside = domain.rows.numel() and float(np.min(proof.enclose(domain.rows, domain.x, *box)[1])) < 0
+    return far if (low > radius if sign > 0 else high < -radius) or outside else None
+
+
+def _bisect_end(proved: Callable[[float], float | None], sign: float, centre: float) -> float:
+    """The nearest end that is proved, by bisection."""
+    if (end := proved(0.0)) is not None:
+        return end
+    low, high = 0.0, 1e-12 * (1 + abs(centre))
+    while (end := proved(high)) is None:
+        low, high = high, 2 * high
+        if high > MAX_REST_DISTANCE * (1 + abs(centre)):
+            return sign * np.inf
+    for _ in range(100):
+        middle = (low + high) / 2
+        if not low < middle < high:
+            break
+        nearer = proved(middle)
+        low, high, end = (middle, high, end) if nearer is None else (low, middle, nearer)
+    return end
+
+
+def _has_slack(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, end: float, radius: float) -> bool:
+    """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there."""
+    if not np.isfinite(end):
+        return _far_slope(slope, domain, sign, centre) < radius - SLOPE_MARGIN * (1 + radius)
+    inside = end - sign * 1e-9 * (1 + abs(end))
+    if (inside - centre) * sign <= 0:
+        return True
+    value = float(ca.Function("slope", [domain.x], [slope])(inside)) * sign
+    return bool(value < radius - SLOPE_MARGIN * (1 + radius))
+
+
+def _far_slope(slope: ca.SX, domain: ConvexSet, sign: float, centre: float) -> float:
+    value = float(ca.Function("slope", [domain.x], [slope])(centre + sign * MAX_REST_DISTANCE)) * sign
+    return value if np.isfinite(value) else np.inf

@@ -1,0 +1,324 @@
+"""Lur'e systems with inputs, which stand in f, in the offset e of y or in the ends of the law; none but 7.1 asks for f.
+
+x' + A(x) ∋ f(t) with A + omega maximal monotone has a solution for each integrable f, which in finite dimension is absolutely
+continuous; two solutions of one f part as those without f do. Of an e that moves the theorems say nothing.
+
+Where K(t) moves and stays bounded, B (D + N_K(t)^-1)^-1 is at each time maximal monotone (in the units of 5.1), defined
+everywhere and bounded: a solution exists for ends that are measurable in t (Filippov 1988, Section 7), and two part as those
+of one K do. An end of an interval [a(t), inf) adds B a to f and D a to e.
+
+Hypotheses of a Lur'e system for all values of parameters in a box.
+
+4.1, P B = C' and P J + J'P <= 2 omega P are convex in (D), (B, C), (P J, P): proved at the corners of a multi-affine map, they
+hold for all values (quadratic stability of a polytope of systems). P is one for all values, or P(p) diagonal, an energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, IntervalBox, make_finding
+from nsmodel.hypotheses.inputs import InputBounds, unknown_consequence
+from nsmodel.hypotheses.moving_law import law_time_as_input
+from nsmodel.hypotheses.region import (
+    ParameterValues,
+    Region,
+    box_middle,
+    depends_on_symbol,
+    findings_for_box,
+    parameter_roots,
+    unaffected_findings,
+)
+from nsmodel.models.lure_system import domains
+from nsmodel.models.lure_system.check import check, lure_consequences
+from nsmodel.models.lure_system.domains import interior_finding
+from nsmodel.models.lure_system.hypomonotone import (
+    HYPOMONOTONE,
+    P_OMEGA,
+    HypomonotoneBound,
+    JacobianHull,
+    bounded_hull,
+    is_drift_continuous,
+)
+from nsmodel.models.lure_system.large_systems import is_large
+from nsmodel.models.lure_system.model import LureSystem
+from nsmodel.models.lure_system.passivity import D_PSD_HYPOTHESIS, LURE_PAPER, STORAGE_HYPOTHESIS
+from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, MOVING_OFFSET_NOTE
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial
+from nsmodel.proof.dissipation import least_rate
+from nsmodel.proof.jumps import jump_nodes
+from nsmodel.proof.parameter_hull import matrix_corners
+from nsmodel.proof.storage_matrix import (
+    Pairing,
+    broken_conditions,
+    condition_number,
+    make_pairing,
+    matrix_witness,
+    well_conditioned_block,
+)
+from nsmodel.simulation.trajectory import Trajectory
+
+LAW_FIELDS = ("law", "phi")
+HYPOTHESIS_FIELDS = {
+    "3.1": LAW_FIELDS, "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"), "5.4a": ("C", "D", "e", *LAW_FIELDS),
+    "5.4b": ("D", *LAW_FIELDS), "5.4c": ("D", *LAW_FIELDS), "5.x0": ("C", "D", "e", "x0", *LAW_FIELDS),
+    "7.1": ("D", "e", "f", *LAW_FIELDS),
+}  # fmt: skip
+MAX_CORNER_COLUMNS = 64  # Of all corners of B together.
+MAX_MINOR_SIZE, OMEGA_TRIES = 6, 12
+
+
+class EnergyMatrix(NamedTuple):
+    """P with P B = C' for all values: one matrix with its pairing, or P(p) = diag(d(p)); None where it is not known."""
+
+    pairing: Pairing | None = None
+    diagonal: ca.SX | None = None
+
+
+def special_values(model: LureSystem, box: IntervalBox) -> list[ParameterValues]:
+    """Values of a single parameter at which a leading minor of C B or of D + D' vanishes: there ranks change."""
+    minors = (
+        ca.det(ca.densify(matrix[:size, :size]))
+        for matrix in (ca.mtimes(model.C, model.B), model.D + model.D.T)
+        for size in range(1, min(matrix.shape[0], MAX_MINOR_SIZE) + 1)
+    )
+    return parameter_roots(minors, model, box)
+
+
+def uniform_findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
+    """What is decided for all values of the parameters, whose boxes are those of ``region``."""
+    drifts = depends_on_symbol(
+        ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p
+    )  # A(0) = 0 is a part of 7.1.
+    same = [
+        finding
+        for finding in unaffected_findings(check, model, region, quick, HYPOTHESIS_FIELDS)
+        if not (drifts and finding.id == "7.1")
+    ]
+    energy, stored = (EnergyMatrix(), None) if is_large(model) else _storage_for_all(model, region)
+    least = _law_width_bound(model, region, quick)
+    own = [
+        _interior_for_all(model, region, least),
+        _input_output_for_all(model, region),
+        stored,
+        _growth_for_all(model, region, energy, quick),
+    ]
+    own += _ranges_for_all(model, region, least)
+    return findings_for_box(own, same, region)
+
+
+def uniform_consequences(model: LureSystem, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+    """What follows for all values of the parameters."""
+    rate = next(finding for finding in own if finding.id == HYPOMONOTONE.id)
+    known = rate.verdict == HOLDS
+    P = exact.rational(np.array(rate.witness[P_OMEGA])) if known and P_OMEGA in rate.witness else None
+    everywhere = rate.scope is None or not rate.scope.states
+    return lure_consequences(model, region, HypomonotoneBound(rate, P, rate.value["omega"] if known else np.inf, everywhere), own)
+
+
+def _corner_matrices(matrices: Sequence[ca.SX], model: LureSystem, region: Region) -> list[list[np.ndarray]] | None:
+    return matrix_corners(matrices, model.p, *region.parameter_bounds())
+
+
+def _law_width_bound(model: LureSystem, region: Region, quick: bool) -> float:
+    """A lower bound of the widths of what of K depends on the parameters, for all values; inf where nothing does."""
+    ends, box = () if model.law is None else model.law.ends(model.multiplier_names, model.p), region.parameter_bounds()
+    gaps = (end.lower - end.upper for end in ends if not end.has_infinite_end)
+    return min((-extremum.supremum(gap, model.p, *box, quick=quick, bound_to=0.0).bound for gap in gaps), default=np.inf)
+
+
+def _interior_for_all(model: LureSystem, region: Region, least: float) -> Finding | None:
+    """3.1 where K depends on the parameters: no width, of which ``least`` is a bound, is 0."""
+    if model.law is None or not depends_on_symbol(model.law, model.p) or not least > 0:
+        return None
+    still = interior_finding(H_31, model.bind(box_middle(region.parameters)), None, "")
+    if still.verdict != HOLDS:
+        return None
+    width = min(least, still.value.get("width", np.inf))
+    return make_finding(H_31, HOLDS, "K has an interior for all values: bounds of its widths", {"width": width})
+
+
+def _input_output_for_all(model: LureSystem, region: Region) -> Finding | None:
+    """4.1: D(p) + D(p)' is psd at all corners, or by bounds of its eigenvalues."""
+    at = _corner_matrices([model.D + model.D.T], model, region)
+    if at is not None and all(exact.is_psd(S) for (S,) in at):
+        least = min(-exact.eigenvalue_upper_bound(-S) / 2 for (S,) in at)
+        return make_finding(
+            D_PSD_HYPOTHESIS, HOLDS, f"exact at {len(at)} corners, in whose hull D lies", {"least eigenvalue": max(least, 0.0)}
+        )
+    top = extremum.largest_eigenvalue(-(model.D + model.D.T) / 2, model.p, *region.parameter_bounds(), bound_to=0.0)
+    if top.bound <= 0:
+        return make_finding(
+            D_PSD_HYPOTHESIS, HOLDS, "a bound of the eigenvalues of D + D' over the box", {"least eigenvalue": -top.bound}
+        )
+    return None
+
+
+def _storage_for_all(model: LureSystem, region: Region) -> tuple[EnergyMatrix, Finding | None]:
+    """5.1: one P for all corners of (B, C), P(p) diagonal, or C B symmetric and definite at all corners."""
+    at = _corner_matrices([model.B, model.C], model, region)
+    if at is not None and len(at) * model.B.shape[1] <= MAX_CORNER_COLUMNS:
+        B, C = np.hstack([B for B, _ in at]), np.vstack([C for _, C in at])
+        if not broken_conditions(B, C, np.ones((len(C), B.shape[1]))):
+            columns = exact.independent_columns(B) if B.shape[1] else []
+            pairing = make_pairing(B[:, columns], C[columns])
+            witness = matrix_witness("P", pairing.storage_matrix(well_conditioned_block(pairing)))
+            how = f"exact: one P with P B = C' at {len(at)} corners, in whose hull (B, C) lies; cond P in floating point"
+            return EnergyMatrix(pairing=pairing), make_finding(
+                STORAGE_HYPOTHESIS, HOLDS, how, {"cond P": condition_number(witness["P"])}, witness
+            )
+    d = None if at is None else _diagonal_energy(model, region)
+    if d is not None:
+        entries = [f"{entry}" for entry in ca.vertsplit(d)]
+        how = f"exact: P = diag({', '.join(entries)}) > 0 has P B = C' for all values"
+        return EnergyMatrix(diagonal=d), make_finding(STORAGE_HYPOTHESIS, HOLDS, how, {"states": model.x.numel()})
+    pairs = _corner_matrices([ca.mtimes(model.C, model.B)], model, region)
+    if pairs is not None and all(exact.is_symmetric(G) and exact.definiteness(G).definite for (G,) in pairs):
+        how = f"exact at {len(pairs)} corners, in whose hull C B lies: C B is symmetric and definite, so that B has full rank"
+        return EnergyMatrix(), make_finding(STORAGE_HYPOTHESIS, HOLDS, how, {"corners": len(pairs)})
+    return EnergyMatrix(), None
+
+
+def _diagonal_energy(model: LureSystem, region: Region) -> ca.SX | None:
+    """d(p) > 0 with diag(d) B = C' for all values; what B leaves free cancels A_ik against A_ki, as energies do."""
+    A, B, C = ca.densify(ca.jacobian(model.A, model.x)), ca.densify(model.B), ca.densify(model.C)
+    n, d = len(model.names), {}
+    for i in range(n):
+        j = next((j for j in range(B.shape[1]) if not B[i, j].is_zero()), None)
+        if j is not None:
+            d[i] = C[j, i] / B[i, j]
+    while len(d) < n:
+        step = next(((i, k) for i in d for k in range(n) if k not in d and not (A[i, k].is_zero() or A[k, i].is_zero())), None)
+        if step is None:
+            d[next(k for k in range(n) if k not in d)] = ca.SX(1)
+        else:
+            i, k = step
+            d[k] = -d[i] * A[i, k] / A[k, i]
+    rows = ca.vertcat(*(d[i] for i in range(n)))
+    off = ca.vertsplit(ca.vec(ca.diag(rows) @ B - C.T)) if B.shape[1] else []
+    ratios = [polynomial.read_quotient(entry, model.p) for entry in off]
+    if ca.depends_on(rows, model.x) or any(ratio is None or ratio[0] for ratio in ratios):
+        return None
+    at = _corner_matrices([rows], model, region)
+    return rows if at is not None and all(entry > 0 for (column,) in at for entry in column.ravel()) else None
+
+
+def _growth_for_all(model: LureSystem, region: Region, energy: EnergyMatrix, quick: bool) -> Finding | None:
+    """5.2 with the P of 5.1, for the hull of the Jacobians of A over the box of the parameters, and of states where needed."""
+    J, x, low, high = ca.densify(ca.jacobian(model.A, model.x)), model.x, *region.parameter_bounds()
+    if energy.diagonal is not None and not ca.depends_on(J, x):
+        return _diagonal_growth(model, region, J, energy.diagonal)
+    if energy.pairing is None:
+        return None
+    if not ca.depends_on(J, x):
+        at = None if jump_nodes(model.A, x) else _corner_matrices([J], model, region)
+        hull, local = (None if at is None else JacobianHull([M for (M,) in at], [], True)), False
+    else:
+        z, infinite = ca.vertcat(x, model.p), np.full(x.numel(), np.inf)
+        ends = [(infinite * -1, infinite, False), (region.lower, region.upper, True)]
+        boxes = [(np.append(a, low), np.append(b, high), local) for a, b, local in ends]
+        hulls = [(bounded_hull(J, z, a, b), local) for a, b, local in boxes if is_drift_continuous(model.A, z, a, b)]
+        hull, local = next(((hull, local) for hull, local in hulls if hull is not None and not hull.cones), (None, False))
+    rate = None if hull is None else least_rate(energy.pairing, hull.vertices, quick=quick)
+    if rate is None:
+        return None
+    witness = matrix_witness(P_OMEGA, energy.pairing.storage_matrix(rate.Y))
+    how = (
+        f"exact at {len(hull.vertices) if hull else 0} corners, in whose hull A' lies, for one {P_OMEGA}; "
+        "its cond in floating point"
+    )
+    value = {"omega": rate.omega, "cond P": condition_number(witness[P_OMEGA])}
+    return make_finding(HYPOMONOTONE, HOLDS, how, value, witness, region.scope(True) if local else None)
+
+
+def _diagonal_growth(model: LureSystem, region: Region, J: ca.SX, d: ca.SX) -> Finding | None:
+    """omega with 2 omega P - P J - J'P psd at all corners, P = diag(d)."""
+    P = ca.diag(d)
+    at = _corner_matrices([P @ J + J.T @ P, P], model, region)
+    if at is None or jump_nodes(model.A, model.x):
+        return None
+    near = 0.0
+    for S, own in at:
+        root = 1 / np.sqrt(exact.doubles(np.diagonal(own)))
+        near = max(near, float(np.linalg.eigvalsh(exact.doubles(S) * root[:, None] * root).max(initial=0.0)) / 2)
+    for omega in (0.0, near, *(near * (1 + 4.0**k * 1e-15) for k in range(OMEGA_TRIES))):
+        if omega >= near * (1 - 1e-9) and all(exact.is_psd(2 * Fraction(omega) * own - S) for S, own in at):
+            how = f"exact at {len(at)} corners, in whose hull (P A, P) lies, for the P of 5.1"
+            return make_finding(HYPOMONOTONE, HOLDS, how, {"omega": omega})
+    return None
+
+
+def _ranges_for_all(model: LureSystem, region: Region, least: float) -> list[Finding]:
+    """5.4 and the start, where D + D' is definite for all values, or K bounded and D psd: the set is the whole space.
+
+    ``least``: the least width of what of K depends on the parameters.
+    """
+    at, law = _corner_matrices([model.D + model.D.T], model, region), model.law
+    if at is None or law is None or not all(exact.is_psd(S) for (S,) in at):
+        return []
+    definite = all(exact.definiteness(S).definite for (S,) in at)
+    bounded = least >= 0 and bool(domains.domains_of_law(law.at_rest(model.p), np.zeros(model.D.shape)).loose.all())
+    if not definite and not bounded:
+        return []
+    how = ("D + D' is definite for all values (exact)" if definite else "K is bounded") + ", so that the set is the whole space"
+    return [make_finding(hypothesis, HOLDS, how, {"multipliers": law.size}) for hypothesis in (H_54A, H_54B, H_54C, H_5X0)]
+
+
+DRIVEN_FIELDS = {"f": ("f",), "e": ("e",), "law": ("law",)}
+INTEGRABLE_SOURCE = f"{LURE_PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
+BOUNDED_SOURCE = f"{LURE_PAPER}, Section 5, at each time; for K(t) bounded and measurable Filippov 1988, Section 7"
+STABILITY_NAMES = ("Lyapunov stable", "globally asymptotically stable")
+SIGNAL_PHRASES = {
+    "one and only one solution starts": "for each signal one and only one absolutely continuous solution starts",
+    "any two solutions": "any two solutions of one signal",
+}
+
+
+def driven_findings(
+    model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+) -> list[Finding]:  # fmt: skip
+    """Those for constant inputs: none asks how f moves; see the inclusions' module of this name."""
+    del model, region, motion, runs, quick
+    return list(own)
+
+
+def driven_consequences(
+    model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """What follows for each signal; nothing is at rest that a signal drives."""
+    del runs
+    made = [item for item in uniform_consequences(model, region, own) if item.name not in STABILITY_NAMES]
+    for few, whole in SIGNAL_PHRASES.items():
+        made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]
+    made = [replace(item, source=INTEGRABLE_SOURCE) if item.name == "well posed" else item for item in made]
+    if motion.indices_read_by(model.e) or _has_moving_half_line(model, motion):
+        return [unknown_consequence(item, MOVING_OFFSET_NOTE) for item in made]
+    if motion.indices_read_by(model.law):
+        made = [replace(item, source=BOUNDED_SOURCE) if item.name == "well posed" else item for item in made]
+    low, high = region.parameter_bounds()
+    last = max(region.t1, float(model.t_end or 0.0))
+    bounded = interval_bounds.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))
+    return made if np.isfinite(bounded).all() else [unknown_consequence(item, "f is not seen to be bounded") for item in made]
+
+
+def freeze_law(model: LureSystem) -> LureSystem:
+    """The system with time in its law as an input: at each time K has numbers."""
+    return law_time_as_input(model)
+
+
+def _has_moving_half_line(model: LureSystem, motion: InputBounds) -> bool:
+    """Whether the finite end of an interval without end moves, and D hands it on to y."""
+    if model.law is None:
+        return False
+    moves = model.law.moves(motion.u)
+    ends = zip(ca.vertsplit(model.law.lower), ca.vertsplit(model.law.upper), strict=True)
+    endless = [any(side.is_constant() and not np.isfinite(float(side)) for side in pair) for pair in ends]
+    boxes = [block.separable for block in model.law.blocks for _ in range(block.size)]
+    rows = [i for i, both in enumerate(zip(moves, endless, boxes, strict=True)) if all(both)]
+    return any(not model.D[:, i].is_zero() for i in rows)
