@@ -52,6 +52,7 @@ lint: $(STAMP) ## ruff, pyright, which package imports which, and the limits of 
 	$(BIN)/ruff format --check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
 	$(BIN)/pyright
 	$(BIN)/lint-imports --no-cache --no-logo
+	$(BIN)/python tests/house_check.py
 
 bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
 	$(BIN)/python tests/bench/run.py
