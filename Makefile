@@ -47,10 +47,12 @@ nightly: $(STAMP) ## set up and run the search for refused steps and wrong answe
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.hidden --count $(if $(NSMODEL_SHORT),2,2000) --json results/hidden.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.events --models $(if $(NSMODEL_SHORT),1 --t-end 1,300) --json results/events.jsonl
 
-lint: $(STAMP) ## ruff and pyright
+lint: $(STAMP) ## ruff, pyright, which package imports which, and the limits of the structure
 	$(BIN)/ruff check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
 	$(BIN)/ruff format --check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
 	$(BIN)/pyright
+	$(BIN)/lint-imports --no-cache --no-logo
+	$(BIN)/python tests/house_check.py
 
 bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
 	$(BIN)/python tests/bench/run.py

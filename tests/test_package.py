@@ -3,7 +3,6 @@
 import ast
 import doctest
 import functools
-import graphlib
 import importlib
 import inspect
 import os
@@ -27,16 +26,6 @@ MODULES = sorted(module.name for module in pkgutil.walk_packages(nsmodel.__path_
 @functools.cache
 def source_of(name):
     return Path(importlib.import_module(name).__file__).read_text()
-
-
-@functools.cache
-def imports_of(name):
-    """Of a module: (import, whether it is one for type checkers alone, whether it stands at the top)."""
-    tree, found = ast.parse(source_of(name)), []
-    for top in tree.body:
-        of = [node for node in ast.walk(top) if isinstance(node, ast.Import | ast.ImportFrom)]
-        found += [(node, isinstance(top, ast.If), node is top) for node in of]
-    return found
 
 
 HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot", "nsmodel.hypotheses.check", "nsmodel.crowd"]
@@ -161,55 +150,13 @@ def test_every_module_says_what_it_is_for_and_its_examples_run(name):
         assert failed == 0
 
 
-LAYERS = (  # What stands in a line may import, at its top, what stands in it and above.
-    "errors version _utils",
-    "proof",
-    "files",
-    "modeling classes classes.model classes.identity",
-    "event_driven solvers standstill classes.schemes classes.set_valued classes.continuous",
-    "simulation.trajectory simulation.summary simulation.windows simulation.run_folder",
-    "codegen hypotheses classes.hypotheses classes.equations",
-    "simulation classes.walk classes.record",
-    "checking observed_order crowd sweep",
-    "certificate classes.certificate study classes.study classes.units classes.judge plot classes.plots view rich",
-    "cli __main__",
-)
-RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}
+def test_structure_is_within_its_limits():
+    """Packages, files, import circles, names: `python tests/house_check.py --list MEASURE` says what stands behind a number."""
+    pytest.importorskip("grimp", reason="import-linter comes with the extra dev")
+    import house_check
 
-
-def rank_of(module):
-    """The line of LAYERS that a module stands in; None of the package itself. Of classes/NAME/PART the PART counts."""
-    names = module.split(".")[1:]
-    if not names:
-        return None
-    if names[0] != "classes":
-        return RANK.get(".".join(names[:2]), RANK[names[0]])
-    part = f"classes.{names[2]}" if len(names) > 2 else ".".join(names)
-    return RANK.get(part, RANK["classes"])
-
-
-@pytest.mark.parametrize("name", MODULES)
-def test_imports_run_downwards_only(name):
-    """The model knows no scheme, the scheme no solver, the solver no time loop; matplotlib is for plots."""
-    for node, for_types, at_top in imports_of(name):
-        imported = [node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
-        if any(module.startswith("matplotlib") for module in imported):
-            assert name.startswith("nsmodel.plot") or for_types
-        if at_top and isinstance(node, ast.ImportFrom) and imported[0].startswith("nsmodel.") and name != "nsmodel":
-            parts = {f"{node.module}.{alias.name}" for alias in node.names}.intersection(MODULES) or {node.module}
-            assert max(map(rank_of, parts)) <= rank_of(name), parts
-
-
-def test_no_module_needs_itself_through_others():
-    """Also not by imports inside functions: only type checkers may go in circles."""
-    needs = {name: set() for name in MODULES}
-    for name in MODULES:
-        for node, for_types, _ in imports_of(name):
-            if isinstance(node, ast.ImportFrom) and node.module in needs and not for_types:
-                parts = {f"{node.module}.{alias.name}" for alias in node.names}
-                needs[name] |= (parts & needs.keys()) or {node.module}
-    graph = graphlib.TopologicalSorter(needs)
-    graph.prepare()
+    found = house_check.measure()
+    assert {name: found[name] for name, limit in house_check.LIMITS.items() if found[name][0] > limit} == {}
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
@@ -234,16 +181,3 @@ def test_there_are_cases_of_every_class():
     assert classes == {
         "SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MonotoneInclusion", "ManyBodies"
     }  # fmt: skip
-
-
-def test_the_means_of_proof_need_nothing_else_of_the_package():
-    """nsmodel.proof can be read, tested and used alone."""
-    imported = set()
-    for path in sorted((REPOSITORY / "nsmodel" / "proof").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom):
-                assert node.level == 0, path
-                imported.add(node.module)
-            elif isinstance(node, ast.Import):
-                imported |= {alias.name for alias in node.names}
-    assert {name for name in imported if name.partition(".")[0] == "nsmodel" and not name.startswith("nsmodel.proof")} == set()

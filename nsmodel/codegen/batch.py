@@ -1,4 +1,9 @@
-"""Many runs in a call: the steps of a model on a grid for many values of its parameters, in one library."""
+"""Many runs in a call: the steps of a model on a grid for many values of its parameters, in one library.
+
+Each cell begins in cleared memory, so that its bits do not depend on the others, on threads, or on where a call ended; rows go
+from C into the columns that are kept. A cell that C cannot verify has a status, and whoever asked may interpret it. No flag
+lets a compiler contract sums. `simd_batch` takes the cells where it has no reason to refuse.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Many event-driven runs in a call: the pieces of a model for many values of its parameters, in one library."""
+"""Many event-driven runs in a call: the pieces of a model for many values of its parameters, in one library.
+
+C makes rows as `PieceRows` does, operation by operation, so that a cell is the bits of its single run, but for multipliers of
+a rewritten law, which are of the state and not of their series. Each cell begins in a cleared solver: nothing of others is seen.
+A call ends after SECONDS, in the middle of a cell or not, and goes on from its record.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,19 @@
 
 The law and the matrices of event-driven integration as C: tables of numbers, or what is computed of the parameters.
 
+The algorithms, scales, constants and their order are those of `event_driven`. Series of f, g and h are fused: sums are
+expressions, and only what a recurrence reads is stored. Flags say what a model needs: numbers for B, D and C, with the matrices
+of the last modes kept; a diagonal W without any matrix; slopes printed where they move; whether uniqueness is no work, because
+every matrix of the law is a P-matrix or the model is monotone. The first orders of a mode that was just chosen are continued
+where nothing is nonlinear in l (elsewhere their last bits would depend on where a run was resumed), and another unit of time, a
+power of two, scales them. Lower bounds that cost less are asked before Bernstein's test and before the size of a row on the
+piece; they decide nothing else. Pieces by collocation are made in C up to 32 states and rows, beyond that by the integrator:
+complex pairs are real blocks of twice the size, inverted once a length; those of lengths that are powers of two are kept while
+the slopes stay the same bits. One library serves every rtol, and work is bounded a piece and a call.
+
+What C leaves out returns a status and the place as it was: a start that jumps, Lemke's guesses where no mode of a few switches
+settles, modes that go apart, accumulation, and every error with its words. Friction blocks are refused: they are interpreted.
+
 Whether a model with values switches as the code of all values does: C and the integrator take over from each other.
 """
 

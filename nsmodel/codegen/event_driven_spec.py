@@ -3,6 +3,14 @@
 What pieces of stiff modes in C are made of: the matrices of Radau IIA; f, g and h on one side of each switch, and slopes.
 
 What follows from parameters alone is computed when these are set: the recurrences of event-driven integration read it.
+
+One library serves all values of the parameters: the problem is that of the model before it has values (`make_symbolic_problem`),
+its structure that of all values: which entries of B, D, C can be other than 0, never which are. An operation that is a switch of
+parameters alone is none. Whether x is unique in all modes is decided for the values; ends that cross are BAD_PARAMETER; a W_ii
+that is 0 for some values, where all others let it be divided by, is NO_MODE. `simulate` takes that library for every model with
+parameters, at 0.83 to 1.5 times (median 1.03) the time of one for the values alone; not where a switch looks at something else
+than with its values, nor where rows are others. Known times, and what is held after each, are tables that a run brings: one
+library serves all signals of a degree. In an exported one inputs are parameters, held between calls.
 """
 
 from __future__ import annotations

@@ -1,5 +1,11 @@
 """What the code of a scene needs: the flags that choose its parts, the sizes of its arrays.
 
+Four ways to step: banded (large, sparse, numbers for one h: tables of the nonzeros, one band factored where the index set
+changes), fixed (matrices as numbers for one h; the last index set first, its inverse kept; for several h the same code reads
+arrays that `form_matrices` fills once a length, a function of h alone), newton (E and Y linearised; matrices kept where they are
+constant, one linearisation where the problem is affine), inclusion (select, predict, project). WORST_CASE forms all inverses in
+`init` and picks an index set by its signs, all of them each time.
+
 What the code of a scene uses and what it leaves out, in words.
 
 How much work a step takes at most: linear systems solved, index sets tried, sweeps.

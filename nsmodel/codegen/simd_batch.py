@@ -7,6 +7,14 @@ On an index set a step is an affine map of the state x, the same in all lanes bu
 D and L of the index set, B of the parameters. (z, l) is judged by the rows themselves: E(z^, 0) + E_z (z - z^) + E_l l
 beside |E(z^, 0)| + |E_z| |z - z^|, and y beside |b|, which grows by |Y_l| |l| up to the limit of `certificate.output_scale`.
 These are the scales of `c/newton.c`, or smaller ones.
+
+What a map gives is never believed: in every lane and step E is evaluated at (z, l), l must be in its box, y of the sign that the
+index set says, and a lane above `EXPLAINED` is looked at with the running error bound, then redone by `attempt()`, whose index
+set makes its next map. What rows give exactly is exact in maps too. A lane's operations, and their order, are the same whoever
+is beside it; loops are built for no vectors, AVX2 and AVX-512 in one library and chosen by the processor when it runs. Nothing
+but sums, products and quotients is taken, nothing contracted or reassociated: bits depend on neither processor, width, order
+nor chunk. They are not those of a scalar step, and the library is its own file of the cache. The fragments compile as CUDA C++
+too, one lane a thread (`tests/bench/gpu.py`).
 """
 
 from __future__ import annotations

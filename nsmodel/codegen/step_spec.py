@@ -5,7 +5,16 @@ The scene of all values of a model's parameters: nothing of its code is read off
 What is a number in the code and may depend on parameters, sizes and which ends of a law are finite, is read at values that the
 law accepts, whatever the model declares: those of a declaration may be the ones at which a law has no width or a term vanishes.
 
-Who sets which entries of a model's inputs in a library: the caller, blocks, or the duty in force of a PWM.
+Where a problem rests on the sign of a parameter (`OneStepProblem.assumed`) other values are left to code of their own. The
+reaction of a start is found in C, by a step of length 0, whose law is that at t+; after a jump of an input likewise. `simulate`
+takes the library of all values for runs over a grid of a model that declares parameters, unless code of the numbers pays
+(`plan.is_fixed_code_faster`: 2 to 3 times faster a step, one build a value): that follows from the model and the number of
+steps, never from what the cache holds; under "auto" the cache decides only whether a run is interpreted. The choice is a
+setting of the run, and a resumed one keeps it. Libraries go with their models, or when 32 others have been used since.
+
+Who sets which entries of a model's inputs in a library: the caller, blocks, or the duty in force of a PWM. Due ticks are a
+function of the time of the state (no counter, so that `set_time` may go anywhere), computed into the inputs of the step that
+begins there; `x` holds all that blocks keep, and a step that fails gives it back.
 """
 
 from __future__ import annotations

@@ -5,9 +5,12 @@ on which side a piece is by its ``choice``, and what it watches stays >= 0 as lo
 
 Recurrences of Taylor coefficients: order k of an operation from orders 0, ..., k of what it is applied to.
 
-A row holds the coefficients c_0, c_1, ... of one scalar function of time about the start of a piece. The recurrences are those of
-automatic differentiation (Jorba and Zou, Experimental Mathematics 14, 2005, Proposition 2.1): with D = t d/dt, (D c)_k = k c_k,
-a differential equation of the function, such as D exp(u) = exp(u) D u, gives c_k by a convolution. The same stand in `series.c`.
+A row holds the coefficients c_0, c_1, ... of one scalar function of time about the start of a piece. The recurrences are those
+of automatic differentiation (Jorba and Zou, Experimental Mathematics 14, 2005, Proposition 2.1): with D = t d/dt, (D c)_k = k
+c_k, a differential equation of the function, such as D exp(u) = exp(u) D u, gives c_k by a convolution. The same stand in
+`series.c`. A composed operation is written with these (asin: a square, a root, D y = D a / root), its value at order 0 by the
+function itself; a branch that is not taken may be no number. Each operation that the C printer knows has its line in UNARY_ or
+BINARY_RECURRENCES.
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
 """Blocks as a model has them: what they keep are inputs of it, each block the expressions that its ticks set these to.
 
 What blocks set, from what they read.
+
+What a block holds is an input that the block sets, in C and event-driven too: rows, checkpoints and pictures know memory as
+inputs. Blocks that act after each step are switching functions in continuous time (`ContinuousProblem.updates`), whose branches
+end pieces.
 """
 
 from __future__ import annotations

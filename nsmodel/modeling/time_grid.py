@@ -1,4 +1,9 @@
-"""Time grids of a run."""
+"""Time grids of a run.
+
+Times of edges of inputs are exact in a grid; lengths that are the same to SAME_STEP_TOLERANCE are one length, which is a matter
+of matrices. A PWM whose duty is held has known periods and edges that move: the grid has a fixed number of steps a period,
+whose times are placed when it begins.
+"""
 
 from __future__ import annotations
 

@@ -24,6 +24,10 @@ goes on; where walls call for impulses at L/2^IMPACT, as a velocity behind one i
 give a point at rest a speed that rtol sees, and follow its hops. Where a state must jump at a cone it does not go on
 (`impacts.refusal`): y is certified beside |y|, which is not small on the surface of a cone, and what y may be off is any velocity
 over such a step.
+
+What is extrapolated is the state; multipliers stay those of a verified step. States that a cone pushes are measured relative to
+a part of the speed (`accuracy_checks`), and steps get no looser there. `c/adaptive.c` is the same loop, order of operations
+included; of the packed row both know where the state, the multipliers and the index set are.
 """
 
 from __future__ import annotations

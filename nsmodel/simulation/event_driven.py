@@ -1,6 +1,10 @@
 """The walk of event-driven integration: its rows are the ends of pieces, or the times asked for, read off the polynomials.
 
 Who makes the pieces of an event-driven run: C or the integrator, with the known times; and what is told of it.
+
+A checkpoint is the integrator between two pieces; before a piece that goes beyond ``t_end`` it is kept, and the rows of that
+piece are taken away when the run goes on. Nothing is read of pieces while the run goes on; rows are read off polynomials when
+they are asked for, and so no number of a piece depends on ``t_end``.
 """
 
 from __future__ import annotations

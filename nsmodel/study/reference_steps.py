@@ -16,6 +16,9 @@ What the judges share: expressions at rows, running error bounds, what is allowe
 Laws that move, as an independent judge sees them: a set for each of N rows, by its definition.
 
 The theta-gamma scheme written down once more, for the judges of the classes that use it.
+
+What a step saw is read off `run.inputs_begin` and `run.inputs`. A reaction that was found anew after a jump is in no row
+(`simulation.step_inputs.reinitialised_step_mask`), and that step's equation is not judged where gamma < 1.
 """
 
 from __future__ import annotations

@@ -1,6 +1,12 @@
 """Who computes: this process, its threads, processes of its own, or whatever has ``submit``.
 
 The work of a sweep: chunks of cells go out, come back, and are kept; what is lost is done again.
+
+Threads run C (which runs without Python's lock), forked processes the rest: they have functions without names by inheritance,
+and end with their parent. A user's engine gets pickled groups and arrays, no file. The coordinator is the only writer. A chunk
+whose worker is gone goes out once more, alone; then its cells one by one; a cell that is lost then is a failed cell. Chunks are
+as long as 0.3 s; nothing of them shows in the end. Signals are noted by the coordinator; C calls look at them every 0.05 s,
+other cells are waited for.
 """
 
 from __future__ import annotations

@@ -1,6 +1,10 @@
 """One quantity over the cells of a sweep: its values, what its axes are, and what came of each cell.
 
 The cells that a statistic is over, brought to the last axis; what is refused of them.
+
+``status`` travels with the values through `take`, `map`, comparisons and differences: a failed cell is data. Who reduces over
+cells goes through the groups here, which leave out what is not done and keep the count. xarray is known by its attributes
+(`as_variable`), never imported.
 """
 
 from __future__ import annotations
