@@ -10,7 +10,7 @@ import inspect
 import itertools
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, TypeVar, get_type_hints
@@ -42,9 +42,10 @@ class Flag(NamedTuple):
     help: Mapping[str, str]
     arguments: Mapping[str, Any]
 
-    def help_of(self, command: str) -> str | None:
-        """Return what the help of a command says; None where the command has no such flag."""
-        return next((text for commands, text in self.help.items() if command in commands.split()), None)
+    @property
+    def dest(self) -> str:
+        """The name under which argparse keeps what was given."""
+        return self.name.removeprefix("--").replace("-", "_")
 
 
 class Declaration(NamedTuple):
@@ -148,6 +149,7 @@ class Options:
                 "or rows with ; between; repeatable"
             },
             action="append",
+            default=[],
             metavar="NAME=VALUE",
         ),
     )
@@ -161,6 +163,7 @@ class Options:
                 "kind=hold|linear|cubic, after=hold|error|periodic, period=T; repeatable"
             },
             action="append",
+            default=[],
             metavar="NAME=FILE.csv",
         ),
     )
@@ -287,6 +290,15 @@ class Options:
     def folder(self) -> Path | None:
         """Where the run is kept."""
         return None if self.out is None else Path(self.out)
+
+
+def flagged_options(command: str) -> Iterator[tuple[Field[Any], Flag, str]]:
+    """Yield the options of which a command has the flag: the option, its flag, what the command's help says."""
+    for one in fields(Options):
+        if (flag := declaration(one).flag) is not None:
+            for commands, text in flag.help.items():
+                if command in commands.split():
+                    yield one, flag, text
 
 
 # -- which function takes which ----------------------------------------------------------------------------------------
