@@ -20,7 +20,7 @@ import pytest
 from conftest import REPOSITORY
 
 from nsmodel import LureSystem, StorageError, relay, simulate, sweep
-from nsmodel.cli import status
+from nsmodel.cli import common
 from nsmodel.codegen import library
 from nsmodel.codegen import library as cache
 from nsmodel.files import storage
@@ -221,9 +221,9 @@ def test_a_reader_that_has_gone_is_no_fault_on_windows_either(monkeypatch, capsy
     gone, null = OSError(errno.EINVAL, "Invalid argument"), os.open(os.devnull, os.O_WRONLY)
     with monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", SimpleNamespace(fileno=lambda: null))
-        assert status.close_stdout(gone) == 2
+        assert common.close_stdout(gone) == 2
         patch.setattr(sys, "platform", "win32")
-        assert status.close_stdout(gone) == 0
+        assert common.close_stdout(gone) == 0
     os.close(null)
     assert capsys.readouterr().err.count("cannot write the output") == 1
 

@@ -8,13 +8,37 @@ import sys
 from collections.abc import Sequence
 
 from nsmodel._utils import print_escaped as print
-from nsmodel.cli import cases, check, codegen, completion, new, run, stress, study, sweep, view
-from nsmodel.cli.output import reserve_stdout
-from nsmodel.cli.parser import CommandParser
-from nsmodel.cli.signals import handled_signals, signal_exit_status
-from nsmodel.cli.status import EXIT_DONE, close_stdout, report_refusal
+from nsmodel.cli.cases import add_cases_command, add_new_command
+from nsmodel.cli.check import add_check_command
+from nsmodel.cli.common import (
+    EXIT_DONE,
+    CommandParser,
+    close_stdout,
+    handled_signals,
+    report_refusal,
+    reserve_stdout,
+    signal_exit_status,
+)
+from nsmodel.cli.completion import add_completion_command
+from nsmodel.cli.export import add_codegen_command, add_view_command
+from nsmodel.cli.run import add_run_command
+from nsmodel.cli.study import add_stress_command, add_study_command
+from nsmodel.cli.sweep import add_sweep_command
 from nsmodel.errors import NsmodelError
 from nsmodel.version import VERSION
+
+ADD_COMMANDS = (
+    add_cases_command,
+    add_new_command,
+    add_run_command,
+    add_view_command,
+    add_sweep_command,
+    add_check_command,
+    add_study_command,
+    add_stress_command,
+    add_codegen_command,
+    add_completion_command,
+)  # In the order of the help.
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,6 +76,6 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (cases, new, run, view, sweep, check, study, stress, codegen, completion):
-        command.add(commands)
+    for add_command in ADD_COMMANDS:
+        add_command(commands)
     return parser

@@ -6,9 +6,19 @@ import argparse
 from pathlib import Path
 
 from nsmodel._utils import print_escaped as print
-from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_files, add_set, load_model, output_path, parse_setting, unique_by_name
-from nsmodel.cli.status import EXIT_AT_FAULT, EXIT_DONE, report_refusal
+from nsmodel.cli.common import (
+    EXIT_AT_FAULT,
+    EXIT_DONE,
+    Commands,
+    add_files,
+    add_options,
+    load_model,
+    output_path,
+    parse_setting,
+    print_json,
+    report_refusal,
+    unique_by_name,
+)
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.files.storage import write_text
 from nsmodel.hypotheses.findings import VIOLATED
@@ -18,12 +28,12 @@ from nsmodel.modeling.signals import Within, within
 BOUND_OPTIONS = ("rate", "start")
 
 
-def add(commands: Commands) -> None:
+def add_check_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Decide the hypotheses that the theory of the model's class rests on, and say what follows from them."
     parser = commands.add_parser("check", help="check the hypotheses behind a model file", description=about)
     add_files(parser)
-    add_set(parser)
+    add_options(parser, "check")
     parser.add_argument(
         "--parameters",
         action="append",

@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from nsmodel.cli.settings import Commands
-from nsmodel.cli.status import EXIT_DONE
+from nsmodel.cli.common import EXIT_DONE, Commands
 from nsmodel.modeling import model_files
 from nsmodel.solvers.plan import STEP_SOLVERS
 
@@ -59,7 +58,7 @@ class CommandArgument(NamedTuple):
     help: str
 
 
-def add(commands: Commands) -> None:
+def add_completion_command(commands: Commands) -> None:
     """Add the command; it describes all commands that are there."""
     parser = commands.add_parser(
         "completion", help="print a script that completes in a shell", description=DESCRIPTION,

@@ -11,60 +11,40 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel._utils import print_escaped as print
-from nsmodel.cli.files import (
-    check_film_possible,
-    check_window_start,
-    parse_window,
-    print_paths,
-    write_files_of_failed_run,
-    write_requested_files,
+from nsmodel.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED_STEP,
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    EXIT_USAGE,
+    Commands,
+    add_files,
+    add_options,
+    close_stdout,
+    given_options,
+    ignore_signals,
+    load_model,
+    output_path,
+    parse_inputs,
+    print_json,
+    report_refusal,
 )
-from nsmodel.cli.inputs import add_input, parse_inputs
-from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import TOLERANCE_HELP, Commands, add_files, add_set, load_model, output_path
-from nsmodel.cli.signals import EXIT_INTERRUPTED, EXIT_TERMINATED, ignore_signals
-from nsmodel.cli.status import EXIT_DONE, EXIT_FAILED_STEP, EXIT_USAGE, close_stdout, report_refusal
-from nsmodel.errors import NsmodelError, StepError, StorageError, UsageError
+from nsmodel.errors import NsmodelError, PlotError, StepError, StorageError, UsageError
 from nsmodel.files.storage import FORMAT_STAMP, check_writable, write_json
 from nsmodel.modeling.base import Model
 from nsmodel.simulation.loop import RunInterrupted
-from nsmodel.simulation.options import CERTIFY_CHOICES, METHODS
+from nsmodel.simulation.options import ExplainKeywords, option_names
 from nsmodel.simulation.run_folder import hold_folder
 from nsmodel.simulation.simulate import explain, simulate
 from nsmodel.simulation.trajectory import Trajectory
-from nsmodel.solvers.plan import STEP_SOLVERS
 
 
-def add(commands: Commands) -> None:
+def add_run_command(commands: Commands) -> None:
     """Add the command and its options."""
     parser = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
     add_files(parser)
-    parser.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
-    parser.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
-    parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
-    parser.add_argument(
-        "--method", default="auto", choices=METHODS,
-        help="with --rtol: auto (event-driven, else time stepping), or one of them alone",
-    )  # fmt: skip
-    parser.add_argument(
-        "--certify", default="estimate", choices=CERTIFY_CHOICES, help="interval: prove the pieces of an event-driven run"
-    )
-    parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
-    add_set(parser)
-    add_input(parser)
-    parser.add_argument(
-        "--solver", default="auto", metavar="SOLVER", help=f"use this solver alone: {', '.join(STEP_SOLVERS[1:])}"
-    )
-    parser.add_argument(
-        "--compiled", action="store_true",
-        help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
-    )  # fmt: skip
-    parser.add_argument("--tolerance", type=float, default=DEFAULT_TOLERANCE, metavar="TOL", help=TOLERANCE_HELP)
-    parser.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
-    parser.add_argument("--resume", action="store_true", help="continue the run found in --out")
-    parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
+    add_options(parser, "run")
     parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
     parser.add_argument(
@@ -99,7 +79,7 @@ def _run_files(arguments: argparse.Namespace) -> int:
         raise UsageError("--film takes one model file; run them one by one")
     if arguments.window is not None and not arguments.plot:
         raise UsageError("--window is a window of pictures: give --plot as well")
-    parse_window(arguments.window)
+    _parse_window(arguments.window)
     if arguments.film:
         from nsmodel.plot.film import check_film
 
@@ -146,27 +126,21 @@ def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
 
 
 def _run_in_folder(arguments: argparse.Namespace, file: str, folder: Path | None) -> FileResult:
-    start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
+    start = time.perf_counter()
     bound: Model | None = None
     try:
         model, values = load_model(file, arguments.set)
         bound = model.bind(values)
-        check_film_possible(arguments.film, model)
-        check_window_start(arguments.window, arguments.t_end or model.t_end)
-        inputs = parse_inputs(arguments.input, model.input_groups)
+        _check_film_possible(arguments.film, model)
+        _check_window_start(arguments.window, arguments.t_end or model.t_end)
+        options = given_options(arguments, "run") | {
+            "parameters": values, "inputs": parse_inputs(arguments.input, model.input_groups), "out": folder,
+            "progress": not (arguments.quiet or arguments.json),
+        }  # fmt: skip
         if arguments.explain and not arguments.json:
-            how = explain(
-                model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
-                tolerance=arguments.tolerance, compiled=compiled, rtol=arguments.rtol, method=arguments.method,
-                certify=arguments.certify, inputs=inputs,
-            )  # fmt: skip
-            print(how, end="\n\n")
-        run = simulate(
-            model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
-            tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
-            progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
-            method=arguments.method, certify=arguments.certify, inputs=inputs,
-        )  # fmt: skip
+            names = option_names(ExplainKeywords)
+            print(explain(model, **{name: value for name, value in options.items() if name in names}), end="\n\n")
+        run = simulate(model, **options)
     except StepError as error:
         return _report_stopped_run(arguments, file, folder, error.trajectory, f"error: {error}", EXIT_FAILED_STEP, start, bound)
     except RunInterrupted as stop:
@@ -208,7 +182,7 @@ def _report_run(
     arguments: argparse.Namespace, file: str, run: Trajectory, seconds: float, model: Model, folder: Path | None
 ) -> FileResult:
     """Write what was asked for; print the summary of a single run."""
-    pictures = write_requested_files(arguments, run, model, folder)
+    pictures = _write_requested_files(arguments, run, model, folder)
     printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
     document = _json_document(file, run, seconds, folder, pictures)
     if printed or arguments.json or folder is not None:
@@ -223,7 +197,7 @@ def _report_run(
         print(textwrap.fill(document["hypotheses"], 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
         if folder is not None:
             print(f"  saved           {folder / 'trajectory.npz'}")
-        print_paths(arguments, pictures)
+        _print_paths(arguments, pictures)
         sys.stdout.flush()
     return FileResult(EXIT_DONE, file, run, seconds, folder, document)
 
@@ -257,13 +231,13 @@ def _report_stopped_run(
         except StorageError:
             print(f"nsmodel: {where}{message}", file=sys.stderr)
             raise
-    pictures, why = write_files_of_failed_run(arguments, run, model, folder)
+    pictures, why = _write_files_of_failed_run(arguments, run, model, folder)
     document = _json_document(file, run, seconds, folder, pictures)
     write_json(folder / "summary.json", document)
     if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
         try:
             _print_summary(run, seconds)
-            print_paths(arguments, pictures)
+            _print_paths(arguments, pictures)
             sys.stdout.flush()
         except OSError as error:
             close_stdout(error)
@@ -307,3 +281,82 @@ def _results_table(results: Sequence[FileResult]) -> str:
         ))  # fmt: skip
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+# -- the files that are asked for: pictures, a film, a page, a table ---------------------------------------------------
+
+
+def _parse_window(text: str | None) -> tuple[float | None, float | None] | None:
+    """What --window says."""
+    if text is None:
+        return None
+    ends = text.split(":")
+    try:
+        begin, end = (float(one) if one.strip() else None for one in ends)
+    except ValueError:
+        raise UsageError(f"--window {text}: expected T0:T1, two times, of which one may be left out") from None
+    if begin is not None and end is not None and not begin < end:
+        raise UsageError(f"--window {text}: expected T0 < T1")
+    return begin, end
+
+
+def _check_window_start(text: str | None, t_end: float | None) -> None:
+    """Refuse a window that begins where the run is over, before it is run."""
+    window = _parse_window(text)
+    if window is not None and window[0] is not None and t_end is not None and window[0] >= t_end:
+        raise UsageError(f"--window {text} begins after the run, which ends at t = {t_end:g}")
+
+
+def _check_film_possible(path: str | None, model: Model) -> None:
+    """Refuse a film of what has no discs, before it is run."""
+    if path:
+        from nsmodel.plot.crowd import check_disc_scene
+
+        try:
+            check_disc_scene(getattr(model, "scene", None), len(model.names))
+        except PlotError:
+            raise UsageError(
+                "--film shows bodies in the plane, and this model has no scene of discs; --plot writes pictures, --html a page "
+                "on which the run is played"
+            ) from None
+
+
+def _write_requested_files(arguments: argparse.Namespace, run: Trajectory, model: Model, folder: Path | None) -> list[str]:
+    """Write the files that were asked for; the paths of the pictures, and of the page."""
+    pictures = []
+    if arguments.csv:
+        run.to_csv(arguments.csv)
+    if arguments.plot and folder is not None:
+        from nsmodel.plot import save_all
+
+        pictures = [str(path) for path in save_all(run, model, folder, t=_parse_window(arguments.window))]
+    if arguments.film:
+        from nsmodel.plot import animate
+
+        pictures.append(str(animate(run, arguments.film)))
+    if arguments.html:
+        pictures.append(str(run.view(arguments.html, model)))
+    return pictures
+
+
+def _print_paths(arguments: argparse.Namespace, paths: Sequence[str]) -> None:
+    """Say where each lies."""
+    page = None if arguments.html is None else Path(arguments.html)
+    for path in paths:
+        print(f"  {'page' if Path(path) == page else 'picture':15} {path}")
+
+
+def _write_files_of_failed_run(
+    arguments: argparse.Namespace, run: Trajectory, model: Model | None, folder: Path
+) -> tuple[list[str], str]:
+    """Write the files that were asked for of a run that failed; the paths, and why there are none."""
+    requested = [f"--{name}" for name in ("csv", "plot", "film", "html") if getattr(arguments, name)]
+    if not requested:
+        return [], ""
+    try:
+        if model is not None and len(run):
+            return _write_requested_files(arguments, run, model, folder), ""
+        reason = ""
+    except Exception as error:  # Where a run fails there may be numbers that no picture shows; it is told in any case.
+        reason = f" ({error})"
+    return [], f"{', '.join(requested)}: not all was written{reason}"

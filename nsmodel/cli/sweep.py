@@ -11,26 +11,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel._utils import print_escaped as print
-from nsmodel.cli.inputs import add_input, parse_inputs
-from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import (
-    TOLERANCE_HELP,
+from nsmodel.cli.common import (
+    EXIT_DONE,
+    EXIT_FAILED_STEP,
     Commands,
     add_file,
-    add_set,
+    add_options,
+    given_options,
+    ignore_signals,
     output_path,
+    parse_inputs,
     parse_number,
     parse_setting,
+    print_json,
     unique_by_name,
 )
-from nsmodel.cli.signals import ignore_signals
-from nsmodel.cli.status import EXIT_DONE, EXIT_FAILED_STEP
 from nsmodel.errors import UsageError
 from nsmodel.files.storage import check_writable
 from nsmodel.modeling.model_files import load_with_values
-from nsmodel.simulation.options import METHODS
 from nsmodel.sweep.design import MIN_CELL_BYTES, check_memory
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ OPTION_SPELLINGS = {  # What messages say of arguments, and the options for it.
 VALUES_FORMAT = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
 
 
-def add(commands: Commands) -> None:
+def add_sweep_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Run a model for many values of its parameters, starts, seeds or steps, on all cores."
     parser = commands.add_parser("sweep", help="run a model file many times", description=about)
@@ -67,8 +66,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--start", action="append", default=[], metavar=VALUES_FORMAT, help="starts of a state; repeatable")
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 ... N-1 for def model(seed=...)")
     parser.add_argument("--step", metavar="H or H1,H2,...", help="time step; several are a dimension")
-    add_set(parser)
-    add_input(parser)
+    add_options(parser, "sweep")
     parser.add_argument("--keep", default="", metavar="A,B,...", help="columns of which rows are kept")
     parser.add_argument("--every", type=int, metavar="N", help="keep every N-th row (default: about 200 rows)")
     parser.add_argument(
@@ -78,13 +76,6 @@ def add(commands: Commands) -> None:
         metavar="NAME=TEXT",
         help="number of a run: x[-1], max(x), mean(x), ...; repeatable",
     )
-    parser.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
-    parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
-    parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
-    parser.add_argument("--method", default="auto", choices=METHODS, help="with --rtol: as of nsmodel run")
-    parser.add_argument("--solver", default="auto", metavar="SOLVER", help="use this solver alone")
-    parser.add_argument("--compiled", action="store_true", help="run in C (left out: where it pays)")
-    parser.add_argument("--tolerance", type=float, default=DEFAULT_TOLERANCE, metavar="TOL", help=TOLERANCE_HELP)
     parser.add_argument("--workers", type=int, metavar="N", help="how many at once (default: the cores)")
     parser.add_argument("--entropy", type=int, metavar="E", help="of random starts (default 0)")
     parser.add_argument(
@@ -120,10 +111,9 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
             step=steps[0] if len(steps) == 1 else steps, inputs=inputs, parameters=fixed,
             keep=[name for name in map(str.strip, arguments.keep.split(",")) if name], every=arguments.every,
             outputs=unique_by_name((_split_name(text, "--output", "rest=x[-1]") for text in arguments.output), "--output"),
-            t_end=arguments.t_end, rtol=arguments.rtol, atol=arguments.atol, method=arguments.method, solver=arguments.solver,
-            tolerance=arguments.tolerance, compiled=True if arguments.compiled else "auto", workers=arguments.workers,
+            workers=arguments.workers,
             out=arguments.out, resume=arguments.resume, retry=arguments.retry, entropy=arguments.entropy,
-            progress=not (arguments.quiet or arguments.json),
+            progress=not (arguments.quiet or arguments.json), **given_options(arguments, "sweep"),
         )  # fmt: skip
     except SweepInterrupted as stop:
         ignore_signals()

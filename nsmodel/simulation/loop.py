@@ -103,13 +103,13 @@ class RunLoop:
         if options.resume and store is not None:
             self._restore(store)
 
-    def go(self, progress: bool = False) -> Trajectory:
+    def go(self) -> Trajectory:
         """Run to the end; where that fails, or is interrupted, save what there is and say so.
 
         Numbers that cannot be computed with end in a StepError, whatever library says so; a fault of the program stays what
         it is.
         """
-        bar = progress_bar(**self.propagator.bar) if progress else None
+        bar = progress_bar(**self.propagator.bar) if self.options.progress else None
         # What overflows is for the certificate to judge.
         with deferred_signals() as signals, np.errstate(all="ignore"):
             start = time.process_time()

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import BACKEND_SETTING
-from nsmodel.modeling.inputs import Signals
-from nsmodel.modeling.parameters import Values, describe_argument
+from nsmodel.modeling.parameters import describe_argument
 from nsmodel.modeling.time_grid import TimeGrid, make_grid
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.proof.expression_graph import OpaqueExpression
@@ -23,64 +20,19 @@ from nsmodel.simulation.error_control import ErrorControlledPropagator
 from nsmodel.simulation.event_driven import EventDrivenPropagator, event_driven_problem, plan_with_reason
 from nsmodel.simulation.fixed_grid import FixedGridPropagator
 from nsmodel.simulation.loop import RunLoop, check_not_unfinished
-from nsmodel.simulation.options import METHODS, Options
+from nsmodel.simulation.options import METHODS, ExplainKeywords, OptionKeywords, Options, takes_options
 from nsmodel.simulation.propagator import GRID_PROPAGATOR, ResumedBackend, plan_with_inputs, plan_with_known_times
 from nsmodel.simulation.run_folder import ChunkStore
 from nsmodel.simulation.trajectory import Trajectory
 
 
-def simulate(
-    model: Model,
-    *,
-    step: float | None = None,
-    steps: Sequence[float] | None = None,
-    t_end: float | None = None,
-    parameters: Values | None = None,
-    inputs: Signals | None = None,
-    solver: str = "auto",
-    tolerance: float = DEFAULT_TOLERANCE,
-    save_every: int = 1,
-    out: str | Path | None = None,
-    resume: bool = False,
-    progress: bool = False,
-    compiled: bool | str = "auto",
-    rtol: float | None = None,
-    atol: float | Sequence[float] | None = None,
-    method: str = "auto",
-    times: Sequence[float] | None = None,
-    certify: str = "estimate",
-) -> Trajectory:
+@takes_options(OptionKeywords)
+def simulate(model: Model, **options: Unpack[OptionKeywords]) -> Trajectory:
     """Run a model and return its trajectory; every step in it was verified.
 
     Args:
         model: any of the six classes.
-        step, steps, t_end: override the model's own grid.
-        parameters: values of parameters, by name or symbol.
-        inputs: signals of inputs, by name or symbol, in place of those declared: steps end at their edges (see `docs/inputs.md`).
-        solver: "auto", or one solver to use alone ("qpoases", "qrqp", "daqp", "ipopt", "lemke", ...).
-        tolerance: largest accepted residual (relative, without unit).
-        save_every: keep every n-th row, and the last (that of each part, where a run was resumed).
-        out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``; for one run at a
-            time.
-        resume: continue the run found in ``out``.
-        progress: show a progress bar at a terminal, or in a notebook.
-        compiled: True: step in C, built once for this model and kept in the user's cache folder (a step that C cannot certify
-            is taken by the interpreted solvers); False: never; "auto": where building, or finding what was built before, takes
-            less time than the interpreted steps, both estimated from the structure (see `solvers.plan`). Where parameters are
-            declared the library is that of all their values, and other values build nothing, but for runs so long that code of
-            the numbers alone pays: that is decided by the model and the number of steps, not by what was built before. A run
-            that is resumed goes on as it began.
-        rtol: the error allowed of each state, beside its largest value so far, >= 1e-14. The run is event-driven where that
-            applies: one smooth piece after another, switches found exactly (see `docs/events.md`); rows are the ends of pieces,
-            ``run.at(t)`` gives any time, ``run.events`` the switches.
-        atol: an absolute error allowed besides, one for all states or one for each; 0 if left out.
-        method: with ``rtol``: "event-driven" refuses what it cannot take, or cannot go on with; "time-stepping" chooses the
-            steps by local error control (see `simulation.error_control`; rtol >= 1e-12, ``step`` is the first step); "auto" is
-            event-driven, and takes time stepping, with a warning, where that does not apply, and for a stretch where it stops.
-        times: the rows of an event-driven run, increasing, from 0 to t_end; left out: the ends of its pieces.
-        certify: "interval": prove of each piece of an event-driven run, by interval arithmetic, a bound of its defect and the
-            signs of its conditions, and of the run a bound of its error where the model is monotone (see `docs/events.md`); what
-            is not proved is named, and the run is one all the same. "estimate": do not.
+        {entries}
 
     Raises:
         UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set, an unfinished run in ``out``.
@@ -90,12 +42,9 @@ def simulate(
         StorageError: ``resume`` without a matching run, or after its files were changed; another run is at work in ``out``; or it
             cannot be written: then ``error.trajectory`` holds what was computed.
     """
-    options = Options(
-        step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol, method, times, certify,
-        inputs,
-    )  # fmt: skip
-    with contextlib.nullcontext() if options.folder is None else run_folder.hold_folder(options.folder):
-        return make_run(model, options).go(progress)
+    requested = Options(**options)
+    with contextlib.nullcontext() if requested.folder is None else run_folder.hold_folder(requested.folder):
+        return make_run(model, requested).go()
 
 
 def prepare(model: Model, **options: Any) -> RunLoop:
@@ -108,35 +57,21 @@ def prepare(model: Model, **options: Any) -> RunLoop:
     return run
 
 
-def explain(
-    model: Model,
-    *,
-    step: float | None = None,
-    t_end: float | None = None,
-    parameters: Values | None = None,
-    inputs: Signals | None = None,
-    solver: str = "auto",
-    tolerance: float = DEFAULT_TOLERANCE,
-    compiled: bool | str = "auto",
-    rtol: float | None = None,
-    method: str = "auto",
-    certify: str = "estimate",
-) -> str:
+@takes_options(ExplainKeywords)
+def explain(model: Model, **options: Unpack[ExplainKeywords]) -> str:
     """What a run would use and what it leaves out, and why, as text.
 
-    The arguments are those of `simulate`, with the same meaning: model, step, t_end, parameters, inputs, solver, tolerance,
-    compiled, rtol, method, certify.
+    The arguments are those of `simulate`, with the same meaning: model, {names}.
 
     Raises:
         UsageError: as in `simulate`.
     """
-    requested: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
-    options = Options(**requested, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
-    symbolic_model, bound = _driven_and_bound(model, options)
-    if rtol is not None:
-        controlled: Any = _run_with_rtol(bound, options, symbolic_model).propagator
+    requested = Options(**options)
+    symbolic_model, bound = _driven_and_bound(model, requested)
+    if requested.rtol is not None:
+        controlled: Any = _run_with_rtol(bound, requested, symbolic_model).propagator
         return controlled.plan.text(controlled.problem)
-    propagator = _fixed_grid_propagator(bound, options, _make_run_grid(bound, options), lambda: None, symbolic_model)
+    propagator = _fixed_grid_propagator(bound, requested, _make_run_grid(bound, requested), lambda: None, symbolic_model)
     return propagator.plan.text(propagator.problem)
 
 
@@ -177,10 +112,10 @@ class _RunFolder:
 class _RunWithFallback(RunLoop):
     """An event-driven run that, where it stops, is made anew by time stepping, with a warning that says why."""
 
-    def go(self, progress: bool = False) -> Trajectory:
+    def go(self) -> Trajectory:
         """Run to the end, one way or the other."""
         try:
-            return super().go(progress)
+            return super().go()
         except StepError as error:
             if self.options.times is not None or isinstance(error, UnrecoverableStepError):
                 raise
@@ -192,7 +127,7 @@ class _RunWithFallback(RunLoop):
         if self.store is not None:
             self.store.discard()
         other.propagator.warnings.append(f"event-driven integration: {reason}; all rows are by time stepping")
-        run = other.go(progress)
+        run = other.go()
         self.cpu_seconds += other.cpu_seconds
         return run
 

@@ -7,20 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from nsmodel._utils import DEFAULT_TOLERANCE, describe_shortly, format_number
+from nsmodel._utils import describe_shortly, format_number
 from nsmodel.errors import CodegenError, StepError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.columns import OutputColumns
-from nsmodel.modeling.inputs import Signals, signals_by_name
-from nsmodel.modeling.parameters import Values
+from nsmodel.modeling.inputs import signals_by_name
 from nsmodel.modeling.time_grid import SAME_STEP_TOLERANCE, TimeGrid, format_value, is_number
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.simulation.fixed_grid import make_stepper
-from nsmodel.simulation.options import Options
+from nsmodel.simulation.options import Options, StepperKeywords, takes_options
 from nsmodel.simulation.propagator import (
     GRID_PROPAGATOR,
     Row,
@@ -312,17 +311,8 @@ class ModelStepper:
         return Trajectory(arrays | OutputColumns.of(self._model, self._problem.multiplier_names)(arrays), metadata)
 
 
-def stepper(
-    model: Model,
-    *,
-    step: float | None = None,
-    parameters: Values | None = None,
-    inputs: Signals | None = None,
-    solver: str = "auto",
-    tolerance: float = DEFAULT_TOLERANCE,
-    compiled: bool | str = "auto",
-    record: bool = False,
-) -> ModelStepper:
+@takes_options(StepperKeywords, before="record")
+def stepper(model: Model, *, record: bool = False, **options: Unpack[StepperKeywords]) -> ModelStepper:
     """Return a model that is advanced step by step: ``s.step(u)`` takes a verified step and returns where it has led.
 
     Args:
@@ -330,7 +320,7 @@ def stepper(
         step: the time step; left out: the model's.
         parameters: values of parameters.
         inputs: signals of inputs; what has none, or None, is given to each step.
-        solver, tolerance: as in `simulate`.
+        {names}: as in `simulate`.
         compiled: True: steps in C; False: never; "auto": in C where there is a compiler and the model has a C counterpart.
         record: keep the rows; ``s.trajectory`` is the run so far.
 
@@ -339,7 +329,4 @@ def stepper(
     Raises:
         UsageError: a wrong argument, many bodies, no time step; compiled=True where there is no C.
     """
-    options = Options(
-        step=step, parameters=parameters, solver=solver, tolerance=tolerance, compiled=compiled, inputs=inputs
-    )  # fmt: skip
-    return ModelStepper(model, options, record=record)
+    return ModelStepper(model, Options(**options), record=record)

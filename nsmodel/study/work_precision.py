@@ -95,7 +95,7 @@ class ReferenceSearch:
             run = self.prepare_run(method, count)
             setup, start = time.perf_counter() - start, time.perf_counter()
             try:
-                done = run.go(progress=False)
+                done = run.go()
             except StepError as error:
                 failure = error
                 continue
@@ -157,7 +157,7 @@ class ReferenceSearch:
                     run.propagator.advance(1, ())
                     if time.perf_counter() > until:
                         return refined
-                runs.append(run.go(progress=False))
+                runs.append(run.go())
             except NsmodelError:
                 return refined
         found, doubt = event_driven_reference(self.model, EVENT_DRIVEN_RTOLS[1], runs[0], runs[1], refined)
@@ -182,7 +182,7 @@ class ReferenceSearch:
                     self.report_status(f"reference: {n:.0f} steps, {method.name}")
                     run = self.prepare_run(method, n)
                     start = run.propagator.state.copy()
-                    made = run.go(progress=False)
+                    made = run.go()
                     runs.append(ReferenceRows.of(made))
                 step = make_row_stepper(run.propagator, start, made)
             except NsmodelError as error:

@@ -7,18 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from nsmodel._utils import DEFAULT_TOLERANCE, former_names
+from nsmodel._utils import former_names
 from nsmodel.errors import UsageError
 from nsmodel.modeling.fingerprint import content_digest, fingerprint, versions
 from nsmodel.modeling.parameters import Values
 from nsmodel.modeling.time_grid import check_times
 from nsmodel.simulation import run_folder
 from nsmodel.simulation.loop import PendingSignals, deferred_signals
-from nsmodel.simulation.options import Options
+from nsmodel.simulation.options import Options, SweepKeywords, option_names, takes_options
 from nsmodel.simulation.propagator import model_metadata
 from nsmodel.simulation.simulate import simulate
 from nsmodel.solvers.plan import STEP_SOLVERS
@@ -54,6 +54,7 @@ class SweepInterrupted(KeyboardInterrupt):
         self.result, self.signal = result, signal
 
 
+@takes_options(SweepKeywords, before="workers")
 def sweep(
     model: Any,
     *,
@@ -67,14 +68,6 @@ def sweep(
     keep: Sequence[str] | str = (),
     every: int | None = None,
     outputs: Mapping[str, Any] | None = None,
-    t_end: float | None = None,
-    rtol: float | None = None,
-    atol: float | Sequence[float] | None = None,
-    method: str = "auto",
-    times: Sequence[float] | None = None,
-    solver: str = "auto",
-    tolerance: float = DEFAULT_TOLERANCE,
-    compiled: bool | str = "auto",
     workers: Any = None,
     out: str | Path | None = None,
     resume: bool = False,
@@ -83,6 +76,7 @@ def sweep(
     replicates: bool = False,
     low_discrepancy: bool = False,
     progress: bool = False,
+    **options: Unpack[SweepKeywords],
 ) -> Sweep:
     """Run a model for many values of its parameters, starts, seeds, steps or inputs; each step of each run is verified.
 
@@ -104,8 +98,7 @@ def sweep(
             out: about 200 rows); of event-driven runs the rows are at ``times``.
         outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory, which
             raise StepError where a run has no result: such a cell is a failed one.
-        t_end, rtol, atol, method, times, solver, tolerance, compiled: as in `simulate`; compiled "auto": where a library for all
-            cells takes less time than the runs without.
+        {names}: as in `simulate`; compiled "auto": where a library for all cells takes less time than the runs without.
         workers: how many at once; left out: as many as there are cores, threads for C and processes else; or anything with
             ``submit``: a Dask Client, a concurrent.futures Executor.
         out: folder of the sweep, written as it goes; ".nc" or ".zarr" at the end of its name: written so when all is done.
@@ -128,17 +121,13 @@ def sweep(
         grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
     )  # fmt: skip
     given: Any = step
-    Options(
-        step=None if several else given, solver=solver, tolerance=tolerance, compiled=compiled, rtol=rtol, atol=atol,
-        method=method, times=times, out=out, resume=resume,
-    )  # fmt: skip
-    check_times(step=None if several else step, t_end=t_end)
+    requested = Options(step=None if several else given, out=out, resume=resume, **options)
+    check_times(step=None if several else step, t_end=requested.t_end)
     one_step = None if several or step is None else float(given)
     check_workers(workers)
-    _check_solver_and_retry(solver, resume=resume, retry=retry)
-    options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
-               "method": method, "times": times}  # fmt: skip
-    request = SweepRequest(_kept_columns(keep), every, read_outputs(outputs), options)
+    _check_solver_and_retry(requested.solver, resume=resume, retry=retry)
+    of_runs = {name: getattr(requested, name) for name in option_names(SweepKeywords)}
+    request = SweepRequest(_kept_columns(keep), every, read_outputs(outputs), of_runs)
     fixed = {key if isinstance(key, str) else str(key): value for key, value in (parameters or {}).items()}
     check_varied_names(design, request, fixed)
     groups = ModelGroups(

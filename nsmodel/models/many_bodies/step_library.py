@@ -3,10 +3,10 @@
 For runs it is built once for a model, with the contract of the interpreted step.
 
 In `codegen/c/group.c` a group is min |w|^2/2, G w + b >= 0. Small changes: primal-dual active set from the last step. Else
-Mehrotra's interior point on I + G' Theta G until the index set shows (mean of m s below 1e-6), then the active set; where that does not
-settle, an augmented Lagrangian with Newton's method and an exact line search, which converges from anywhere. Every way ends on
-an index set solved to 1e-13 of the largest speed. One factorisation serves all (`codegen/c/block_ldl.c`): blocks of d x d,
-multifrontal, in an order that the positions give: minimum degree for the loose ends, then nested dissection by the fewest
+Mehrotra's interior point on I + G' Theta G until the index set shows (mean of m s below 1e-6), then the active set; where that
+does not settle, an augmented Lagrangian with Newton's method and an exact line search, which converges from anywhere. Every way
+ends on an index set solved to 1e-13 of the largest speed. One factorisation serves all (`codegen/c/block_ldl.c`): blocks of d x
+d, multifrontal, in an order that the positions give: minimum degree for the loose ends, then nested dissection by the fewest
 bodies that separate two sides within a band (as many as paths between the sides that do not meet: a maximal flow). The memory
 of a step is one arena given from outside: a step is a pure function, and a library without allocation is the same code.
 """

@@ -1,0 +1,285 @@
+"""What commands share: the parser, the model file and the options of a run, standard output, exit statuses, signals."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import difflib
+import errno
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeAlias, TypeVar
+
+import numpy as np
+
+from nsmodel._utils import print_escaped as print
+from nsmodel.errors import CodegenError, ModelError, NsmodelError, StorageError, UsageError
+from nsmodel.files.storage import dumps
+from nsmodel.modeling import model_files
+from nsmodel.modeling.base import Model
+from nsmodel.modeling.model_files import load_with_values
+from nsmodel.modeling.signals import Signal, table
+from nsmodel.simulation.options import flagged_options
+
+T = TypeVar("T")
+Commands: TypeAlias = "argparse._SubParsersAction[CommandParser]"
+
+FILE_HELP = "a Python file that defines model = ... or def model(...), or the name of a case (see nsmodel cases)"
+
+CHOICE_PATTERN = re.compile(r"invalid choice: '(.*?)' \(choose from")
+INPUT_OPTIONS = ("kind", "after", "period")
+
+EXIT_DONE, EXIT_AT_FAULT, EXIT_USAGE, EXIT_FAILED_STEP, EXIT_REFUSED = 0, 1, 2, 3, 4
+EXIT_INTERRUPTED, EXIT_TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+
+
+# -- the parser --------------------------------------------------------------------------------------------------------
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser of all its arguments; those of its commands are such parsers too."""
+
+    def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Refuse here what the command does not take: its own usage is shown, and not that of all."""
+        found, left = super().parse_known_args(args, namespace)
+        if left:
+            names = [one.partition("=")[0] for one in left if one.startswith("-")]
+            self.error(f"unrecognized arguments: {' '.join(left)}{_suggestion(names, self._option_string_actions)}")
+        return found, left
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is near to a word that is none of those there are."""
+        choices = [str(one) for action in self._actions for one in action.choices or ()]
+        super().error(message + _suggestion(CHOICE_PATTERN.findall(message), choices))
+
+
+def _suggestion(tokens: Sequence[str], known: Any) -> str:
+    found = [near[0] for word in tokens if (near := difflib.get_close_matches(word, list(known), 1))]
+    return f"; did you mean {' '.join(found)}?" if found else ""
+
+
+# -- arguments ---------------------------------------------------------------------------------------------------------
+
+
+def add_file(parser: argparse.ArgumentParser) -> None:
+    """Add the model file."""
+    parser.add_argument("file", metavar="FILE", type=_model_file, help=FILE_HELP)
+
+
+def output_path(text: str) -> str:
+    """A path to write to, which is some text."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty; give a path, or leave the option out")
+    return text
+
+
+def add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the model files, one at least."""
+    parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE_HELP)
+
+
+def _model_file(text: str) -> str:
+    """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
+    if note := model_files.shadowed_case_note(text):
+        print(f"nsmodel: note: {note}", file=sys.stderr)
+    return text if (path := model_files.case_or_file_path(text)) == Path(text) else str(path)
+
+
+def add_options(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the flags that a command has of the options of a run."""
+    for option, flag, text in flagged_options(command):
+        given = {"default": option.default, **flag.arguments}
+        if given.get("type") is Path:
+            given["type"] = output_path
+        parser.add_argument(flag.name, help=text, **given)
+
+
+def given_options(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """Return the options of a run as the flags of a command give them; what --set and --input say is read elsewhere."""
+    flags = {option.name: flag.dest for option, flag, _ in flagged_options(command)}
+    return {name: getattr(arguments, dest) for name, dest in flags.items() if dest == name}
+
+
+# -- values of parameters: --set NAME=VALUE ----------------------------------------------------------------------------
+
+
+def load_model(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, Any]]:
+    """The model and the values of its parameters; settings that the file's model() takes go there."""
+    return load_with_values(file, unique_by_name(map(parse_setting, settings), "--set"))
+
+
+def unique_by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
+    """The values by name; a name that is given twice is refused."""
+    found: dict[str, T] = {}
+    for name, value in pairs:
+        if name in found:
+            raise UsageError(f"{option} gives '{name}' twice; keep one")
+        found[name] = value
+    return found
+
+
+def parse_setting(setting: str) -> tuple[str, Any]:
+    """The name and its number, list of numbers or list of rows."""
+    name, equals, text = setting.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"--set {setting}: expected NAME=VALUE, for example --set mu=0.3")
+    try:
+        rows = [[parse_number(one) for one in row.split(",")] for row in text.split(";")]
+    except ValueError:
+        raise UsageError(f"--set {setting}: '{text}' is not a number, nor numbers with commas between") from None
+    return name.strip(), rows if len(rows) > 1 else rows[0] if len(rows[0]) > 1 else rows[0][0]
+
+
+def parse_number(text: str) -> int | float:
+    """The number that a text spells."""
+    return int(text) if text.strip().lstrip("+-").isdigit() else float(text)
+
+
+# -- inputs: --input NAME=FILE.csv[,kind=...][,after=...][,period=...], or NAME=NUMBER ---------------------------------
+
+
+def parse_inputs(texts: Sequence[str], groups: Any) -> dict[str, float | Signal]:
+    """The signals by the names of inputs; ``groups``: names of their entries, see `Model.input_groups`."""
+    return unique_by_name([_parse_input(text, groups) for text in texts], "--input")
+
+
+def _parse_input(text: str, groups: Any) -> tuple[str, float | Signal]:
+    name, equals, rest = text.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"--input {text}: expected NAME=FILE.csv or NAME=NUMBER, for example --input u=cycle.csv,kind=linear")
+    name = name.strip()
+    path, *options = rest.split(",")
+    try:
+        return name, float(path)
+    except ValueError:
+        pass
+    given: dict[str, Any] = {}
+    for option in options:
+        key, equals, value = option.partition("=")
+        if key not in INPUT_OPTIONS or not equals or key in given:
+            raise UsageError(f"--input {text}: '{option}'; expected kind=..., after=..., period=..., each once at most")
+        given[key] = float(value) if key == "period" and _is_number_text(value) else value
+    t, values = _read_input_columns(Path(path), list(groups.get(name, (name,))), text)
+    try:
+        return name, table(t, values, **given)
+    except ModelError as error:
+        raise UsageError(f"--input {text}: {error}") from None
+
+
+def _read_input_columns(path: Path, names: list[str], text: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of a file: under the names t and those of the input where it has them, else the first columns."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"--input {text}: {path} cannot be read ({error})") from None
+    if not rows:
+        raise UsageError(f"--input {text}: {path} is empty; expected rows of a time and {len(names)} value(s)")
+    head = [cell.strip() for cell in rows[0]]
+    titled = not all(map(_is_number_text, head))
+    named = titled and {"t", *names} <= set(head)
+    at = [head.index(name) for name in ("t", *names)] if named else list(range(len(head)))
+    if len(at) != len(names) + 1:
+        raise UsageError(
+            f"--input {text}: {path} has {len(at)} columns; expected t and {', '.join(names)}, or a first row with these names"
+        )
+    found = []
+    for number, row in enumerate(rows[titled:], 1 + titled):
+        try:
+            found.append([float(row[column]) for column in at])
+        except (ValueError, IndexError):
+            raise UsageError(f"--input {text}: {path}, row {number}: {', '.join(row)!r:.60} is no row of numbers") from None
+    values = np.array(found, float).reshape(len(found), len(at))
+    return values[:, 0], values[:, 1:]
+
+
+def _is_number_text(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+# -- standard output: a document of its own with --json ----------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reserve_stdout(arguments: argparse.Namespace) -> Iterator[None]:
+    """Keep standard output for the document of --json: what a model file prints meanwhile goes to standard error."""
+    arguments.stdout = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr if getattr(arguments, "json", False) else sys.stdout):
+        yield
+
+
+def print_json(arguments: argparse.Namespace, document: Any) -> None:
+    """Print what --json asks for."""
+    print(dumps(document, indent=2), file=arguments.stdout)
+
+
+# -- what a command returns to the shell -------------------------------------------------------------------------------
+
+
+def report_refusal(error: NsmodelError) -> int:
+    """Say what was refused, and return the status of that."""
+    kinds = ((ModelError, "model error"), (StorageError, "storage error"), (CodegenError, "no C code"), (NsmodelError, "error"))
+    print(f"nsmodel: {next(name for kind, name in kinds if isinstance(error, kind))}: {error}", file=sys.stderr)
+    return EXIT_REFUSED if isinstance(error, CodegenError) else EXIT_USAGE
+
+
+def close_stdout(error: OSError) -> int:
+    """Give up standard output; no fault where its reader (head, less) has gone."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError) or (sys.platform == "win32" and error.errno == errno.EINVAL):
+        return EXIT_DONE
+    print(f"nsmodel: error: cannot write the output: {error}", file=sys.stderr)
+    return EXIT_USAGE
+
+
+# -- Ctrl-C and SIGTERM ------------------------------------------------------------------------------------------------
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: ends a command as Ctrl-C does."""
+
+    signal = signal.SIGTERM
+
+
+@contextlib.contextmanager
+def handled_signals() -> Iterator[None]:
+    """SIGTERM raises Terminated; afterwards signals do what they did before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = {number: signal.getsignal(number) or signal.SIG_DFL for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def stop(number: int, frame: Any) -> None:
+        raise Terminated
+
+    if usual[signal.SIGTERM] is not signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """One more Ctrl-C would cost what is being saved."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
+def signal_exit_status(stop: BaseException | None) -> int:
+    """The exit status of an interruption: that of the first signal among what led to it."""
+    while stop is not None and not hasattr(stop, "signal"):
+        stop = stop.__context__
+    return 128 + getattr(stop, "signal", signal.SIGINT)
