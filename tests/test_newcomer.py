@@ -22,7 +22,7 @@ from nsmodel.modeling import model_files
 from nsmodel.modeling.pickling import defined_in
 from nsmodel.version import VERSION
 
-BELT = """
+SLEDGE = """
 import casadi as ca
 from nsmodel import MonotoneInclusion
 
@@ -173,25 +173,25 @@ def test_a_case_is_loaded_by_its_name_in_python_too(here, capsys):
     assert capsys.readouterr().err == f"nsmodel: note: {note}\n"
 
 
-def test_a_case_is_found_where_it_lay_before(here, monkeypatch, capsys):
+def test_a_case_is_found_where_it_lay_before(here, capsys):
     """And its functions, by pickles."""
-    shelf_of(here, monkeypatch, mechanics={"belt": ""}, control={"zig": ""})
-    (here / "cases" / "mechanics" / "belt.py").write_text(BELT, encoding="utf-8")
-    note = f"{Path('cases/belt.py')} is {Path('cases/mechanics/belt.py')} now"
+    (here / "cases" / "mechanics").mkdir(parents=True)
+    (here / "cases" / "mechanics" / "sledge.py").write_text(SLEDGE, encoding="utf-8")
+    note = f"{Path('cases/sledge.py')} is {Path('cases/mechanics/sledge.py')} now"
     with pytest.warns(UserWarning, match=re.escape(note)):
-        model = load("cases/belt.py")
-    with pytest.warns(UserWarning, match=r"is \S+belt\.py now"):
-        assert load(here / "cases" / "belt.py").title == model.title == "belt"
-    assert main(["run", "cases/belt.py", "--json"]) == 0
+        model = load("cases/sledge.py")
+    with pytest.warns(UserWarning, match=r"is \S+sledge\.py now"):
+        assert load(here / "cases" / "sledge.py").title == model.title == "sledge"
+    assert main(["run", "cases/sledge.py", "--json"]) == 0
     printed = capsys.readouterr()
-    assert json.loads(printed.out)["file"] == str(Path("cases/mechanics/belt.py"))
+    assert json.loads(printed.out)["file"] == str(Path("cases/mechanics/sledge.py"))
     assert printed.err == f"nsmodel: note: {note}\n"
-    exact = defined_in(str(here / "cases" / "belt.py"), "exact")
-    assert exact.__code__.co_filename == str(here / "cases" / "mechanics" / "belt.py")
-    (here / "cases" / "belt.py").write_text(BELT.replace("x0=[1]", "x0=[2]"), encoding="utf-8")  # one's own
-    assert load("cases/belt.py").x0[0] == 2
+    exact = defined_in(str(here / "cases" / "sledge.py"), "exact")
+    assert exact.__code__.co_filename == str(here / "cases" / "mechanics" / "sledge.py")
+    (here / "cases" / "sledge.py").write_text(SLEDGE.replace("x0=[1]", "x0=[2]"), encoding="utf-8")  # one's own
+    assert load("cases/sledge.py").x0[0] == 2
     assert "does not exist" in refused(capsys, "run", "cases/rope.py")
-    assert "does not exist" in refused(capsys, "run", "others/belt.py")
+    assert "does not exist" in refused(capsys, "run", "others/sledge.py")
 
 
 def test_view_of_no_run_says_how_runs_are_kept(here, capsys):
