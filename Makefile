@@ -11,7 +11,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --edi
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
 PAGES := hypotheses events hidden inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
-SCENES := cases/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowd_room.py cases/friction_oscillator.py)
+SCENES := cases/circuits/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowds/crowd_room.py cases/mechanics/friction_oscillator.py)
 
 SITE := $(if $(NSMODEL_SHORT),results/)
 

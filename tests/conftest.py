@@ -17,12 +17,13 @@ from fuzz_models import COUNT, FULL, spread
 import nsmodel
 from nsmodel.codegen import event_driven_runs, library
 from nsmodel.codegen import library as cache
+from nsmodel.modeling.model_files import case_files
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED = REPOSITORY / ".." / "shared"
 QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.COMPILER_FLAGS)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # Workers inherit it: their threads would wait for each other's cores.
-CASES = sorted((REPOSITORY / "cases").glob("*.py"))
+CASES = [*case_files().values()]
 
 
 KINDS = {  # Marks of test files, by what their names begin with; what is in none of them is fast.
@@ -159,7 +160,7 @@ def quick_programs(tmp_path_factory):
 @pytest.fixture(scope="session")
 def load_case():
     """Return load_case(stem, **parameters) -> Model."""
-    return lambda stem, **parameters: nsmodel.load(REPOSITORY / "cases" / f"{stem}.py", **parameters)
+    return lambda stem, **parameters: nsmodel.load(stem, **parameters)
 
 
 @pytest.fixture(scope="session")

@@ -65,7 +65,7 @@ def turning(t_end=12.0, **weights):
 
 
 def diode(t_end=5e-3, **weights):
-    """The circuit of cases/rlc_diode.py; the diode conducts until t = 1.6e-4 or so."""
+    """The circuit of cases/circuits/rlc_diode.py; the diode conducts until t = 1.6e-4 or so."""
     L, C, R = 1e-2, 1e-6, 1e3
     return LureSystem(
         A=[[0, -1 / C], [1 / L, 0]], B=[-1 / C, 0], C=[-1, 0], D=R, law=complementarity(1), x0=[10, 0], t_end=t_end, step=1e-5,

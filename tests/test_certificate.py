@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -38,7 +36,6 @@ from nsmodel.solvers.time_stepper import Stepper
 
 INF = np.inf
 TO_THE_END = {"xatol": 1e-10, "fatol": 1e-11, "maxiter": 3000, "maxfev": 3000}
-CASES = Path(__file__).resolve().parents[1] / "cases"
 BOXES = {
     "complementarity": (0.0, INF),
     "upper": (-INF, 0.5),
@@ -262,7 +259,7 @@ def test_an_error_of_1e_minus_6_in_a_curved_solution_is_seen():
 
 def relay_oscillator_at(h, t=1.0):
     """(stepper, state, warm start) of the relay oscillator after the time t, in steps h."""
-    model = load(CASES / "relay_oscillator.py")
+    model = load("relay_oscillator")
     run = simulate(model, step=h, t_end=t)
     problem = one_step_problem(model)
     stepper = Stepper(problem, "auto", 1e-9, h=h, state=run.x[-1])

@@ -22,6 +22,7 @@ from nsmodel.cli import main
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import straight_line_program
 from nsmodel.hypotheses.certificates.write import certificate_of, write_certificate
+from nsmodel.modeling.model_files import case_files
 
 CASES = "cabot_4_2 diode_bridge gene_network inclusion_8_2_full moving_disc moving_half_line point_past_disc relay_oscillator "
 CASES += "rlc_diode sliding_relay two_discs two_masses zhuravlev_ivanov friction_oscillator"
@@ -338,7 +339,7 @@ def test_a_function_that_cannot_be_written_is_not_checkable_and_says_why():
 
 def test_the_command_writes_a_folder(tmp_path, capsys):
     out = tmp_path / "c"
-    assert main(["check", str(REPOSITORY / "cases" / "sliding_relay.py"), "--certificate", str(out)]) == 0
+    assert main(["check", str(case_files()["sliding_relay"]), "--certificate", str(out)]) == 0
     told = capsys.readouterr().out
     assert "certificate.json" in told
     assert "verify.py" in told
@@ -347,7 +348,7 @@ def test_the_command_writes_a_folder(tmp_path, capsys):
 
 
 def test_wrong_use_is_told(tmp_path, capsys):
-    case = str(REPOSITORY / "cases" / "sliding_relay.py")
+    case = str(case_files()["sliding_relay"])
     assert main(["check", case, case, "--certificate", str(tmp_path / "c")]) == 2
     assert "--certificate takes one model file" in capsys.readouterr().err
     file = tmp_path / "file"

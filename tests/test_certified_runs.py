@@ -1,7 +1,6 @@
 """certify="interval": bounds above 50 digits and near them, mutated pieces found, errors of closed forms below their bounds."""
 
 import operator
-from pathlib import Path
 
 import casadi as ca
 import mpmath as mp
@@ -13,12 +12,12 @@ import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, Trajectory, UsageError, complementarity, relay, simulate
 from nsmodel.cli import main
 from nsmodel.event_driven.interval_proof import AllowedErrors, StoredPieces, certify_pieces, jump_bounds, prove_piece_bounds
+from nsmodel.modeling.model_files import case_files
 from nsmodel.proof.expression_graph import fold_graph
 from nsmodel.simulation.error_bounds import NoErrorBound, global_error
 from nsmodel.simulation.event_driven import event_driven_problem
 from tests import event_scenes as scenes
 
-CASES = Path(__file__).parents[1] / "cases"
 OPERATIONS = {
     ca.OP_ASSIGN: lambda a: a, ca.OP_ADD: operator.add, ca.OP_SUB: operator.sub, ca.OP_MUL: operator.mul,
     ca.OP_DIV: operator.truediv, ca.OP_LOG1P: mp.log1p,
@@ -95,7 +94,7 @@ def test_bounds_are_above_50_digits_and_near(seed, rtol):
 @pytest.mark.parametrize("name", ["friction_oscillator", "sliding_relay", "diode_bridge", "point_past_disc"])
 @pytest.mark.parametrize("rtol", [1e-3, 1e-8])
 def test_scenes_are_proved(name, rtol, tmp_path):
-    run = simulate(nsmodel.load(CASES / f"{name}.py"), rtol=rtol, certify="interval")
+    run = simulate(nsmodel.load(name), rtol=rtol, certify="interval")
     about = run.summary()["certificate"]
     assert about["proved"] == about["pieces"] == len(run.piece_start) == len(run.piece_defect)
     assert "proved by intervals" in run.summary_text()
@@ -107,7 +106,7 @@ def test_scenes_are_proved(name, rtol, tmp_path):
 
 
 def scene():
-    model = nsmodel.load(CASES / "friction_oscillator.py").bind(None)
+    model = nsmodel.load("friction_oscillator").bind(None)
     run = simulate(model, rtol=1e-10, method="event-driven")
     x0 = run.arrays["piece_x"][0, :, 0]
     allowed = AllowedErrors.of(1e-10, np.zeros(2), np.abs(run.x).max() * np.ones(2), np.abs(run.v).max() * np.ones(1))
@@ -151,7 +150,7 @@ def test_mutated_pieces_are_found(seed):
 
 
 def test_in_a_folder_and_on_the_command_line(tmp_path, capsys):
-    file = str(CASES / "friction_oscillator.py")
+    file = str(case_files()["friction_oscillator"])
     run = simulate(nsmodel.load(file), rtol=1e-6, certify="interval", out=tmp_path / "one", save_every=2)
     again = Trajectory.load(tmp_path / "one" / "trajectory.npz")
     assert (again.error_bound == run.error_bound).all()
@@ -198,12 +197,12 @@ def test_signs_past_an_event_are_bounded_by_their_depth():
 )
 def test_refused_by_name(options, words):
     with pytest.raises(UsageError, match=words):
-        simulate(nsmodel.load(CASES / "friction_oscillator.py"), **options)
+        simulate(nsmodel.load("friction_oscillator"), **options)
 
 
 def test_what_is_not_event_driven_is_refused():
     with pytest.raises(UsageError, match="not event-driven"):
-        simulate(nsmodel.load(CASES / "evacuation.py"), rtol=1e-4, certify="interval", compiled=True)
+        simulate(nsmodel.load("evacuation"), rtol=1e-4, certify="interval", compiled=True)
 
 
 # -- the global error
@@ -215,7 +214,7 @@ def forms():
     yield ("play", *scenes.play()[:2])
     yield ("diode", *scenes.diode()[:2])
     for name in ("friction_oscillator", "sliding_relay"):
-        model = nsmodel.load(CASES / f"{name}.py")
+        model = nsmodel.load(name)
         yield name, model, model.exact
 
 
@@ -268,7 +267,7 @@ def test_errors_of_random_models_are_below_their_bounds(model):
 
 def test_mutated_runs_have_bounds_above_their_errors():
     """A run that is wrong all along has a bound that is as large."""
-    model = nsmodel.load(CASES / "friction_oscillator.py").bind(None)
+    model = nsmodel.load("friction_oscillator").bind(None)
     run = simulate(model, rtol=1e-8, method="event-driven")
     problem, pieces = event_driven_problem(model), stored(run)
     x0 = pieces.x[0, :, 0].copy()
@@ -290,10 +289,10 @@ def test_mutated_runs_have_bounds_above_their_errors():
 @pytest.mark.parametrize(
     ("model", "words"),
     [
-        (nsmodel.load(CASES / "diode_bridge.py"), "h_x g_l is singular on the rows"),
+        (nsmodel.load("diode_bridge"), "h_x g_l is singular on the rows"),
         (scenes.mains_bridge(), "h_l is not diagonal"),
-        (nsmodel.load(CASES / "point_past_disc.py"), "g_l is not constant"),
-        (nsmodel.load(CASES / "relay_oscillator.py"), "no P = P' > 0 with P g_l = h_x'"),
+        (nsmodel.load("point_past_disc"), "g_l is not constant"),
+        (nsmodel.load("relay_oscillator"), "no P = P' > 0 with P g_l = h_x'"),
         (scenes.capacitor_filter(), "an impulse"),
     ],
 )  # fmt: skip

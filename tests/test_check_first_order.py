@@ -317,7 +317,7 @@ def test_without_multipliers():
 
 
 def test_quick_makes_no_search():
-    found = verdicts(nsmodel.load("cases/gene_network.py"), quick=True)
+    found = verdicts(nsmodel.load("cases/biology/gene_network.py"), quick=True)
     assert found["F-unique"] == "unknown"
     assert found["F-W"] == "holds"
 

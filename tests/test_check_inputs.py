@@ -6,7 +6,6 @@ import casadi as ca
 import input_scenes as scenes
 import numpy as np
 import pytest
-from conftest import REPOSITORY
 
 from nsmodel import (
     FirstOrderSystem,
@@ -511,7 +510,7 @@ def test_what_a_block_sets_needs_bounds_where_the_model_reads_it_and_nothing_is_
 
 @pytest.mark.parametrize("case", ["thermostat", "schmitt_trigger", "thyristor"])
 def test_what_a_block_holds_is_bounded_by_the_values_that_it_names(case):
-    model = load(REPOSITORY / "cases" / f"{case}.py")
+    model = load(case)
     report = check(model, quick=True)
     (line,) = [line for line in report.inputs if "block" in line]
     low, high = {"schmitt_trigger": (-1, 1)}.get(case, (0, 1))

@@ -451,7 +451,7 @@ def test_two_free_masses_drift_apart_so_that_omega_is_small_and_not_zero(load_ca
 
 
 def test_a_chain_of_fifty_masses_is_proved_in_little_time(load_case):
-    model = nsmodel.modeling.model_files.load(load_case.__globals__["REPOSITORY"] / "cases" / "friction_chain.py", n=50).bind()
+    model = load_case("friction_chain", n=50).bind()
     findings, _ = lure.check(model, region_of(model, []), [], False)
     assert findings[2].verdict == findings[3].verdict == "holds"
     assert findings[3].value["omega"] == 0.0

@@ -17,8 +17,8 @@ import nsmodel
 from nsmodel._utils import INVISIBLE_CHARACTERS
 from nsmodel.cli import main
 from nsmodel.files.storage import loads
+from nsmodel.modeling.model_files import case_files
 
-CASES = Path(__file__).resolve().parents[1] / "cases"
 RELAY = """
 from nsmodel import LureSystem, relay
 model = LureSystem(
@@ -548,7 +548,7 @@ def test_ctrl_c_stops_the_files_that_follow(run, monkeypatch, tmp_path):
 # the summary of every class is for people to read
 
 
-@pytest.mark.parametrize("path", sorted(CASES.glob("*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*case_files().values()], ids=lambda path: path.stem)
 def test_no_case_prints_a_nan_or_an_inf(run, path):
     step = nsmodel.load(path).step
     status, out, _ = run(str(path), None, "--t-end", str(7 * step))
@@ -559,7 +559,7 @@ def test_no_case_prints_a_nan_or_an_inf(run, path):
 
 
 def test_a_start_of_two_positions_has_no_step_for_the_second(run):
-    _, out, _ = run(str(CASES / "cabot_4_1.py"), None)
+    _, out, _ = run(str(case_files()["cabot_4_1"]), None)
     assert "  step size       1\n" in out
     assert "  energy          0.2 at the start, 0.00155968 at the end\n" in out
     assert re.search(r"  worst residual  \d\.\d+e-1[4-9] at t = \d+\n", out)
@@ -567,17 +567,17 @@ def test_a_start_of_two_positions_has_no_step_for_the_second(run):
 
 
 def test_a_residual_of_zero_has_no_time(run):
-    _, out, _ = run(str(CASES / "inclusion_8_1.py"), None)
+    _, out, _ = run(str(case_files()["inclusion_8_1"]), None)
     assert "  worst residual  0\n" in out
 
 
 def test_a_run_with_an_exact_solution_shows_its_largest_error(run):
-    _, out, _ = run(str(CASES / "sliding_relay.py"), None)
+    _, out, _ = run(str(case_files()["sliding_relay"]), None)
     assert re.search(r"  largest error   0\.00\d+ from the exact state\n", out)
 
 
 def test_the_smallest_gap_has_the_name_of_its_constraint(run):
-    _, out, _ = run(str(CASES / "point_past_disc.py"), None)
+    _, out, _ = run(str(case_files()["point_past_disc"]), None)
     assert re.search(r"  smallest gap    \d\S* of 'disc' at t = \d\S* s\n", out)
     assert "  newton          1 iteration at every step\n" in out
 

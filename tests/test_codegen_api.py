@@ -42,7 +42,7 @@ needs_make = pytest.mark.skipif(shutil.which("make") is None or shutil.which("cc
 
 
 def case(stem):
-    return lambda: nsmodel.load(REPOSITORY / "cases" / f"{stem}.py")
+    return lambda: nsmodel.load(stem)
 
 
 def rough_plane():
@@ -967,7 +967,7 @@ def test_a_velocity_that_overflows_is_not_finite(tmp_path):
         with pytest.raises(StepError, match=r"step 2: .*the velocity overflows; take a longer step") as stop:
             nsmodel.simulate(model, compiled=compiled)
         assert np.isfinite(stop.value.trajectory.v).all()
-    fast = nsmodel.load(REPOSITORY / "cases" / "cabot_4_1.py")
+    fast = nsmodel.load("cabot_4_1")
     with pytest.raises(UsageError, match=r"the velocity \(x1 - x0\)/h overflows at h = 2e-16"):
         nsmodel.simulate(replace(fast, x1=2e303), step=2e-16, t_end=2e-15)
 

@@ -143,7 +143,7 @@ def test_the_lengths_used_last_are_kept(tmp_path):
 @pytest.mark.parametrize("case", ["friction_chain", "diode_bridge"])
 def test_steps_of_many_lengths(case, request):
     """More than are kept, of laws with few index sets and with many."""
-    model = load(request.config.rootpath / "cases" / f"{case}.py")
+    model = load(case)
     parts = [1, 1, 0.5, 0.25, 2, 2, 0.5, 1.5, 1, 3, 0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1]
     lengths = [part * model.step for part in 3 * parts]
     run, right = (simulate(model, steps=lengths, compiled=compiled) for compiled in (True, False))

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -27,7 +26,6 @@ from nsmodel.solvers.time_stepper import Stepper
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", optimised("-O1"), "-Wall", "-Wextra", "-Werror", "-pedantic")
-CASES = Path(__file__).resolve().parents[1] / "cases"
 TOLERANCE = 1e-9
 GRID = {"t_end": 1, "step": 0.05}
 NOT_SOLVED = (1, 2)  # No answer passed, or something is not finite.
@@ -129,8 +127,8 @@ SCENES = {
     "polyhedron": lambda: nonlinear(polyhedron([[1, 0], [0, 1], [-1, -1]], [-1, -1, -1])),
     "smooth": smooth,
     "smooth, explicit": lambda: smooth(theta=0),
-    "not monotone": lambda: nsmodel.load(CASES / "zhuravlev_ivanov.py"),
-    "switches": lambda: nsmodel.load(CASES / "gene_network.py"),
+    "not monotone": lambda: nsmodel.load("zhuravlev_ivanov"),
+    "switches": lambda: nsmodel.load("gene_network"),
 }
 
 

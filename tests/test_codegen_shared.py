@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-import nsmodel
 from nsmodel import load
 from nsmodel.codegen import fragments, structs
 from nsmodel.codegen.fragments import C_FOLDER, prefix_names
@@ -23,7 +22,6 @@ from nsmodel.modeling.time_grid import make_grid
 from nsmodel.models.many_bodies import step_library
 from nsmodel.models.many_bodies.step_library import BODIES_CONSTANTS
 
-CASES = Path(nsmodel.__file__).parents[1] / "cases"
 FRAGMENTS = {path.name: path.read_text(encoding="utf-8") for path in (*C_FOLDER.glob("*.[ch]"), *LAWS.glob("*.c"))}
 OF_BODIES = {"block_ldl.c", "group.c", "bodies.c"}
 LITERAL = re.compile(r"(?<![\w.])(?:0x[0-9a-fA-F]+|(?:\d+\.\d*|\.\d+|\d+)(?:[eE][-+]?\d+)?)[uUlL]*(?!\w)")
@@ -99,7 +97,7 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compile
 @needs_gcc
 @pytest.mark.parametrize("case", ["diode_bridge", "friction_oscillator"])
 def test_the_structs_of_a_run_are_those_of_the_c(case, tmp_path):
-    source = source_of(load(CASES / f"{case}.py"))
+    source = source_of(load(case))
     for name, text in {"step.h": source.header, "step.c": source.code, "rollout.c": source.rollout}.items():
         (tmp_path / name).write_text(text)
     watched = (2 if "VELOCITY" in source.flags else 1) * source.sizes["NX"]

@@ -16,7 +16,6 @@ import threading
 import time
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -62,6 +61,7 @@ from nsmodel.codegen import library
 from nsmodel.codegen import library as cache
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
+from nsmodel.modeling.model_files import case_files
 from nsmodel.modeling.time_grid import make_grid
 from nsmodel.models.many_bodies import step_library
 from nsmodel.models.many_bodies.step_library import solver_source
@@ -75,8 +75,7 @@ IS_KEPT = cache.has_cached_library  # the true one
 loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
 pytestmark = pytest.mark.usefixtures("own_cache")
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
-CASES = Path(__file__).resolve().parents[1] / "cases"
-BRIDGE = str(CASES / "diode_bridge.py")
+BRIDGE = str(case_files()["diode_bridge"])
 
 compiles = pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
 
@@ -838,7 +837,7 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     assert (status, err, document["status"], document["steps"]) == (0, "", "done", 1000)
     assert document["plan"]["used"][-1] == STEPS_IN_C
     assert nsmodel_run(BRIDGE, "--resume", "--compiled", "--out", "bridge", "--quiet") == (0, "", "")
-    other, oscillator = CASES / "rlc_diode.py", CASES / "sliding_relay.py"
+    other, oscillator = case_files()["rlc_diode"], case_files()["sliding_relay"]
     status, text, err = nsmodel_run(BRIDGE, other, oscillator, "--compiled")
     assert (status, err) == (0, "")
     assert [line.split()[1] for line in text.splitlines()[1:]] == ["done"] * 3

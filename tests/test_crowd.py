@@ -9,13 +9,13 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import REPOSITORY
 from PIL import Image, ImageDraw
 
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StorageError, Trajectory, UsageError, simulate
 from nsmodel.cli import main
 from nsmodel.crowd import Noise, People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
 from nsmodel.errors import MissingExtraError, PlotError
+from nsmodel.modeling.model_files import case_files
 from nsmodel.models.crowd.geometry import distances, has_free_path
 from nsmodel.models.crowd.people import exit_zone_expression
 from nsmodel.models.crowd.room import outlines, simplify_outline
@@ -674,7 +674,7 @@ def test_pictures_of_people_who_never_came(tmp_path):
 
 
 def test_a_film_that_cannot_be_written_is_refused_before_the_run(tmp_path, capsys):
-    model = str(REPOSITORY / "cases" / "evacuation.py")
+    model = str(case_files()["evacuation"])
     assert main(["run", model, "--film", str(tmp_path / "nowhere" / "film.gif")]) == 2
     assert "nowhere does not exist" in capsys.readouterr().err
     assert main(["run", model, "--film", str(tmp_path / "film.txt")]) == 2

@@ -34,7 +34,6 @@ from nsmodel.simulation.simulate import make_run
 from tests import event_scenes as scenes
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
-CASES = Path(__file__).parents[1] / "cases"
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 MANY = COUNT
 HAS_CC = any(map(shutil.which, ("gcc", "cc", "clang")))
@@ -65,7 +64,7 @@ def judged(model, rtol, at, reference, events, compiled="auto"):
 )  # fmt: skip
 def test_cases_against_113_bits(name, rtol):
     reference = np.load(DATA / f"{name}_ref.npz")
-    model = nsmodel.load(CASES / f"{name}.py")
+    model = nsmodel.load(name)
     judged(model, rtol, np.linspace(0, model.t_end, 241), reference["rows"][:, : len(model.names)], reference["events"])
 
 
@@ -74,7 +73,7 @@ def test_cases_against_113_bits(name, rtol):
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
 def test_runs_in_c_against_113_bits(rtol):
     for name in ("friction_oscillator", "sliding_relay", "diode_bridge", "relay_oscillator", "gene_network", "point_past_disc"):
-        reference, model = np.load(DATA / f"{name}_ref.npz"), nsmodel.load(CASES / f"{name}.py")
+        reference, model = np.load(DATA / f"{name}_ref.npz"), nsmodel.load(name)
         at, states = np.linspace(0, model.t_end, 241), reference["rows"][:, : len(model.names)]
         run = judged(model, rtol, at, states, reference["events"], True)
         assert any("pieces in C" in line for line in run.metadata["used"])
@@ -84,7 +83,7 @@ def test_runs_in_c_against_113_bits(rtol):
 @pytest.mark.parametrize("rtol", [1e-2, 1e-6, 1e-10])
 def test_chain_pendulums_and_stiff_relay_against_113_bits(rtol):
     for name, model in (
-        ("friction_chain_10", nsmodel.load(CASES / "friction_chain.py")),
+        ("friction_chain_10", nsmodel.load("friction_chain")),
         ("pendulums", scenes.pendulums()),
         ("stiff_relay_3", scenes.stiff_relay(1e3)),
     ):
@@ -114,7 +113,7 @@ def test_digits_of_closed_forms():
     for model, exact, _ in (scenes.release(0.77), scenes.play()):
         at = np.linspace(0, model.t_end, 241)
         assert np.abs(simulate(model, rtol=1e-13, times=at).x - exact(at)).max() <= 1e-13
-    model = nsmodel.load(CASES / "friction_oscillator.py")
+    model = nsmodel.load("friction_oscillator")
     run = simulate(model, rtol=1e-13)
     assert np.abs(run.x - model.exact(run.t)).max() <= 1e-13 * 5.3
     np.testing.assert_allclose([event.t for event in run.events], np.pi * np.arange(1, 4), rtol=1e-14)
@@ -197,7 +196,7 @@ def test_no_uniqueness_where_the_law_is_not_affine_in_its_multiplier(compiled):
 @pytest.mark.parametrize("compiled", [False, True])
 def test_modes_of_a_bilinear_model_are_proved_unique_where_their_rows_are_not_coupled(compiled):
     """Genes, of which l1 and l4, l2 and l3 are coupled: at (8, 8) l3 and l4 are held, which are not; at first all are open."""
-    run = simulate(nsmodel.load(CASES / "gene_network.py"), rtol=1e-6, method="event-driven", compiled=compiled)
+    run = simulate(nsmodel.load("gene_network"), rtol=1e-6, method="event-driven", compiled=compiled)
     assert run.metadata["totals"]["unique"] == {"proved": 2, "all valid modes agree": 2}
 
 
@@ -277,7 +276,7 @@ def test_a_wrong_mode_is_told_by_the_residual(monkeypatch):
 @pytest.mark.parametrize("rtol", [1e-2, 1e-6])
 def test_rows_at_edges_have_the_values_before_them(rtol, compiled):
     """A diode behind a switch whose edges are rows: on the one side of each it blocks, on the other it leads."""
-    run = simulate(nsmodel.load(CASES / "boost.py"), rtol=rtol, method="event-driven", compiled=compiled)
+    run = simulate(nsmodel.load("boost"), rtol=rtol, method="event-driven", compiled=compiled)
     assert run.metadata["totals"]["worst_residual"] <= 1e-12
     held = np.nan_to_num(run.arrays["y"])[run.arrays["index_set"] == 0]
     assert np.abs(held).max() <= 1e-12 * 20
@@ -339,7 +338,7 @@ def test_random_lure_systems(seed):
 
 
 def test_rows_dense_output_and_files(tmp_path):
-    model = nsmodel.load(CASES / "diode_bridge.py")
+    model = nsmodel.load("diode_bridge")
     run = simulate(model, rtol=1e-8)
     assert run.is_event_driven
     assert (np.diff(run.t) > 0).all()
@@ -360,7 +359,7 @@ def test_rows_dense_output_and_files(tmp_path):
 
 
 def test_runs_in_memory_are_not_in_chunks(monkeypatch):
-    model = nsmodel.load(CASES / "relay_oscillator.py")
+    model = nsmodel.load("relay_oscillator")
     whole = simulate(model, rtol=1e-6, method="event-driven", compiled=False)
     monkeypatch.setattr(event_driven_rows, "CHUNK_BYTES", 1)
     walk = make_run(model, Options(rtol=1e-6, method="event-driven", compiled=False)).propagator
@@ -372,7 +371,7 @@ def test_runs_in_memory_are_not_in_chunks(monkeypatch):
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_chunks_without_rows(tmp_path, monkeypatch, compiled):
-    model = nsmodel.load(CASES / "relay_oscillator.py")
+    model = nsmodel.load("relay_oscillator")
     given = {"rtol": 1e-6, "method": "event-driven", "compiled": compiled, "times": [0.9 * model.t_end, model.t_end]}
     whole = simulate(model, **given)
     monkeypatch.setattr(event_driven_rows, "CHUNK_BYTES", 1)
@@ -392,14 +391,14 @@ def test_what_fails_between_rows_says_how_many_there_are(monkeypatch):
 
     usual = HybridIntegrator.advance
     monkeypatch.setattr(HybridIntegrator, "advance", advance)
-    model = nsmodel.load(CASES / "relay_oscillator.py")
+    model = nsmodel.load("relay_oscillator")
     with pytest.raises(StepError, match=r"^step \d+: no verified step .* not enough memory") as caught:
         simulate(model, rtol=1e-6, method="event-driven", compiled=False)
     assert caught.value.step == len(caught.value.trajectory) == caught.value.trajectory.metadata["totals"]["pieces"] > 0
 
 
 def test_events_tell_both_sides():
-    run = simulate(nsmodel.load(CASES / "point_past_disc.py"), rtol=1e-8)
+    run = simulate(nsmodel.load("point_past_disc"), rtol=1e-8)
     touch, leave = run.events
     assert (touch.before[0], touch.after[0], leave.before[0], leave.after[0]) == (-1, 0, 0, -1)
     assert run.t[touch.row] == touch.t
@@ -411,7 +410,7 @@ def test_events_tell_both_sides():
 
 
 def test_pieces_do_not_depend_on_the_end():
-    model = nsmodel.load(CASES / "relay_oscillator.py")
+    model = nsmodel.load("relay_oscillator")
     long, short = simulate(model, rtol=1e-6), simulate(model, rtol=1e-6, t_end=0.37 * model.t_end)
     k = len(short.arrays["piece_start"])
     for name in ("piece_start", "piece_unit", "piece_x"):
@@ -420,7 +419,7 @@ def test_pieces_do_not_depend_on_the_end():
 
 
 def test_time_stepping_has_values_between_rows_but_no_events():
-    run = simulate(nsmodel.load(CASES / "friction_oscillator.py"), step=0.1)
+    run = simulate(nsmodel.load("friction_oscillator"), step=0.1)
     np.testing.assert_allclose(run.at(0.25).x[0], (run.x[2] + run.x[3]) / 2)
     np.testing.assert_array_equal(run.at(run.t).x, run.x)
     with pytest.raises(UsageError, match="rtol"):
@@ -446,7 +445,7 @@ def test_time_stepping_has_values_between_rows_but_no_events():
 )
 def test_wrong_options(options, words):
     with pytest.raises(UsageError, match=words):
-        simulate(nsmodel.load(CASES / "friction_oscillator.py"), **options)
+        simulate(nsmodel.load("friction_oscillator"), **options)
 
 
 def test_what_it_cannot_take():
@@ -461,7 +460,7 @@ def test_what_it_cannot_take():
     with pytest.raises(UsageError, match="M is singular"):
         simulate(singular, rtol=1e-6, method="event-driven")
     with pytest.raises(UsageError, match="the run goes from"):
-        simulate(nsmodel.load(CASES / "friction_oscillator.py"), rtol=1e-3).at(13)
+        simulate(nsmodel.load("friction_oscillator"), rtol=1e-3).at(13)
 
 
 def test_pictures_and_the_box_of_check_see_the_polynomials():
@@ -481,7 +480,7 @@ def test_pictures_and_the_box_of_check_see_the_polynomials():
 @pytest.mark.parametrize("rtol", [10.0**-k for k in np.arange(2, 12, 0.37)])
 def test_release_from_a_wall_that_is_no_polynomial(rtol):
     """Held rows drift by what the series leaves; the release is where l ends on the wall itself, at every rtol."""
-    model = nsmodel.load(CASES / "moving_half_line.py")
+    model = nsmodel.load("moving_half_line")
     run = simulate(model, rtol=rtol, method="event-driven")
     assert [event.t for event in run.events] == pytest.approx([3 * math.pi / 4], abs=1e-13)
     assert np.abs(run.at(t := np.linspace(0, 3, 500)).x - model.exact(t)).max() <= 10 * rtol
@@ -501,7 +500,7 @@ def test_a_start_at_zero_against_a_wall_in_other_units():
 @pytest.mark.parametrize("compiled", [True, False])
 def test_masses_that_move_only_as_far_as_rounding(compiled):
     """Springs between equal masses pull nothing at the start, but rounding leaves a rest; steps in time know no such thing."""
-    model = nsmodel.load(CASES / "friction_chain.py", n=50)
+    model = nsmodel.load("friction_chain", n=50)
     run = simulate(model, rtol=1e-6, t_end=0.2, method="event-driven", compiled=compiled)
     steps = simulate(model, step=1e-4, t_end=0.2, compiled=True)
     assert len(run.t) < 100

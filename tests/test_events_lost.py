@@ -12,10 +12,10 @@ import nsmodel
 from nsmodel import RunInterrupted, StorageError, Trajectory, simulate
 from nsmodel.cli import main
 from nsmodel.event_driven.integrator import Integrator
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation import loop
 
-CASES = Path(__file__).parents[1] / "cases"
-CASE = str(CASES / "diode_bridge.py")
+CASE = str(case_files()["diode_bridge"])
 
 
 @pytest.fixture(name="model")

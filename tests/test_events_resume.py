@@ -4,7 +4,6 @@ import itertools
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +12,9 @@ from fuzz_models import COUNT, FULL
 import nsmodel
 from nsmodel import RunInterrupted, StorageError, UsageError, simulate
 from nsmodel.codegen.event_driven_runs import CompiledPieceIntegrator
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation import loop, piece_sources
 
-CASES = Path(__file__).parents[1] / "cases"
 NAMES = ("diode_bridge", "inclusion_8_1", "relay_oscillator", "friction_oscillator", "two_discs", "gene_network")
 KILLED = """
 import os, sys
@@ -53,7 +52,7 @@ def run(model, out, compiled=False, **more):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("every", [1, 3])
 def test_a_later_end_gives_the_bytes_of_one_run(name, every, tmp_path):
-    model, rng = nsmodel.load(CASES / f"{name}.py"), np.random.default_rng(len(name) + every)
+    model, rng = nsmodel.load(name), np.random.default_rng(len(name) + every)
     run(model, tmp_path / "one", save_every=every)
     ends = np.sort(rng.uniform(0.02, 0.98, 3)) * model.t_end
     for i, end in enumerate([ends[0], *ends, None]):
@@ -70,7 +69,7 @@ def test_a_later_end_gives_the_bytes_of_one_run(name, every, tmp_path):
     ],
 )
 def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled, tmp_path, quick_programs):
-    case = CASES / f"{name}.py"
+    case = case_files()[name]
     model = nsmodel.load(case)
     times = np.linspace(0, model.t_end, 12)[1:].tolist() if asked else None
     whole = run(model, tmp_path / "one", compiled, times=times)
@@ -85,7 +84,7 @@ def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled,
 
 
 def test_chunks_are_those_of_one_run(tmp_path, monkeypatch):
-    model = nsmodel.load(CASES / "relay_oscillator.py")
+    model = nsmodel.load("relay_oscillator")
     whole = run(model, tmp_path / "one")
     monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0)
     parts = run(model, tmp_path / "parts")
@@ -95,7 +94,7 @@ def test_chunks_are_those_of_one_run(tmp_path, monkeypatch):
 
 
 def test_what_does_not_fit_is_refused(tmp_path):
-    model = nsmodel.load(CASES / "diode_bridge.py")
+    model = nsmodel.load("diode_bridge")
     run(model, tmp_path, times=[1e-3, 2e-3], t_end=2e-3)
     with pytest.raises(StorageError, match=r"times: the run there has a row at t = 0.00"):
         run(model, tmp_path, times=[1.5e-3, 2e-3, 3e-3], t_end=3e-3, resume=True)
@@ -109,13 +108,13 @@ def test_what_does_not_fit_is_refused(tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_residuals_are_rounding_in_every_row(name):
-    assert np.nanmax(run(nsmodel.load(CASES / f"{name}.py"), None).residual) <= 1e-12
+    assert np.nanmax(run(nsmodel.load(name), None).residual) <= 1e-12
 
 
 @pytest.mark.parametrize("flushed", [False, True])
 def test_a_signal_between_pieces_and_their_rows_leaves_no_gap(flushed, tmp_path, monkeypatch):
     """Pieces that C has made, and nobody has taken: what is written goes on from before them, or not at all."""
-    model = nsmodel.load(CASES / "relay_oscillator.py")
+    model = nsmodel.load("relay_oscillator")
     given = {"rtol": 1e-6, "method": "event-driven", "compiled": True}
     simulate(model, out=tmp_path / "whole", **given)
     usual, calls = CompiledPieceIntegrator.advance, []

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 from conftest import REPOSITORY
@@ -18,8 +19,19 @@ from nsmodel import UsageError, load
 from nsmodel.cli import main
 from nsmodel.cli.completion import DESCRIPTION
 from nsmodel.modeling import model_files
+from nsmodel.modeling.pickling import defined_in
 from nsmodel.version import VERSION
 
+SLEDGE = """
+import casadi as ca
+from nsmodel import MonotoneInclusion
+
+def exact(t):
+    return t
+
+x = ca.SX.sym("x")
+model = MonotoneInclusion(x=x, field=-x, x0=[1], t_end=1, step=0.1)
+"""
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 
 
@@ -52,21 +64,25 @@ def refused(capsys, *arguments):
 # ---------------------------------------------------------------------------------------------- cases
 
 
-def shelf_of(folder, monkeypatch, **docstrings):
-    """A shelf of cases that say no more than their docstrings."""
-    place = folder / "cases"
-    place.mkdir()
-    for name, text in docstrings.items():
-        (place / f"{name}.py").write_text(f'"""{text}"""\n', encoding="utf-8")
-    monkeypatch.setattr(model_files, "_CASE_FOLDERS", (place,))
+def shelf_of(folder, monkeypatch, **topics):
+    """A shelf of cases that say no more than their docstrings, by topic and name."""
+    for topic, docstrings in topics.items():
+        place = folder / "cases" / topic
+        place.mkdir(parents=True)
+        for name, text in docstrings.items():
+            (place / f"{name}.py").write_text(f'"""{text}"""\n', encoding="utf-8")
+    monkeypatch.setattr(model_files, "_CASE_FOLDERS", (folder / "cases",))
 
 
 def test_cases_are_listed_by_topic_a_line_each(here, monkeypatch, capsys):
+    bridge = "A bridge of four diodes, all ideal, feeds a resistor from a source."
     shelf_of(
-        here, monkeypatch, a="Last.", zig="A switch.\n\nTopic: control.",
-        b="A bridge of four diodes, all ideal, feeds a resistor from a source.\n\nTopic: circuits.",
-        longer_name="A ladder.\n\nTopic: circuits.",
-    )  # fmt: skip
+        here,
+        monkeypatch,
+        biology={"a": "Last."},
+        control={"zig": "A switch."},
+        circuits={"b": bridge, "longer_name": "A ladder."},
+    )
     lines = said(capsys, "cases").splitlines()
     assert lines[:10] == [
         "circuits",
@@ -76,7 +92,7 @@ def test_cases_are_listed_by_topic_a_line_each(here, monkeypatch, capsys):
         "control",
         "  zig          A switch.",
         "",
-        "others",
+        "biology",
         "  a            Last.",
         "",
     ]
@@ -87,20 +103,21 @@ def test_cases_are_listed_by_topic_a_line_each(here, monkeypatch, capsys):
 
 def test_a_case_is_described_in_its_own_words(here, monkeypatch, capsys):
     story = "It is told here,\nat length.\n\n    m x'' = f    as it stands\n\nWhat to see: it\nstops.\n\nSource: closed form."
-    shelf_of(here, monkeypatch, belt=f"A block on a belt.\n\n{story}")
+    shelf_of(here, monkeypatch, mechanics={"belt": f"A block on a belt.\n\n{story}"})
     text = said(capsys, "cases", "belt")
     assert text.startswith(
         "belt: A block on a belt.\n\nIt is told here, at length.\n\n    m x'' = f    as it stands\n\nWhat to see: "
     )
     assert "it stops.\n\nSource: closed form.\n\n" in text
     assert "A wrong answer" not in text
-    assert str(here / "cases" / "belt.py") in text
+    assert str(here / "cases" / "mechanics" / "belt.py") in text
+    assert "Topic: mechanics\n" in text
     assert "nsmodel new my_belt --like belt" in text
     assert "no case 'bel'; did you mean belt?" in refused(capsys, "cases", "bel")
 
 
 def test_a_topic_lists_its_cases(here, monkeypatch, capsys):
-    shelf_of(here, monkeypatch, zig="A switch.\n\nTopic: control.", b="A bridge.\n\nTopic: circuits.")
+    shelf_of(here, monkeypatch, control={"zig": "A switch."}, circuits={"b": "A bridge."})
     assert said(capsys, "cases", "control").startswith("control\n  zig  A switch.\n\none of them")
 
 
@@ -156,6 +173,27 @@ def test_a_case_is_loaded_by_its_name_in_python_too(here, capsys):
     assert capsys.readouterr().err == f"nsmodel: note: {note}\n"
 
 
+def test_a_case_is_found_where_it_lay_before(here, capsys):
+    """And its functions, by pickles."""
+    (here / "cases" / "mechanics").mkdir(parents=True)
+    (here / "cases" / "mechanics" / "sledge.py").write_text(SLEDGE, encoding="utf-8")
+    note = f"{Path('cases/sledge.py')} is {Path('cases/mechanics/sledge.py')} now"
+    with pytest.warns(UserWarning, match=re.escape(note)):
+        model = load("cases/sledge.py")
+    with pytest.warns(UserWarning, match=r"is \S+sledge\.py now"):
+        assert load(here / "cases" / "sledge.py").title == model.title == "sledge"
+    assert main(["run", "cases/sledge.py", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["file"] == str(Path("cases/mechanics/sledge.py"))
+    assert printed.err == f"nsmodel: note: {note}\n"
+    exact = defined_in(str(here / "cases" / "sledge.py"), "exact")
+    assert exact.__code__.co_filename == str(here / "cases" / "mechanics" / "sledge.py")
+    (here / "cases" / "sledge.py").write_text(SLEDGE.replace("x0=[1]", "x0=[2]"), encoding="utf-8")  # one's own
+    assert load("cases/sledge.py").x0[0] == 2
+    assert "does not exist" in refused(capsys, "run", "cases/rope.py")
+    assert "does not exist" in refused(capsys, "run", "others/sledge.py")
+
+
 def test_view_of_no_run_says_how_runs_are_kept(here, capsys):
     (here / "mine.py").write_text("")
     assert "there is no run in 'belt-run': runs are kept by nsmodel run FILE --out DIR" in refused(capsys, "view", "belt-run")
@@ -182,7 +220,7 @@ def test_the_template_runs_and_does_what_it_says(here, capsys):
 
 def test_a_copy_of_a_case_runs(here, capsys):
     assert "relay.py: a copy of sliding_relay" in said(capsys, "new", "relay.py", "--like", "sliding_relay")
-    assert (here / "relay.py").read_bytes() == (REPOSITORY / "cases" / "sliding_relay.py").read_bytes()
+    assert (here / "relay.py").read_bytes() == model_files.case_files()["sliding_relay"].read_bytes()
     said(capsys, "run", "relay.py", "--t-end", "0.1")
 
 
@@ -276,10 +314,10 @@ def test_a_wheel_holds_the_package_and_the_cases(tmp_path):
     path = next(iter(wheel.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])))
     held = set(zipfile.ZipFile(path).namelist())
     package = {str(file.relative_to(REPOSITORY)) for file in (REPOSITORY / "nsmodel").rglob("*") if file.is_file()}
-    cases = {f"nsmodel/cases/{path.name}" for path in model_files.case_files().values()}
+    cases = {f"nsmodel/cases/{case.topic}/{case.path.name}" for case in model_files.all_cases()}
     expected = {name for name in package if "__pycache__" not in name} | cases
     assert {name for name in held if name.startswith("nsmodel/")} == {name.replace("\\", "/") for name in expected}
-    assert {"nsmodel/py.typed", "nsmodel/cases/diode_bridge.py", "nsmodel/codegen/c/fixed.c"} <= held
+    assert {"nsmodel/py.typed", "nsmodel/cases/circuits/diode_bridge.py", "nsmodel/codegen/c/fixed.c"} <= held
     assert "nsmodel/modeling/laws/ball.c" in held
 
 

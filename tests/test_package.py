@@ -14,12 +14,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from conftest import CASES, REPOSITORY
 
 import nsmodel
 from nsmodel.modeling import model_files
 
-REPOSITORY = Path(__file__).resolve().parents[1]
-CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 MODULES = sorted(module.name for module in pkgutil.walk_packages(nsmodel.__path__, "nsmodel."))
 
 
@@ -63,7 +62,7 @@ def test_import_is_light():
 
 def test_a_first_run_loads_what_it_uses(tmp_path):
     """Nothing is compiled yet: that building steps would not pay is known without the generator."""
-    code = f"import sys, nsmodel; nsmodel.simulate(nsmodel.load({str(REPOSITORY / 'cases' / 'friction_oscillator.py')!r}))"
+    code = "import sys, nsmodel; nsmodel.simulate(nsmodel.load('friction_oscillator'))"
     code = f"{code}; print([name for name in {HEAVY} if name in sys.modules])"
     assert in_a_fresh_process(code, XDG_CACHE_HOME=str(tmp_path)) == "[]\n"
 
@@ -114,7 +113,7 @@ def test_version_is_that_of_the_project():
     where = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["version"]["path"]
     declared = re.search(r'^VERSION = "(\d+\.\d+\.\d+)"$', (REPOSITORY / where).read_text(), re.MULTILINE)[1]
     assert nsmodel.__version__ == declared
-    run = nsmodel.simulate(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), t_end=0.1)
+    run = nsmodel.simulate(nsmodel.load("sliding_relay"), t_end=0.1)
     assert run.metadata["versions"]["nsmodel"] == declared
 
 

@@ -6,7 +6,6 @@ import ctypes
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -23,7 +22,6 @@ from tests import event_scenes as scenes
 from tests import stiff_scenes
 from tests.test_events_resume import files
 
-CASES = Path(__file__).parents[1] / "cases"
 CC = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), None)
 pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function")
@@ -31,7 +29,7 @@ SANITIZED = ("-g", optimised("-O1"), "-fsanitize=address,undefined", "-fno-sanit
 
 
 def case(name):
-    return nsmodel.load(CASES / f"{name}.py")
+    return nsmodel.load(name)
 
 
 def switches():

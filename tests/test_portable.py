@@ -26,6 +26,7 @@ from nsmodel.codegen import library as cache
 from nsmodel.files import storage
 from nsmodel.files.archive import map_archive, write_npz
 from nsmodel.files.cache_folder import cache_folder
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation import run_folder
 from nsmodel.sweep import executor
 
@@ -35,7 +36,7 @@ posix = pytest.importorskip("fcntl")
 @functools.cache
 def sources():
     """The text of the package's files and of the cases, by their paths."""
-    paths = [*(REPOSITORY / "nsmodel").rglob("*.py"), *(REPOSITORY / "cases").glob("*.py")]
+    paths = [*(REPOSITORY / "nsmodel").rglob("*.py"), *case_files().values()]
     return {path.relative_to(REPOSITORY).as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import pytest
-from conftest import CASES
+from conftest import REPOSITORY
 
 from nsmodel.errors import UsageError
 from nsmodel.modeling import model_files
 
 
 def test_a_case_is_what_its_docstring_says(tmp_path):
-    path = tmp_path / "belt.py"
+    path = tmp_path / "mechanics" / "belt.py"
+    path.parent.mkdir()
     path.write_text(
         '"""A block on a belt:\na line more.\n\n    m x\'\' = f\n\nTold here.\n\nWhat to see: stick\nand slip.\n\n'
-        'A wrong answer: drift.\n\nSource: closed form.\n\nTopic: mechanics.\n"""\nraise SystemExit\n'
+        'A wrong answer: drift.\n\nSource: closed form.\n"""\nraise SystemExit\n'
     )
     case = model_files.read_case(path)
     assert (case.name, case.path, case.title) == ("belt", path, "A block on a belt: a line more.")
@@ -24,11 +25,16 @@ def test_a_case_is_what_its_docstring_says(tmp_path):
 def test_paragraphs_that_are_not_there_are_empty(tmp_path):
     (tmp_path / "bare.py").write_text("model = None\n")
     case = model_files.read_case(tmp_path / "bare.py")
-    assert (case.title, case.story, case.see, case.wrong, case.source, case.topic) == ("",) * 6
+    assert (case.title, case.story, case.see, case.wrong, case.source) == ("",) * 5
 
 
 def test_all_cases_are_on_the_shelf():
-    assert [case.path for case in model_files.all_cases()] == CASES
+    """Each in the folder of a topic, and no two of one name."""
+    files = list((REPOSITORY / "cases").rglob("*.py"))
+    assert sorted(case.path for case in model_files.all_cases()) == sorted(files)
+    assert {case.path.parent for case in model_files.all_cases()} == {
+        REPOSITORY / "cases" / topic for topic in model_files.TOPICS
+    }
     assert model_files.find_case("diode_bridge").title.startswith("Diode bridge")
 
 

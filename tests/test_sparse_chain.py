@@ -26,7 +26,7 @@ def springs(n, stiffness=100.0):
 
 
 def chain(n, theta=0.5, gamma=1.0, force=3.0, unit=1.0, **options):
-    """The chain of cases/friction_chain.py; ``unit``: how many of the states' units a metre has."""
+    """The chain of cases/mechanics/friction_chain.py; ``unit``: how many of the states' units a metre has."""
     t, i, zero, one = ca.SX.sym("t"), np.arange(1, n + 1), sp.csc_matrix((n, n)), sp.eye(n)
     return LureSystem(
         t=t, A=sp.bmat([[zero, one], [-springs(n), zero]]), B=sp.vstack([zero, unit * one]), C=sp.hstack([zero, one]),

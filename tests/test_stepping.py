@@ -46,7 +46,7 @@ def test_the_bits_are_those_of_simulate(compiled):
 @WAYS
 @pytest.mark.parametrize("case", ["friction_oscillator", "sliding_relay", "diode_bridge", "gene_network", "point_past_disc"])
 def test_models_without_inputs(case, compiled, request):
-    model = load(request.config.rootpath / "cases" / f"{case}.py")
+    model = load(case)
     run = simulate(model, t_end=20 * model.step, compiled=compiled)
     s = stepper(model, compiled=compiled)
     np.testing.assert_array_equal([s.step().x for _ in range(20)], run.x[1:])

@@ -29,6 +29,7 @@ from nsmodel import (
     simulate,
     sweep,
 )
+from nsmodel.modeling.model_files import case_files
 from nsmodel.sweep import executor
 
 RNG = np.random.default_rng(5)
@@ -178,7 +179,7 @@ def test_inputs_are_a_dimension():
 
 
 def test_many_bodies_are_swept_over_what_makes_them():
-    crowd = REPOSITORY / "cases" / "crowd.py"
+    crowd = case_files()["crowd"]
     found = sweep(crowd, grid={"n": [3, 5]}, seeds=2, outputs={"gap": "min(gap_min)"}, t_end=0.3, workers=1)
     assert found.dims == ("n", "seed")
     assert (found.status == 0).all()

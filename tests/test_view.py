@@ -9,12 +9,12 @@ import webbrowser
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import REPOSITORY
 from view_pages import HOSTILE, a_study, by_hand, discs, parsed, unpacked
 
 import nsmodel
 from nsmodel.cli import main
 from nsmodel.errors import PlotError, StorageError
+from nsmodel.modeling.model_files import case_files
 from nsmodel.view import packed
 from nsmodel.view.page import VIEW_FOLDER
 from nsmodel.view.run import run_document
@@ -110,7 +110,7 @@ def test_a_page_of_noise_has_the_size_that_is_meant_and_copies_no_run(tmp_path, 
 
 def pages(folder, bridge):
     """A page of each kind."""
-    report = nsmodel.check(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), quick=True)
+    report = nsmodel.check(nsmodel.load("sliding_relay"), quick=True)
     return [bridge.view(folder / "run.html"), report.view(folder / "report.html"), a_study().view(folder / "study.html")]
 
 
@@ -350,7 +350,7 @@ def test_of_a_long_film_some_rows_are_drawn():
 
 
 def test_the_forbidden_set_is_where_a_constraint_is_negative(load_case):
-    """A disc of radius 1 whose centre is carried along the first axis: as `cases/moving_disc.py` says."""
+    """A disc of radius 1 whose centre is carried along the first axis: as `cases/mathematics/moving_disc.py` says."""
     t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
     disc = ca.norm_2(q - ca.vertcat(t, 0)) - 1
     model = nsmodel.SweepingProcess(t=t, q=q, constraints={"disc": disc}, q0=[1.5, 0.3], t_end=2, step=0.1, title="Pushed")
@@ -394,7 +394,7 @@ def test_a_run_of_one_row_has_a_page(tmp_path):
 
 
 def test_a_report_shows_every_finding_and_what_follows(tmp_path):
-    report = nsmodel.check(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), quick=True)
+    report = nsmodel.check(nsmodel.load("sliding_relay"), quick=True)
     data = parsed(report.view(tmp_path / "report.html")).data
     assert [(one["name"], one["verdict"]) for one in data["findings"]] == [(one.id, one.verdict) for one in report.findings]
     assert [one["statement"] for one in data["consequences"]] == [one.statement for one in report.consequences]
@@ -413,7 +413,7 @@ def test_the_command_writes_a_page_beside_the_run(tmp_path, capsys, monkeypatch)
     asked = []
     monkeypatch.setattr(webbrowser, "open", asked.append)
     folder = tmp_path / "run"
-    assert main(["run", str(REPOSITORY / "cases" / "sliding_relay.py"), "--t-end", "0.1", "--out", str(folder), "--quiet"]) == 0
+    assert main(["run", str(case_files()["sliding_relay"]), "--t-end", "0.1", "--out", str(folder), "--quiet"]) == 0
     assert main(["view", str(folder)]) == 0
     assert capsys.readouterr().out == f"page  {folder / 'view.html'}\n"
     assert parsed(folder / "view.html").data["title"] == nsmodel.Trajectory.load(folder / "trajectory.npz").title
@@ -431,7 +431,7 @@ def test_the_command_refuses_what_is_no_run(tmp_path, capsys, name):
 
 
 def test_checks_and_studies_write_pages(tmp_path, capsys):
-    case = str(REPOSITORY / "cases" / "sliding_relay.py")
+    case = str(case_files()["sliding_relay"])
     assert main(["check", case, "--quick", "--html", str(tmp_path / "check.html")]) == 0
     assert capsys.readouterr().out.endswith(f"\n\npage  {tmp_path / 'check.html'}\n")
     assert parsed(tmp_path / "check.html").data["kind"] == "report"

@@ -12,7 +12,6 @@ from sphinx.util.display import status_iterator
 
 from nsmodel.modeling.model_files import TOPICS, Case, all_cases
 
-OTHERS = "more"
 INTRODUCTION = """# Gallery
 
 Every case that comes with nsmodel: what it is, what to see, its picture, its numbers, and what the check of its
@@ -86,8 +85,8 @@ def verdicts(findings: Iterable[dict[str, str]]) -> str:
 def overview(shelf: list[tuple[Case, Made]], folder: Path) -> str:
     """The page with all thumbnails, topic by topic."""
     parts = [INTRODUCTION]
-    for topic in (*TOPICS, OTHERS):
-        own = [(case, found) for case, found in shelf if (case.topic if case.topic in TOPICS else OTHERS) == topic]
+    for topic in TOPICS:
+        own = [(case, found) for case, found in shelf if case.topic == topic]
         if own:
             cards = "\n\n".join(card(case, found, folder) for case, found in own)
             names = "\n".join(case.name for case, _ in own)

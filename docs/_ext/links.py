@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-CASE = re.compile(r"\]\((?:\.\./)+cases/(\w+)\.py\)")
+CASE = re.compile(r"\]\((?:\.\./)+cases/\w+/(\w+)\.py\)")
 SHELF = re.compile(r"\]\((?:\.\./)+cases/?\)")
 README = re.compile(r"\]\((?:\.\./)+README\.md\)")
 

@@ -1,6 +1,6 @@
 // Steps a generated library from C++: two masses on a rough floor. Tells when they stick and slip; their spring softens at 5 s.
 //
-//     nsmodel codegen cases/two_masses.py --out two_masses-c
+//     nsmodel codegen cases/mechanics/two_masses.py --out two_masses-c
 //     make -C two_masses-c lib
 //     g++ -std=c++17 -I two_masses-c docs/examples/host.cpp -L two_masses-c -ltwo_masses -Wl,-rpath,two_masses-c -o host
 //     ./host

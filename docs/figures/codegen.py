@@ -13,8 +13,8 @@ from page import put
 import nsmodel
 from nsmodel import codegen
 from nsmodel.errors import CodegenError
+from nsmodel.modeling.model_files import case_files
 
-CASES = Path(__file__).resolve().parents[2] / "cases"
 HEAD = ("case", "a step", "source, kB", "code, kB", "RAM, bytes", "work, at most")
 SIZE = "(unsigned long)sizeof({name}_solver)"
 MAIN = '#include "{name}.h"\n#include <stdio.h>\nint main(void) {{ printf("%lu", ' + SIZE + "); return 0; }}\n"
@@ -49,7 +49,7 @@ def kind(about: dict) -> str:
 def main() -> None:
     """Measure and rewrite the table."""
     lines = ["| " + " | ".join(HEAD) + " |", "| --- | --- |" + " ---: |" * (len(HEAD) - 2)]
-    for path in sorted(CASES.glob("*.py")):
+    for path in case_files().values():
         with tempfile.TemporaryDirectory() as folder, contextlib.suppress(CodegenError):  # f may be a Python function
             lines.append("| " + " | ".join(row(path, Path(folder))) + " |")
     put("codegen.md", "cost", "\n".join(lines))

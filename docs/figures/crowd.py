@@ -25,7 +25,7 @@ IMAGES = DOCS / "images"
 INK, GREEN = "#30363D", "#009E73"
 COLOURS = 96  # Of a picture.
 
-sys.path.insert(0, str(DOCS.parent / "cases"))
+sys.path.insert(0, str(DOCS.parent / "cases" / "crowds"))
 
 
 def blank(width: float, height: float) -> Figure:
@@ -102,7 +102,7 @@ def main() -> None:
     """Write the pictures, the film and the table."""
     from evacuation import room
 
-    run = simulate(nsmodel.load(DOCS.parent / "cases" / "evacuation.py"))
+    run = simulate(nsmodel.load("evacuation"))
     save(ways(room), IMAGES / "crowd_ways.png", COLOURS)
     save(evacuation(run), IMAGES / "crowd_evacuation.png", COLOURS, dpi=90)
     animate(run, IMAGES / "crowd_evacuation.gif", seconds=9, fps=10, size=(5.4, 3.6), dpi=72)

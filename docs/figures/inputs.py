@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 from page import put, save
 
-import nsmodel
 from nsmodel import Trajectory, load, simulate
 from nsmodel.plot.style import FREE, LINES, blank, dress
 
-CASE = Path(nsmodel.__file__).resolve().parents[1] / "cases" / "sliding_mode.py"
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 WAYS = {"explicit": False, "implicit": True}
 BOUND = {"explicit": 1.5, "implicit": 0.5}  # of |x| once it slides, in h
@@ -22,7 +20,7 @@ BOUND = {"explicit": 1.5, "implicit": 0.5}  # of |x| once it slides, in h
 
 def run(way: str, h: float) -> Trajectory:
     """The loop, exact: a row a sample."""
-    return simulate(load(CASE, h=h, implicit=WAYS[way]), rtol=1e-10)
+    return simulate(load("sliding_mode", h=h, implicit=WAYS[way]), rtol=1e-10)
 
 
 def row(way: str, h: float) -> str:

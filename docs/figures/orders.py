@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 import closed_forms as exact  # noqa: E402
 
-IMAGES, CASES = ROOT / "docs" / "images", ROOT / "cases"
+IMAGES = ROOT / "docs" / "images"
 INK, GREY, BLUE, RED, GREEN, ORANGE = "#30363D", "#8F9BAA", "#0072B2", "#C8501E", "#00795A", "#B7791F"
 COMPILED = compiler() is not None
 
@@ -96,7 +96,7 @@ def measure(
 
 def case(stem: str, **changes: object) -> Model:
     """A case file's model with some of its settings changed."""
-    model = copy(nsmodel.load(CASES / f"{stem}.py"))
+    model = copy(nsmodel.load(stem))
     for name, value in changes.items():
         object.__setattr__(model, name, value)
     return model

@@ -43,7 +43,7 @@ WRONG = 0.1  # A tuned run that is further off takes no part; that it reported s
 
 @dataclass(frozen=True)
 class Scene:
-    """A file of cases/, what is told of it, its closed form, and the methods: (name, model, compiled, powers of 2).
+    """A case, what is told of it, its closed form, and the methods: (name, model, compiled, powers of 2).
 
     Instead of powers of 2, the numbers of steps, STEPPING or EVENTS: runs with an rtol.
     """
@@ -70,14 +70,14 @@ class Scene:
 
 def load(case: str, **fields: Any) -> Any:
     """The model of a case with other fields; without its closed form: comparing is not part of what is timed."""
-    model = nsmodel.load(ROOT / "cases" / f"{case}.py")
+    model = nsmodel.load(case)
     model._set(exact=None, **fields)
     return model
 
 
 def closed_form(case: str) -> Callable[[np.ndarray], np.ndarray]:
     """The closed form that a case declares."""
-    return nsmodel.load(ROOT / "cases" / f"{case}.py").exact
+    return nsmodel.load(case).exact
 
 
 def friction_oscillator() -> Scene:

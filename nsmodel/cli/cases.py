@@ -50,15 +50,15 @@ def _case_document(case: Case) -> dict[str, str]:
 
 
 def _list_by_topic(cases: Sequence[Case]) -> str:
-    """A line a case under its topic, cut to the terminal's width; those without a topic come last."""
+    """A line a case under its topic, cut to the terminal's width."""
     width = max(len(case.name) for case in cases) + 4
     room = max(20, _terminal_width() - width)
     blocks = []
-    for topic in dict.fromkeys([*TOPICS, *(case.topic for case in cases if case.topic), ""]):
+    for topic in TOPICS:
         titles = {case.name: textwrap.shorten(case.title, room, placeholder=" ...") for case in cases if case.topic == topic}
         lines = [f"  {name}".ljust(width) + title for name, title in titles.items()]
         if lines:
-            blocks.append("\n".join([topic or "others", *lines]))
+            blocks.append("\n".join([topic, *lines]))
     return "\n\n".join([*blocks, "one of them: nsmodel cases CASE, nsmodel run CASE, nsmodel new NAME --like CASE"])
 
 

@@ -20,7 +20,7 @@ from typing import Any
 from nsmodel._utils import short_repr
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.pickling import MODULE_PREFIX, execute_module, folder_importable, module_spec
+from nsmodel.modeling.pickling import MODULE_PREFIX, current_path, execute_module, folder_importable, module_spec
 
 TOPICS = ("circuits", "control", "mechanics", "crowds", "biology", "mathematics")
 _PACKAGE = Path(__file__).parents[1]
@@ -32,8 +32,8 @@ class Case:
     """A case: its name, its file, and what the paragraphs of the file's docstring say.
 
     ``title`` is the first line, ``story`` what stands between it and the paragraphs that begin with a label, which are ``see``
-    ("What to see:"), ``wrong`` ("A wrong answer:" and how it would show), ``source`` ("Source:") and ``topic``
-    ("Topic:", one of TOPICS). A paragraph that is not there is "".
+    ("What to see:"), ``wrong`` ("A wrong answer:" and how it would show) and ``source`` ("Source:"). A paragraph that is not
+    there is "". ``topic`` is the name of the file's folder, one of TOPICS.
     """
 
     name: str
@@ -63,18 +63,20 @@ def all_cases() -> tuple[Case, ...]:
 def case_files() -> dict[str, Path]:
     """The files of the cases by name; empty where this installation has none."""
     folder = next((place for place in _CASE_FOLDERS if place.is_dir()), None)
-    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.py"))}
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*/*.py"), key=lambda path: path.stem)}
 
 
 def case_or_file_path(given: str | Path) -> Path:
-    """The file that is given; that of the case of this name where there is no such file."""
-    path = Path(given)
+    """The file that is given, where it lies now; that of the case of this name where there is no such file."""
+    path = current_path(Path(given))
     return path if path.is_file() else case_files().get(str(given), path)
 
 
-def shadowed_case_note(given: str | Path) -> str:
-    """What to know where a name is that of a case, and of a file NAME.py too; "" elsewhere."""
+def file_note(given: str | Path) -> str:
+    """What to know where a file has moved, or a name is that of a case and of a file NAME.py too; "" elsewhere."""
     path = Path(given)
+    if (now := current_path(path)) != path:
+        return f"{path} is {now} now"
     other = path.is_file() or str(given) not in case_files() or not Path(f"{given}.py").is_file()
     return "" if other else f"{given} is the case that comes with nsmodel; {given}.py here is another file"
 
@@ -105,7 +107,7 @@ def find_case(name: str) -> Case:
 def read_case(path: Path) -> Case:
     """The case in a file, which is read and not run."""
     title, *paragraphs = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n\n")
-    labels = {"What to see:": "", "A wrong answer:": "", "Source:": "", "Topic:": ""}
+    labels = {"What to see:": "", "A wrong answer:": "", "Source:": ""}
     story = []
     for paragraph in paragraphs:
         label = next((label for label in labels if paragraph.startswith(label)), None)
@@ -113,8 +115,7 @@ def read_case(path: Path) -> Case:
             story.append(paragraph)
         else:
             labels[label] = paragraph.removeprefix(label).strip()
-    see, wrong, source, topic = labels.values()
-    return Case(path.stem, path, " ".join(title.split()), "\n\n".join(story), see, wrong, source, topic.rstrip("."))
+    return Case(path.stem, path, " ".join(title.split()), "\n\n".join(story), *labels.values(), topic=path.parent.name)
 
 
 def load(path: str | Path, **parameters: Any) -> Model:
@@ -126,7 +127,7 @@ def load(path: str | Path, **parameters: Any) -> Model:
         UsageError: the file is missing, or a parameter that its function does not take, or lacks.
         ModelError: the file fails, defines no ``model``, or something that is not one.
     """
-    if note := shadowed_case_note(path):
+    if note := file_note(path):
         warnings.warn(note, stacklevel=2)
     path = case_or_file_path(path)
     found = _read_definition(path)

@@ -44,6 +44,13 @@ def module_spec(path: Path, meant: str = "") -> ModuleSpec:
     return spec
 
 
+def current_path(path: Path) -> Path:
+    """Return where a file lies now: each case of cases/ has moved into one of the folders there."""
+    if path.is_file() or path.absolute().parent.name != "cases":
+        return path
+    return next((file for file in path.parent.glob("*/*.py") if file.name == path.name), path)
+
+
 def execute_module(spec: ModuleSpec) -> ModuleType:
     """Run the file; whatever it raises comes out."""
     module = importlib.util.module_from_spec(spec)
@@ -92,10 +99,11 @@ def _module_folders(module: ModuleType | None) -> list[Path]:
 
 def defined_in(path: str, name: str) -> Any:
     """What the file calls ``name`` ("f", or "Class.f"), from its last run in this process, else from a new one."""
-    spec = module_spec(Path(path))
+    file = current_path(Path(path))
+    spec = module_spec(file)
     found: Any = sys.modules.get(spec.name)
-    if getattr(found, "__file__", None) != path:
-        with folder_importable(Path(path)):
+    if getattr(found, "__file__", None) != str(file):
+        with folder_importable(file):
             found = execute_module(spec)
     for part in name.split("."):
         found = getattr(found, part)

@@ -12,17 +12,17 @@ import os
 import time
 import tracemalloc
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 from peers import programs
 
 import nsmodel
 from nsmodel.codegen.library import compiler
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation.simulate import prepare
 from nsmodel.solvers.sparse import FactoredJacobian, SparseStepSolver
 
-CASE = Path(__file__).resolve().parents[2] / "cases" / "friction_chain.py"
+CASE = case_files()["friction_chain"]
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 STEPS = {10: 10, 50: 10, 200: 10} if SHORT else {10: 1000, 50: 1000, 200: 1000, 1000: 300, 10000: 100}
 PEERS = (10, 50, 200)

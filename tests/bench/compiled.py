@@ -20,7 +20,6 @@ from nsmodel import codegen
 from nsmodel.codegen.library import compiler
 from nsmodel.simulation.simulate import prepare
 
-CASES = Path(__file__).resolve().parents[2] / "cases"
 FLAGS = ["-std=c99", "-O2"]
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 REPEATS = 1 if SHORT else 9
@@ -75,7 +74,7 @@ int main(void)
 def generated(name: str, folder: Path) -> float:
     """Nanoseconds a step of the generated C."""
     _, steps, arguments, parameters = SCENES[name]
-    model = nsmodel.load(CASES / f"{name}.py", **arguments)
+    model = nsmodel.load(name, **arguments)
     codegen.write(model, folder, name=name, parameters=parameters)
     text = (
         LOOP.replace("NAME", name).replace("RUN_FOR", str(RUN_FOR)).replace("STEPS", str(steps)).replace("REPEATS", str(REPEATS))
@@ -101,7 +100,7 @@ def steps_in_c() -> None:
 
 def runs_from_python() -> None:
     """A million steps of the bridge: interpreted and compiled, every row kept."""
-    model = nsmodel.load(CASES / "diode_bridge.py")
+    model = nsmodel.load("diode_bridge")
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CACHE_HOME"] = folder
         start = time.perf_counter()

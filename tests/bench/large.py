@@ -25,9 +25,10 @@ import numpy as np
 from peers import programs
 
 import nsmodel
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation.simulate import prepare
 
-CASE = Path(__file__).resolve().parents[2] / "cases" / "crowd.py"
+CASE = case_files()["crowd"]
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 SIZES = (10,) if SHORT else (10, 50, 200, 1000, 5000, 20_000)
 GOALS = {50: 4, 200: 3, 1000: 2}  # how many times faster than cromosim

@@ -7,7 +7,6 @@ import itertools
 import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import compiled
 import gpu
@@ -16,11 +15,11 @@ import numpy as np
 from peers import programs
 
 import nsmodel
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation.simulate import prepare
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))  # Whether all of it runs, once, on a few scenes.
-CASES = Path(__file__).resolve().parents[2] / "cases"
-FILES = [CASES / "sliding_relay.py", CASES / "crowd.py"] if SHORT else sorted(CASES.glob("*.py"))
+FILES = [case_files()["sliding_relay"], case_files()["crowd"]] if SHORT else [*case_files().values()]
 REPEATS = 1 if SHORT else 7
 
 
@@ -44,7 +43,7 @@ def timed(job: Callable[[], object]) -> float:
 
 def driver_loop(name: str) -> tuple[float, int]:
     """Seconds a run's time loop takes (set-up excluded), and its number of steps."""
-    model, times, steps = nsmodel.load(CASES / f"{name}.py"), [], 0
+    model, times, steps = nsmodel.load(name), [], 0
     for _ in range(1 if SHORT else REPEATS + 1):
         run = prepare(model, compiled=False)
         steps = run.go().metadata["steps"]

@@ -24,10 +24,10 @@ import nsmodel
 from nsmodel import check
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.write import certificate_of
+from nsmodel.modeling.model_files import case_files
 
 from .checked import MAKERS, draw
 
-CASES = Path(__file__).parents[2] / "cases"
 ANSWERS = ("yes", "no", "not checkable")
 
 Row = dict[str, Any]
@@ -36,7 +36,7 @@ Row = dict[str, Any]
 def answered(class_name: str, which: str | int) -> Row:
     """The answers to the statements of one model, read back from JSON."""
     started = time.perf_counter()
-    model = nsmodel.load(CASES / f"{which}.py") if class_name == "cases" else draw(class_name, int(which))
+    model = nsmodel.load(which) if class_name == "cases" else draw(class_name, int(which))
     certificate = json.loads(json.dumps(certificate_of(check(model, runs=[]))))
     written = time.perf_counter()
     answers = [(s["id"], verify.verdict(certificate["model"], s)) for s in certificate["statements"]]
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     seeds = range(given.first, given.first + given.models)
-    cases = {path.stem: nsmodel.load(path) for path in sorted(CASES.glob("*.py"))}
+    cases = {name: nsmodel.load(name) for name in case_files()}
     stems = [stem for stem, model in cases.items() if not (model.inputs or model.blocks)]  # which have no certificates
     jobs = [(name, which) for name in given.classes or ["cases", *MAKERS] for which in (stems if name == "cases" else seeds)]
     rows = [answered(*job) for job in tqdm(jobs, leave=False, disable=not sys.stderr.isatty())]

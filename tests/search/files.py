@@ -35,6 +35,7 @@ from nsmodel.errors import NsmodelError, StorageError, UnverifiedWarning
 from nsmodel.files.archive import read_npz, write_npz
 from nsmodel.files.metadata import with_checksum
 from nsmodel.files.storage import dumps, loads
+from nsmodel.modeling.model_files import case_files
 from nsmodel.simulation.run_folder import ChunkStore
 from nsmodel.sweep.store import SweepStore
 
@@ -76,7 +77,7 @@ def events_in(folder: Path) -> None:
 
 def bodies_in(folder: Path) -> None:
     """A run of many bodies."""
-    path = Path(nsmodel.__file__).parents[1] / "cases" / "crowd.py"
+    path = case_files()["crowd"]
     simulate(nsmodel.load(path, n=3, seed=0), t_end=0.5, compiled=False).save(folder / "trajectory.npz")
 
 

@@ -43,7 +43,7 @@ class Scene:
 
 def scenes() -> list[Scene]:
     """All of them, small ones first."""
-    case = {name: nsmodel.load(ROOT / "cases" / f"{name}.py") for name in (
+    case = {name: nsmodel.load(name) for name in (
         "friction_oscillator", "friction_oscillator_relay", "sliding_relay", "diode_bridge", "relay_oscillator", "gene_network",
         "point_past_disc")}  # fmt: skip
     hands = {
@@ -59,7 +59,7 @@ def scenes() -> list[Scene]:
         Scene("stiff_relay_5", stiff_relay(1e5), by_hand.stiff_relay(1e5), None, stiff=True),
     ]
     for n in (10, 50, 100, 200):
-        chain = nsmodel.load(ROOT / "cases" / "friction_chain.py", n=n)
+        chain = nsmodel.load("friction_chain", n=n)
         small = n == 10
         found.append(Scene(f"friction_chain_{n}", chain, by_hand.friction_chain(n) if small else None, "tanh" if small else None))
     return found
