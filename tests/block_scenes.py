@@ -1,4 +1,4 @@
-"""Models with blocks, and their exact solutions by recursions: what `tests/test_blocks.py` compares runs with."""
+"""Models with blocks, and their exact solutions by recursions: what `tests/modeling/test_blocks.py` compares runs with."""
 
 from __future__ import annotations
 

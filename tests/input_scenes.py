@@ -1,4 +1,4 @@
-"""Models with inputs, and exact solutions by matrix exponentials: what `tests/test_inputs.py` compares runs with."""
+"""Models with inputs, and exact solutions by matrix exponentials: what `tests/modeling/test_inputs.py` compares runs with."""
 
 from __future__ import annotations
 

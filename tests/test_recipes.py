@@ -278,9 +278,6 @@ def test_it_is_exported(tmp_path):
     assert write(model(), tmp_path)
 """
 
-BEFORE = {  # Where places of the document still are, until they have moved.
-    "nsmodel/models/first_order_system/check.py": "nsmodel/classes/first_order/hypotheses/check.py",
-}
 RECIPES = [
     Recipe(
         "A law",
@@ -294,7 +291,7 @@ RECIPES = [
                 '    "polyhedron",\n': '    "l1_ball",\n    "polyhedron",\n',
             },
             "nsmodel/__init__.py": {"    equality,\n": "    equality,\n    l1_ball,\n", '"latch",': '"l1_ball",\n    "latch",'},
-            "tests/test_kinds_of_laws.py": {
+            "tests/modeling/test_kinds_of_laws.py": {
                 "    ellipsoid,\n": "    ellipsoid,\n    l1_ball,\n",
                 "EXAMPLES = {\n": 'EXAMPLES = {\n    "l1_ball": l1_ball(2, 0.5),\n',
             },
@@ -302,7 +299,7 @@ RECIPES = [
             "docs/api/laws.md": {".. autofunction:: product": ".. autofunction:: l1_ball\n.. autofunction:: product"},
         },
         frozenset({"nsmodel/modeling/laws/NAME.c"}),
-        (LAW_TEST, ["tests/test_kinds_of_laws.py", "-k", "l1_ball or example or largest"]),
+        (LAW_TEST, ["tests/modeling/test_kinds_of_laws.py", "-k", "l1_ball or example or largest"]),
     ),
     Recipe(
         "A hypothesis",
@@ -317,7 +314,7 @@ RECIPES = [
         },
         frozenset({"nsmodel/models/CLASS/inputs_and_parameters.py", "nsmodel/models/CLASS/documents.py",
                    "nsmodel/hypotheses/certificates/verify.py"}),
-        (HYPOTHESIS_TEST, ["tests/test_check_cases.py", "-k", "mass or parameter or certificate or paragraph"]),
+        (HYPOTHESIS_TEST, ["tests/hypotheses/test_check_cases.py", "-k", "mass or parameter or certificate or paragraph"]),
     ),
     Recipe(
         "A run option",
@@ -330,11 +327,11 @@ RECIPES = [
             "nsmodel/simulation/PLACE.py": {
                 '"save_every": self.options.save_every,': '"save_every": self.options.save_every, "remark": self.options.remark,'
             },
-            "tests/test_options.py": {'"run": "step': '"run": "remark step'},
+            "tests/simulation/test_options.py": {'"run": "step': '"run": "remark step'},
             "docs/guide.md": {'| `solver="auto"` |': '| `remark=` | `--remark TEXT` | a text |\n| `solver="auto"` |'},
         },
         frozenset(),
-        (OPTION_TEST, ["tests/test_options.py"]),
+        (OPTION_TEST, ["tests/simulation/test_options.py"]),
     ),
     Recipe(
         "A block with memory",
@@ -349,15 +346,11 @@ RECIPES = [
             "docs/api/inputs.md": {".. autofunction:: latch": ".. autofunction:: latch\n.. autofunction:: peak_hold"},
         },
         frozenset(),
-        (BLOCK_TEST, ["tests/test_package.py", "-k", "held or exported or (documented and peak_hold) or sorted"]),
+        (BLOCK_TEST, ["tests/package/test_package.py", "-k", "held or exported or (documented and peak_hold) or sorted"]),
     ),
 ]  # fmt: skip
 
 
-MOVED = (REPOSITORY / "nsmodel" / "models").exists()
-
-
-@pytest.mark.skipif(not MOVED, reason="modules of the pages have not all moved yet")
 @pytest.mark.parametrize("page", ["architecture.md", "residuals.md"])
 def test_paths_of_a_page_are_there(page):
     """Paths are from the repository, the package or one of its folders on; names in capitals stand for any."""
@@ -379,8 +372,6 @@ def places_in_document(heading: str) -> list[str]:
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.heading)
 def test_a_recipe_gives_what_it_promises(recipe, tmp_path, quick_programs):
-    if recipe.heading == "A run option" and not (REPOSITORY / "tests" / "test_options.py").exists():
-        pytest.skip("options are not declared once yet")
     assert set(places_in_document(recipe.heading)) == set(recipe.added) | recipe.optional
     for part in PARTS:
         source = REPOSITORY / part
@@ -391,7 +382,7 @@ def test_a_recipe_gives_what_it_promises(recipe, tmp_path, quick_programs):
     for place, change in recipe.added.items():
         for word, name in recipe.names.items():
             place = place.replace(word, name)
-        path = tmp_path / (place if (tmp_path / place).exists() else BEFORE.get(place, place))
+        path = tmp_path / place
         if isinstance(change, str):
             assert not path.exists()
             path.write_text(change.lstrip(), encoding="utf-8")

@@ -86,7 +86,7 @@ def add_files(parser: argparse.ArgumentParser) -> None:
 
 def _model_file(text: str) -> str:
     """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
-    if note := model_files.shadowed_case_note(text):
+    if note := model_files.file_note(text):
         print(f"nsmodel: note: {note}", file=sys.stderr)
     return text if (path := model_files.case_or_file_path(text)) == Path(text) else str(path)
 

@@ -8,12 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from fuzz_models import COUNT, FULL, share
-from test_check_inclusion import contradictions
 
 from nsmodel import FrictionOscillator, MonotoneInclusion, check, relay
 from nsmodel.proof.convex import rules
 from nsmodel.proof.convex.sets import ConvexSet, MovingSet, has_interior_for_all, is_convex_for_all, outer_set
 from nsmodel.proof.parameter_hull import mixture_corners
+from tests.hypotheses.test_check_inclusion import contradictions
 
 x, s, p, q = (ca.SX.sym(name) for name in "xspq")
 z = ca.SX.sym("z", 2)

@@ -28,7 +28,7 @@ from nsmodel.modeling.laws import complementarity, product, relay
 from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem
 from nsmodel.solvers.time_stepper import completed_start_state
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 FRAGMENTS = Path(codegen.__file__).parent / "c"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 CC = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), None)

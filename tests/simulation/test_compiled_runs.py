@@ -24,18 +24,6 @@ import pytest
 from conftest import QUICK
 from fuzz_models import COUNT, FULL
 from processes import kill_when_there
-from test_resume import (
-    FEW_ROWS,
-    MODELS,
-    assert_equal_runs,
-    first_order,
-    inclusion,
-    inclusion_in_a_box,
-    lure,
-    oscillator,
-    sweeping,
-    whole_runs,
-)
 
 import nsmodel
 from nsmodel import (
@@ -70,6 +58,18 @@ from nsmodel.simulation.simulate import explain, prepare
 from nsmodel.simulation.step_backend import STEPS_IN_C, STEPS_IN_C_FOR_ALL
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.plan import LOADING_SECONDS, CompilationCost, build_seconds, interpreted_step_seconds
+from tests.simulation.test_resume import (
+    FEW_ROWS,
+    MODELS,
+    assert_equal_runs,
+    first_order,
+    inclusion,
+    inclusion_in_a_box,
+    lure,
+    oscillator,
+    sweeping,
+    whole_runs,
+)
 
 IS_KEPT = cache.has_cached_library  # the true one
 loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
@@ -435,7 +435,7 @@ def test_a_run_is_continued_to_a_later_end_and_a_finished_one_as_it_is(tmp_path,
 
 DRIVER = """
 import sys, time
-import test_resume
+from tests.simulation import test_resume
 import nsmodel
 from nsmodel.codegen import library as cache
 from nsmodel.codegen.rollout import Rollout

@@ -21,7 +21,7 @@ from nsmodel.files.archive import read_npz, write_npz
 from nsmodel.files.storage import read_json, write_json
 from nsmodel.simulation.run_folder import ChunkStore
 
-FIXTURES = Path(__file__).parent / "fixtures"
+FIXTURES = Path(__file__).parents[1] / "fixtures"
 FORMAT_1 = FIXTURES / "format-1"
 RELAY = """
 from nsmodel import LureSystem, relay

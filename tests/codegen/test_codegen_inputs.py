@@ -270,7 +270,7 @@ def test_the_example_runs_the_models_own_case(name, written, tmp_path):
 def test_the_example_of_the_docs(tmp_path):
     """A sampled PI chooses the duty: the same loop in Python."""
     codegen.write(scenes.buck(), tmp_path, name="buck", any_step=True)
-    example = Path(__file__).parents[1] / "docs/examples/buck.c"
+    example = Path(__file__).parents[2] / "docs/examples/buck.c"
     assert example.read_text().split("/* Hold")[1].split("\n}\n")[0] in (example.parents[1] / "codegen.md").read_text()
     command = [CC, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-I", tmp_path, "-o", tmp_path / "buck", example]
     subprocess.run([*command, tmp_path / "buck.c", "-lm"], check=True)

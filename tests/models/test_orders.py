@@ -336,7 +336,7 @@ def test_8_1_defects_are_what_the_bound_pushes_back(runs_of):
 @pytest.fixture(scope="module")
 def page():
     """The script that writes the tables of docs/orders.md, as a module."""
-    path = Path(__file__).resolve().parents[1] / "docs" / "figures" / "orders.py"
+    path = Path(__file__).resolve().parents[2] / "docs" / "figures" / "orders.py"
     spec = importlib.util.spec_from_file_location("orders_page", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module

@@ -12,7 +12,7 @@ from scipy.special import roots_jacobi
 from nsmodel import FirstOrderSystem, SweepingProcess, relay, simulate
 from nsmodel.event_driven.collocation import radau_collocation
 from tests import event_scenes, stiff_scenes
-from tests.test_events import DATA, HAS_CC, RTOLS, judged, needs_data
+from tests.event_driven.test_events import DATA, HAS_CC, RTOLS, judged, needs_data
 
 MANY = COUNT
 t = ca.SX.sym("t")

@@ -20,7 +20,7 @@ from nsmodel.simulation.event_driven import EventDrivenPropagator, event_driven_
 from nsmodel.simulation.options import Options
 from tests import event_scenes as scenes
 from tests import stiff_scenes
-from tests.test_events_resume import files
+from tests.event_driven.test_events_resume import files
 
 CC = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), None)
 pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")

@@ -7,7 +7,6 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from test_agreement import MONOTONE, NOT_MONOTONE, Stretch
 
 from nsmodel import (
     FirstOrderSystem,
@@ -23,6 +22,7 @@ from nsmodel import (
 )
 from nsmodel.modeling.laws import Law
 from nsmodel.study.units import in_units as units_of_package
+from tests.solvers.test_agreement import MONOTONE, NOT_MONOTONE, Stretch
 
 T, Q, X, LAM, S = (ca.SX.sym(name) for name in ("t", "q", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)

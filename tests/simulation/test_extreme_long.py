@@ -39,7 +39,7 @@ def test_a_long_run_keeps_few_rows_and_does_not_drift():
 LONG = """
 import json, resource
 import numpy as np
-from test_extreme_long import swinging_wall
+from tests.simulation.test_extreme_long import swinging_wall
 from nsmodel import simulate
 for steps in (1e5, 1e7):
     run = simulate(swinging_wall(), t_end=steps * 1e-3, step=1e-3, save_every=10_000, compiled=True)

@@ -49,7 +49,7 @@ from nsmodel.study.reference import ReferenceRows, closed_form_reference
 from nsmodel.study.stress import Cell
 
 t, x, y, l, k = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("y", 2), ca.SX.sym("l"), ca.SX.sym("k")
-FIXTURES = Path(__file__).parent / "fixtures" / "pickles"
+FIXTURES = Path(__file__).parents[1] / "fixtures" / "pickles"
 NEIGHBOUR = "def exact(t):\n    import numpy as np\n\n    return np.exp(-np.outer(t, [1, 1]))\n"
 FILE = """
 import casadi as ca

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from conftest import REPOSITORY
-from test_package import in_a_fresh_process
 
 from nsmodel import UsageError, load
 from nsmodel.cli import main
@@ -21,6 +20,7 @@ from nsmodel.cli.completion import DESCRIPTION
 from nsmodel.modeling import model_files
 from nsmodel.modeling.pickling import defined_in
 from nsmodel.version import VERSION
+from tests.package.test_package import in_a_fresh_process
 
 SLEDGE = """
 import casadi as ca

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from conftest import optimised
 from fuzz_models import share
-from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
 from nsmodel.codegen import fragments, laws, structs
 from nsmodel.codegen.fragments import prune_unused, read_fragment
@@ -23,6 +22,7 @@ from nsmodel.solvers import mlcp as curved
 from nsmodel.solvers.constant_matrices import _multiplier_map
 from nsmodel.solvers.residuals import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
+from tests.solvers.test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")

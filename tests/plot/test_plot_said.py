@@ -3,8 +3,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-from test_many_bodies import discs
-from test_plot import altered, chain, crowd, fabricate, legend, oscillator, panel, title
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, SweepingProcess, cli, plot, relay, simulate
 from nsmodel.errors import PlotError, UsageError
@@ -14,6 +12,8 @@ from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study.lines import Line, Point
 from nsmodel.study.result import Study
 from nsmodel.sweep import Variable
+from tests.models.test_many_bodies import discs
+from tests.plot.test_plot import altered, chain, crowd, fabricate, legend, oscillator, panel, title
 
 # ---------------------------------------------------------------- rounding
 

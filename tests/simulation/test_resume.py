@@ -252,7 +252,7 @@ def slow_down(seconds):
 
 
 DRIVER = """
-import test_resume
+from tests.simulation import test_resume
 test_resume.walk.CHUNK_BYTES = test_resume.FEW_ROWS
 print("ready", flush=True)
 nsmodel = test_resume.nsmodel

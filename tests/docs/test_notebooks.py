@@ -15,7 +15,7 @@ from nsmodel import MissingExtraError, plot
 from nsmodel._utils import in_notebook
 from nsmodel.simulation import loop
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "docs" / "notebooks").glob("*.md"))
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "docs" / "notebooks").glob("*.md"))
 PNG = b"\x89PNG"
 
 

@@ -33,7 +33,7 @@ from nsmodel.simulation.options import Options
 from nsmodel.simulation.simulate import make_run
 from tests import event_scenes as scenes
 
-DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
+DATA = Path(__file__).parents[3] / "shared" / "data" / "event_driven"
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 MANY = COUNT
 HAS_CC = any(map(shutil.which, ("gcc", "cc", "clang")))

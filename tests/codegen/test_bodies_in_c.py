@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from conftest import SHARED
 from scipy.spatial import cKDTree
-from test_crowd import few, hopper
-from test_many_bodies import discs, misfit, scattered
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
@@ -22,6 +20,8 @@ from nsmodel.errors import CodegenError, StepError
 from nsmodel.models.many_bodies.contact_solver import COLD_BODIES_START, BodiesStepper
 from nsmodel.models.many_bodies.schemes import BodiesProblem
 from nsmodel.models.many_bodies.step_library import CompiledBodiesStep
+from tests.models.test_crowd import few, hopper
+from tests.models.test_many_bodies import discs, misfit, scattered
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -161,7 +161,7 @@ def test_explain_says_what_would_happen():
 KILLED = """
 import os, sys
 sys.path[:0] = sys.argv[1].split(os.pathsep)
-from tests.test_stretches import MODELS
+from tests.event_driven.test_stretches import MODELS
 from nsmodel import simulate
 from nsmodel.event_driven.fallback_steps import HybridIntegrator
 from nsmodel.simulation import loop

@@ -26,7 +26,7 @@ from nsmodel.cli import main
 from nsmodel.codegen import library as codegen_library
 from nsmodel.study import methods
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
 PAGES = [REPOSITORY / "README.md", *sorted(page for page in DOCS.rglob("*.md") if page.relative_to(DOCS).parts[0] != "gallery")]
 LARGEST_PICTURE = 150_000

@@ -272,7 +272,7 @@ def test_ticks_of_the_callers_own(written, tmp_path):
 
 def test_the_example_of_the_docs(tmp_path):
     codegen.write(scenes.regulated(), tmp_path, name="regulated")
-    example = Path(__file__).parents[1] / "docs/examples/regulated.c"
+    example = Path(__file__).parents[2] / "docs/examples/regulated.c"
     page = (example.parents[1] / "codegen.md").read_text()
     assert example.read_text().split("/* Go on")[1].split("\n}\n")[0] in page
     command = [CC, *STRICT, "-I", tmp_path, "-o", tmp_path / "loop", example, tmp_path / "regulated.c", "-lm"]
