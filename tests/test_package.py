@@ -167,7 +167,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "files",
     "modeling classes classes.registry classes.model classes.identity",
     "event_driven solvers standstill classes.schemes classes.set_valued classes.continuous",
-    "simulation.trajectory simulation.summary simulation.windows simulation.run_folder",
+    "simulation.run_data simulation.columns simulation.trajectory simulation.summary simulation.windows simulation.run_folder",
     "codegen hypotheses classes.hypotheses classes.equations",
     "simulation classes.walk classes.record",
     "checking observed_order crowd sweep",

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.errors import PlotError
-from nsmodel.modeling.columns import model_type, multiplier_names, state_names
 from nsmodel.plot import style
 from nsmodel.plot.strip import MAX_MAP_ROWS, MAX_ROWS, buckets
 from nsmodel.proof.verdict import not_none
+from nsmodel.simulation.run_data import model_type, multiplier_names, state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import NsmodelError
-from nsmodel.modeling.columns import state_names
 from nsmodel.plot import style
+from nsmodel.simulation.run_data import state_names
 
 if TYPE_CHECKING:
     from nsmodel.event_driven.problem import ContinuousProblem

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.files.storage import replace_atomically
-from nsmodel.modeling.columns import model_type, output_names
 from nsmodel.plot import crowd, style
 from nsmodel.plot.chain import draw_chain, find_chains, state_chains
 from nsmodel.plot.plane import class_plots, phase
 from nsmodel.plot.strip import MAX_ROWS, index_map, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
 from nsmodel.plot.window import Window, window
+from nsmodel.simulation.run_data import model_type, output_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,10 +9,10 @@ import numpy as np
 
 from nsmodel.classes.registry import class_named
 from nsmodel.errors import PlotError
-from nsmodel.modeling.columns import model_type, state_names
 from nsmodel.plot import style
 from nsmodel.plot.band import MAX_SWINGS, swing_count
 from nsmodel.plot.rounding import is_rounding
+from nsmodel.simulation.run_data import model_type, state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

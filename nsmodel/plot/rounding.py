@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.modeling.columns import ColumnNames, evaluate_quantity, multiplier_names, read_quantity
+from nsmodel.modeling.output_columns import evaluate_quantity
 from nsmodel.modeling.outputs import Quantity
 from nsmodel.plot import style
 from nsmodel.plot.continuous import continuous_problem_of_run, continuous_states
 from nsmodel.proof.expression_graph import stack_column
+from nsmodel.simulation.columns import column_names, read_quantity
+from nsmodel.simulation.run_data import multiplier_names
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF, rounding_error_bound
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def output_is_rounding(run: Trajectory, name: str, found: np.ndarray) -> np.ndar
     rows = style.evenly_spread(len(run.t), SAMPLED_ROWS)
     arrays = {key: array[rows] for key, array in run.arrays.items() if len(array) == len(run.t)}
     size = style.largest_magnitudes(found)
-    floor = style.largest_magnitudes(evaluate_quantity(bound, ColumnNames.from_run(run), arrays, label).reshape(len(rows), -1))
+    floor = style.largest_magnitudes(evaluate_quantity(bound, column_names(run), arrays, label).reshape(len(rows), -1))
     return (size > 0) & (size <= ROUNDING_FACTOR * UNIT_ROUND_OFF * floor)
 
 

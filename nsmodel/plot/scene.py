@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.errors import PlotError
-from nsmodel.modeling.columns import state_names
 from nsmodel.plot import style
+from nsmodel.simulation.run_data import state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,9 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.modeling import laws
-from nsmodel.modeling.columns import model_type
 from nsmodel.plot import style
 from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
+from nsmodel.simulation.run_data import model_type
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

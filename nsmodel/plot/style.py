@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.errors import PlotError
-from nsmodel.modeling.columns import units_of
 from nsmodel.proof.verdict import not_none
+from nsmodel.simulation.run_data import units_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

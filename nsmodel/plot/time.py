@@ -10,16 +10,10 @@ import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel.errors import PlotError
-from nsmodel.modeling.columns import (
-    input_names,
-    multiplier_names,
-    output_names,
-    quantity_at_step_ends,
-    read_quantity,
-    state_names,
-)
 from nsmodel.plot import band, continuous, style
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
+from nsmodel.simulation.columns import quantity_at_step_ends, read_quantity
+from nsmodel.simulation.run_data import input_names, multiplier_names, output_names, state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

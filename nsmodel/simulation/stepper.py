@@ -15,8 +15,8 @@ from nsmodel._utils import DEFAULT_TOLERANCE, describe_shortly, format_number
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import CodegenError, StepError, UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.columns import OutputColumns
 from nsmodel.modeling.inputs import Signals, signals_by_name
+from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.parameters import Values
 from nsmodel.modeling.time_grid import SAME_STEP_TOLERANCE, TimeGrid, format_value, is_number
 from nsmodel.modeling.variants import with_inputs

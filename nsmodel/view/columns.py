@@ -14,17 +14,9 @@ from nsmodel.crowd.measure import present
 from nsmodel.errors import PlotError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.modeling import laws
-from nsmodel.modeling.columns import (
-    input_names,
-    model_type,
-    multiplier_names,
-    output_names,
-    quantity_at_step_ends,
-    read_quantity,
-    state_names,
-    units_of,
-)
 from nsmodel.plot import style
+from nsmodel.simulation.columns import quantity_at_step_ends, read_quantity
+from nsmodel.simulation.run_data import input_names, model_type, multiplier_names, output_names, state_names, units_of
 from nsmodel.view.packed import PackedRows, pack_codes, pack_column
 
 if TYPE_CHECKING:

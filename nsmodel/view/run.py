@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel._utils import escape_invisible
-from nsmodel.modeling.columns import model_type, units_of
 from nsmodel.plot import continuous
 from nsmodel.simulation import summary
+from nsmodel.simulation.run_data import model_type, units_of
 from nsmodel.view.columns import TimePanel, further_panels, index_set_bands, run_panels
 from nsmodel.view.packed import pack_numbers, packing_for
 from nsmodel.view.page import standalone_page, write_page

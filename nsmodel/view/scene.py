@@ -8,9 +8,9 @@ import numpy as np
 
 from nsmodel._utils import escape_invisible
 from nsmodel.crowd.measure import positions, present
-from nsmodel.modeling.columns import state_names, units_of
 from nsmodel.plot import style
 from nsmodel.plot.plane import class_plots
+from nsmodel.simulation.run_data import state_names, units_of
 from nsmodel.view.packed import pack_codes, pack_numbers
 
 if TYPE_CHECKING:

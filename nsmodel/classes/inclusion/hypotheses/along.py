@@ -11,7 +11,7 @@ from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import set_constraints
 from nsmodel.hypotheses.along import SUM_ROUNDING, constraint_findings, has_every_row, missing_rows_findings
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.modeling.columns import extrapolated_rows
+from nsmodel.simulation.run_data import extrapolated_rows
 from nsmodel.simulation.trajectory import Trajectory
 
 NORM_BOUND = Hypothesis(

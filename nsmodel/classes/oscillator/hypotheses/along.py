@@ -13,7 +13,7 @@ from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import energy_function
 from nsmodel.hypotheses.along import SUM_ROUNDING, constraint_findings, has_every_row, missing_rows_findings
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.modeling.columns import extrapolated_rows
+from nsmodel.simulation.run_data import extrapolated_rows
 from nsmodel.simulation.trajectory import Trajectory
 
 RUN_ENERGY = Hypothesis(
