@@ -171,7 +171,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "codegen hypotheses classes.hypotheses classes.equations",
     "simulation classes.walk classes.record",
     "checking observed_order crowd sweep",
-    "certificate classes.certificate study classes.study classes.units classes.judge plot classes.plots view rich",
+    "certificate classes.certificate study classes.study classes.units classes.judge plot classes.plots",
     "cli __main__",
 )
 RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}

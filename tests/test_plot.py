@@ -17,7 +17,7 @@ from matplotlib.image import imread
 from nsmodel import LureSystem, plot, simulate
 from nsmodel.errors import PlotError
 from nsmodel.modeling import laws
-from nsmodel.plot import rounding, strip, style
+from nsmodel.plot import rounding, strips, style
 from nsmodel.simulation.trajectory import Trajectory
 
 
@@ -274,7 +274,7 @@ def test_names_that_matplotlib_would_misread():
     ],
 )
 def test_the_strip_speaks_each_laws_words(kind, words):
-    assert set(strip.STATE_LABELS) == {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid"}
+    assert set(strips.STATE_LABELS) == {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid"}
     run = altered(oscillator(), law_kinds=[kind], model_class="LureSystem")
     assert legend(plot.index_strip(run)) == words
 
@@ -286,7 +286,7 @@ def test_friction_sticks_and_slips():
     run = altered(mixed, index_names=["friction", "potential term 0", "plane[0]", "plane[1]"])
     assert legend(plot.index_strip(run)) == [
         *(f"friction: {word}" for word in words),
-        *(f"relay: {word}" for _, word in strip.STATE_LABELS["relay"].values()),
+        *(f"relay: {word}" for _, word in strips.STATE_LABELS["relay"].values()),
         "isotropic friction: stick (y = 0)",
         "isotropic friction: slip (l on the sphere)",
     ]
@@ -353,13 +353,13 @@ def test_the_strip_of_a_long_run_loses_no_event_and_hides_no_chatter():
 
 
 def test_the_strip_of_a_long_run_has_clean_edges():
-    rows = 5 * strip.MAX_BUCKETS + 3
+    rows = 5 * strips.MAX_BUCKETS + 3
     codes = np.where(np.arange(rows) < rows // 3, -1, 0)[:, None]
     codes[-1] = -1
     ax = plot.index_strip(fabricate(np.linspace(0, 1, rows), np.zeros(rows), np.zeros((rows, 1)), codes))
     boxes = [path.vertices for pieces in ax.collections for path in pieces.get_paths()]
     assert all(np.ptp(box[:, 1]) == pytest.approx(0.76) for box in boxes)
-    assert sorted(box[:, 0].min() for box in boxes) == pytest.approx([0, 1 / 3, 1], abs=2 / strip.MAX_BUCKETS)
+    assert sorted(box[:, 0].min() for box in boxes) == pytest.approx([0, 1 / 3, 1], abs=2 / strips.MAX_BUCKETS)
 
 
 def test_the_strip_refuses_what_it_cannot_draw():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nsmodel._utils import escape_invisible, html_repr
+from nsmodel._utils import display, escape_invisible, html_repr
 from nsmodel.errors import UsageError
 from nsmodel.event_driven import dense_output
 from nsmodel.files.archive import read_archive, write_npz
@@ -33,7 +33,7 @@ class Trajectory(RunData):
     (``run.friction``); AttributeError lists what there is.
     """
 
-    _repr_html_ = html_repr("run")
+    _repr_html_ = html_repr("run_html")
 
     def at(self, t: Any) -> dense_output.At:
         """Return the run at times t, a number or (k,) of them: states, velocities, multipliers and outputs, (k, ...) each.
@@ -165,9 +165,7 @@ class Trajectory(RunData):
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
-        from nsmodel.plot.figures import overview
-
-        return overview(self, **options)
+        return display("plot_trajectory", self, **options)
 
     def view(self, path: str | Path | None = None, model: Any = None) -> Path:
         """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
@@ -184,9 +182,7 @@ class Trajectory(RunData):
             StorageError: the file cannot be written.
             PlotError: the model is not that of the run, or has parameters without a value.
         """
-        from nsmodel.view.run import view_run
-
-        return view_run(self, path, model)
+        return display("view_trajectory", self, path, model)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""

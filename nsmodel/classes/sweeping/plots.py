@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.errors import PlotError
 from nsmodel.event_driven import dense_output
 from nsmodel.plot import plane, style
-from nsmodel.plot.scene import draw_discs
+from nsmodel.plot.plane import draw_discs
 from nsmodel.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:

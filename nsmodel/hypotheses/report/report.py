@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nsmodel._utils import escape_invisible, html_repr, one_line, wrap_lines
+from nsmodel._utils import display, escape_invisible, html_repr, one_line, wrap_lines
 from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, Consequence, Finding
 from nsmodel.hypotheses.report import table
 from nsmodel.modeling.pickling import Picklable
@@ -42,7 +42,7 @@ class Report(Picklable):
     model: Any = field(repr=False, compare=False)
     inputs: tuple[str, ...] = ()
 
-    _repr_html_ = html_repr("report")
+    _repr_html_ = html_repr("report_html")
 
     def __repr__(self) -> str:
         """Return a few lines: title, class, verdicts."""
@@ -67,9 +67,7 @@ class Report(Picklable):
 
         StorageError where it cannot be written.
         """
-        from nsmodel.view.report import view_report
-
-        return view_report(self, path)
+        return display("view_report", self, path)
 
     def __getitem__(self, id: str) -> Finding:
         """Return the finding of a hypothesis: ``report["A5"]``."""

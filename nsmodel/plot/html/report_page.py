@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from nsmodel._utils import escape_invisible
 from nsmodel.hypotheses.report import table
-from nsmodel.view.page import standalone_page, write_page
+from nsmodel.plot.html.page import standalone_page, write_page
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 REPORT_SCRIPTS = ("elements", "report")
 
 
-def view_report(report: Report, path: str | Path | None = None) -> Path:
+def write_report_page(report: Report, path: str | Path | None = None) -> Path:
     """Write the page of a report, and return its path; see `Report.view`."""
     return write_page(standalone_page(report.title, report_document(report), REPORT_SCRIPTS), path, report.title)
 
