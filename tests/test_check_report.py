@@ -18,10 +18,8 @@ from nsmodel import second_order_cone as cone
 from nsmodel.files.storage import dumps, loads
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, make_consequence, make_finding
 from nsmodel.hypotheses.report.formula import SymbolNames, formulas
-from nsmodel.hypotheses.report.markdown import markdown
 from nsmodel.hypotheses.report.notation import number_latex, symbol_latex
-from nsmodel.hypotheses.report.report import Report
-from nsmodel.hypotheses.report.table import report_data, report_text, witness_value_text
+from nsmodel.hypotheses.report.report import Report, markdown, report_data, report_text, witness_value_text
 from nsmodel.hypotheses.report.typeset import law_latex, model_equations, to_sympy
 
 X = ca.SX.sym("x", 3)

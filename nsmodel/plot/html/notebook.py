@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from nsmodel._utils import describe_shortly, join_within_width, truncate_text
-from nsmodel.hypotheses.report import table
+from nsmodel.hypotheses.report.report import (
+    Report,
+    decision_text,
+    name_value_pairs,
+    parameter_texts,
+    premises_text,
+    validity_text,
+    witness_texts,
+)
 from nsmodel.hypotheses.report.typeset import model_equations
 from nsmodel.modeling.description import model_facts
 from nsmodel.plot.html import elements
@@ -15,7 +23,6 @@ from nsmodel.simulation import summary
 
 if TYPE_CHECKING:
     from nsmodel.hypotheses.findings import Consequence, Finding
-    from nsmodel.hypotheses.report.report import Report
     from nsmodel.modeling.base import Model
     from nsmodel.simulation.trajectory import Trajectory
     from nsmodel.study.lines import Line
@@ -56,7 +63,7 @@ def report_html(report: Report) -> str:
         ("findings", elements.verdict_counts({word: len(report.having(word)) for word in VERDICTS}, {HOLDS: "proved"})),
         ("paper", report.paper),
         ("region", report.region),
-        ("parameters", ", ".join(table.parameter_texts(report))),
+        ("parameters", ", ".join(parameter_texts(report))),
         ("inputs", list(report.inputs)),
         ("notes", list(report.notes)),
     ]
@@ -79,9 +86,9 @@ def report_html(report: Report) -> str:
 
 
 def _finding_cells(finding: Finding) -> list[str]:
-    at = [f"at {text}" for text in table.witness_texts(finding)] if finding.verdict != "holds" else []
-    outside = [f"outside it fails at {', '.join(table.name_value_pairs(finding.outside))}"] if finding.outside else []
-    how = _foldable_text("; ".join([table.decision_text(finding), *at, *outside]), finding.source)
+    at = [f"at {text}" for text in witness_texts(finding)] if finding.verdict != "holds" else []
+    outside = [f"outside it fails at {', '.join(name_value_pairs(finding.outside))}"] if finding.outside else []
+    how = _foldable_text("; ".join([decision_text(finding), *at, *outside]), finding.source)
     return [
         finding.id,
         elements.status_badge(finding.verdict),
@@ -92,7 +99,7 @@ def _finding_cells(finding: Finding) -> list[str]:
 
 
 def _consequence_cells(one: Consequence, report: Report) -> list[str]:
-    grounds = "; ".join(part for part in (table.validity_text(one), table.premises_text(one, report)) if part)
+    grounds = "; ".join(part for part in (validity_text(one), premises_text(one, report)) if part)
     return [
         one.name,
         elements.status_badge(one.verdict),
@@ -103,7 +110,7 @@ def _consequence_cells(one: Consequence, report: Report) -> list[str]:
 
 
 def _value_cell(value: Mapping[str, float]) -> elements.Html:
-    return elements.join_html(table.name_value_pairs(value), "<br>")
+    return elements.join_html(name_value_pairs(value), "<br>")
 
 
 def _foldable_text(text: str, source: str) -> elements.Html:
