@@ -18,7 +18,7 @@ from nsmodel.solvers.contacts import Contacts
 
 @dataclass(frozen=True, repr=False, eq=False)
 class RunData:
-    """Holds arrays and metadata of a run, and finds them by the names of the model, as `Trajectory` tells."""
+    """Holds the arrays and the metadata of a run; attributes find them by the names of the model."""
 
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nsmodel._utils import display, escape_invisible, html_repr
 from nsmodel.errors import UsageError
 from nsmodel.event_driven import dense_output
@@ -32,6 +34,9 @@ class Trajectory(RunData):
     state under its name, each further array under its own (``run.energy``), and each multiplier that the model names
     (``run.friction``); AttributeError lists what there is.
     """
+
+    arrays: dict[str, np.ndarray]
+    metadata: dict[str, Any]
 
     _repr_html_ = html_repr("run_html")
 
