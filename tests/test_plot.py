@@ -1,8 +1,10 @@
 """Pictures of fabricated runs: their words, their lines, their files, and that nothing overlaps or is cut off."""
 
 import functools
+import re
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -14,10 +16,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+import nsmodel
 from nsmodel import LureSystem, plot, simulate
 from nsmodel.errors import PlotError
 from nsmodel.modeling import laws
-from nsmodel.plot import rounding, strips, style
+from nsmodel.plot import displays, rounding, strips, style
 from nsmodel.simulation.trajectory import Trajectory
 
 
@@ -706,3 +709,14 @@ def test_matplotlib_is_imported_late_and_pyplot_never():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
+
+
+def test_results_find_their_displays_and_import_no_picture():
+    """Also not inside functions: only the command line and what classes draw know `nsmodel.plot` beside itself."""
+    root, named = Path(nsmodel.__file__).parent, set()
+    for path in root.rglob("*.py"):
+        text, place = path.read_text(), path.relative_to(root).parts
+        named |= set(re.findall(r'\b(?:display|html_repr)\("(\w+)"', text))
+        if place[0] not in ("plot", "cli") and place[-1] != "plots.py":
+            assert not re.search(r"^\s*(?:from|import) nsmodel\.plot\b", text, re.MULTILINE), path
+    assert named == set(displays.__all__)
