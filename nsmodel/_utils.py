@@ -112,12 +112,17 @@ def import_extra(package: str) -> Any:
         raise MissingExtraError(f"{package} is not installed; pip install 'nsmodel[{package}]'") from error
 
 
+def display(name: str, *arguments: Any, **options: Any) -> Any:
+    """Return what a function of `nsmodel.plot.displays` makes of a result; results import no pictures otherwise."""
+    return getattr(import_module("nsmodel.plot.displays"), name)(*arguments, **options)
+
+
 def html_repr(name: str) -> Callable[[Any], str]:
-    """The ``_repr_html_`` of a class: the function ``html`` of a module of `nsmodel.rich`, imported at first use."""
+    """The ``_repr_html_`` of a class: the display of this name."""
 
     def _repr_html_(self: Any) -> str:
         """Return it as HTML, for notebooks."""
-        return import_module(f"nsmodel.rich.{name}").html(self)
+        return display(name, self)
 
     return _repr_html_
 

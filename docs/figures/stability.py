@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from page import put
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, MonotoneInclusion, SweepingProcess, Trajectory, relay, simulate
-from nsmodel.plot.stress import heat_map
+from nsmodel.plot.study import heat_map
 
 DOCS = Path(__file__).resolve().parents[1]
 IMAGES = DOCS / "images"

@@ -100,7 +100,7 @@ def _write_view(arguments: argparse.Namespace) -> int:
     path = _load_run(file).view(arguments.out or file.parent / "view.html")
     print(f"page  {path}")
     if arguments.open:
-        from nsmodel.view.page import open_in_browser
+        from nsmodel.plot.html.page import open_in_browser
 
         open_in_browser(path)
     return EXIT_DONE

@@ -26,7 +26,7 @@ from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
 from nsmodel.event_driven.problem import switch_times_of
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.columns import OutputColumns
+from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
 

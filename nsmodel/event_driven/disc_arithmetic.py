@@ -13,16 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsmodel.event_driven import recurrences as series
+from nsmodel.event_driven.mode_series import ModeSeries
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
 from nsmodel.event_driven.recurrences import TaylorRecurrences
-
-if TYPE_CHECKING:
-    from nsmodel.event_driven.system import ModeSystem
 
 EPS = 2.0**-52
 INF = math.inf
@@ -504,7 +502,7 @@ class DiscValues(NamedTuple):
 class EquationsOnDisc:
     """The equations of a system, on the sides of its branches that it stands on."""
 
-    def __init__(self, system: ModeSystem, *, rounded: bool = False) -> None:
+    def __init__(self, system: ModeSeries, *, rounded: bool = False) -> None:
         """``rounded``: see `DiscEvaluator`."""
         self._system = system
         self._parts = {

@@ -20,8 +20,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from types import CodeType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,9 +34,6 @@ from nsmodel.event_driven.multipliers import MatrixRows, MultiplierSolver, clear
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrence_code import NUMERIC_FUNCTIONS, PYTHON_DIALECT, SYMBOL_DIALECT, Dialect, TaylorExpansion
 from nsmodel.event_driven.recurrences import TaylorRecurrences
-
-if TYPE_CHECKING:
-    from nsmodel.event_driven.system import ModeSystem
 
 SeriesRows = Sequence[list[float]]
 RowTerms = Sequence[Sequence[tuple[int, float]]]  # (j, a_j) of each row.
@@ -95,7 +93,8 @@ class ModeSeries:
         D: np.ndarray | None, orders: int, language: Dialect = PYTHON_DIALECT, known: Mapping[str, Any] = NUMERIC_FUNCTIONS,
     ) -> None:  # fmt: skip
         """``B``, ``D``: where these are numbers, and g and h without them; ``language``, ``known``: see `expansion.compiled`."""
-        self.n, self.m, self.orders, self.D = problem.x.numel(), problem.l.numel(), orders, D
+        self.problem, self.jets, self.B, self.D = problem, recurrences, B, D
+        self.n, self.m, self.orders = problem.x.numel(), problem.l.numel(), orders
         width = orders + 1
         self.t: list[Any] = [0.0] * width
         rows: list[list[list[Any]]] = [[[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m)]
@@ -109,6 +108,11 @@ class ModeSeries:
         rates = [self.parts[name].outputs for name in ("f", "g") if name in self.parts]
         self._sum_y = compile_sums(self.y, [self.parts["h"].outputs], nonzero_terms(D, self.m), self.l, scaled=False)
         self._sum_rate = compile_sums(self.x, rates, nonzero_terms(B, self.n), self.push, scaled=True)
+
+    @cached_property
+    def branches(self) -> list[tuple[str, int]]:
+        """(part, its branch) of every switch in f, g and h."""
+        return [(name, i) for name, recurrences in self.jets.items() for i in range(len(recurrences.branches))]
 
     def begin(self, how: MultiplierSolver, codes: list[int]) -> tuple[list[float], list[float]]:
         """Order 0 of l, once that of y is there, and order 1 of x: exact where y is linear in l, else a step of Newton's method.
@@ -359,9 +363,10 @@ SolverKind = tuple[bool, bool, bool]  # Whether multipliers are found through y,
 class UnrolledOrders:
     """The orders of a system without blocks of stick and slip; ``run`` puts all of them to its rows."""
 
-    def __init__(self, system: ModeSystem) -> None:
+    def __init__(self, system: ModeSeries, *, linear: bool) -> None:
+        """``linear``: whether f, g and h are linear in l."""
         p = system.problem
-        self._system, self._kept = system, _code_cache(p)
+        self._system, self._linear, self._kept = system, linear, _code_cache(p)
         B, D, C = (_sparsity_pattern(matrix) for matrix in p.slopes)
         self._direct, self._through = _coupled_entries(D), _coupled_entries(D | (C.astype(int) @ B.astype(int) > 0))
         self._made: dict[SolverKind, Callable[..., None] | None] = {}
@@ -426,7 +431,7 @@ class UnrolledOrders:
         direct = _fill_matrix(self._direct, own.m, numbers) if kind[0] else None
         through = _fill_matrix(self._through, own.m, numbers) if kind[1] else None
         how, codes = MultiplierSolver(tuple(range(own.m)), direct, through, None, kind[2]), [0] * own.m
-        own.start(how, codes, linear=system.linear_in_l)
+        own.start(how, codes, linear=self._linear)
         own.compute_orders(how, codes, 0, own.orders)
         found = _named_rows(own)
         names = [*found, *(f"{name}_choice" for name in own.parts)]

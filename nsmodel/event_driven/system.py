@@ -89,17 +89,17 @@ class ModeSystem(ModeSeries):
     """A problem with its numbers; ``rtol``: see `sliding.Block.stop_threshold`."""
 
     def __init__(self, problem: ContinuousProblem, orders: int, rtol: float = 0.0) -> None:
-        self.problem, self.rtol = problem, rtol
+        self.rtol = rtol
         p, inputs = problem, [problem.t, problem.x, problem.l]
         B, D, C = p.slopes
         self.linear_in_l, self.coupled = not ca.depends_on(ca.veccat(B, D), p.l), p.coupled
-        self.B, of_l, self.C = (constant_matrix(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
-        self.constant = None if self.B is None or of_l is None or self.C is None else (self.B, of_l, self.C)
+        constant_B, of_l, self.C = (constant_matrix(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
+        self.constant = None if constant_B is None or of_l is None or self.C is None else (constant_B, of_l, self.C)
         h = p.h if of_l is None else ca.substitute(p.h, p.l, ca.SX.zeros(p.l.shape)) if p.l.numel() else p.h
-        self.jets = {"f": taylor_decompose(p.f, inputs, "f"), "h": taylor_decompose(h, inputs, "h")}
-        self.jets |= {"g": taylor_decompose(p.g, inputs, "g")} if self.B is None else {}
-        self.jets |= {"blocks": taylor_decompose(p.updates, inputs, "the update of a block")} if p.updated else {}
-        super().__init__(problem, self.jets, self.B, of_l, orders)
+        jets = {"f": taylor_decompose(p.f, inputs, "f"), "h": taylor_decompose(h, inputs, "h")}
+        jets |= {"g": taylor_decompose(p.g, inputs, "g")} if constant_B is None else {}
+        jets |= {"blocks": taylor_decompose(p.updates, inputs, "the update of a block")} if p.updated else {}
+        super().__init__(problem, jets, constant_B, of_l, orders)
         self.lower, self.upper = (
             [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
         )
@@ -119,7 +119,7 @@ class ModeSystem(ModeSeries):
         }
         self._slip_onset: SlipOnset | None = None
         self._has_all_orders = False  # Whether all orders stand, whatever was asked for.
-        self._unrolled = None if self.blocks.all or self.updates else UnrolledOrders(self)
+        self._unrolled = None if self.blocks.all or self.updates else UnrolledOrders(self, linear=self.linear_in_l)
 
     @cached_property
     def middle(self) -> list[float]:
@@ -133,11 +133,6 @@ class ModeSystem(ModeSeries):
     def rounded(self) -> EquationsOnDisc:
         """F, g, h and branches with balls, which grow by the rounding of each operation."""
         return EquationsOnDisc(self, rounded=True)
-
-    @cached_property
-    def branches(self) -> list[tuple[str, int]]:
-        """(part, its branch) of every switch in f, g and h."""
-        return [(name, i) for name, recurrences in self.jets.items() for i in range(len(recurrences.branches))]
 
     @cached_property
     def plain(self) -> dict[tuple[str, int], bool]:

@@ -151,7 +151,7 @@ class Model(Picklable):
 
     __signature__ = OwnArgumentsFirst()
     __repr__ = describe_model
-    _repr_html_ = html_repr("model")
+    _repr_html_ = html_repr("model_html")
 
     def __post_init__(self) -> None:
         """Check and convert what was given."""

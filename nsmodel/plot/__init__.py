@@ -10,17 +10,14 @@ from typing import TYPE_CHECKING
 from nsmodel._utils import lazy_attributes as _later
 
 if TYPE_CHECKING:
-    from nsmodel.plot.chain import space_time
-    from nsmodel.plot.figures import overview, save, save_all
+    from nsmodel.plot.class_pictures import configuration
+    from nsmodel.plot.figures import overview, save, save_all, window
     from nsmodel.plot.film import animate
-    from nsmodel.plot.plane import configuration, phase
-    from nsmodel.plot.stress import stress
-    from nsmodel.plot.strip import index_map, index_strip
-    from nsmodel.plot.study import work_precision
-    from nsmodel.plot.sweep import sweep_histogram, sweep_line, sweep_overview
-    from nsmodel.plot.sweep_map import sweep_map
+    from nsmodel.plot.plane import phase
+    from nsmodel.plot.strips import index_map, index_strip, space_time
+    from nsmodel.plot.study import stress, work_precision
+    from nsmodel.plot.sweep import sweep_histogram, sweep_line, sweep_map, sweep_overview
     from nsmodel.plot.time import energy, inputs, multipliers, outputs, residual, states
-    from nsmodel.plot.window import window
 
 __all__ = [
     "animate",
@@ -50,16 +47,13 @@ __all__ = [
 _later(
     __name__,
     {
+        "nsmodel.plot.figures": ["overview", "save", "save_all", "window"],
         "nsmodel.plot.film": ["animate"],
-        "nsmodel.plot.chain": ["space_time"],
-        "nsmodel.plot.figures": ["overview", "save", "save_all"],
-        "nsmodel.plot.plane": ["configuration", "phase"],
-        "nsmodel.plot.stress": ["stress"],
-        "nsmodel.plot.strip": ["index_map", "index_strip"],
-        "nsmodel.plot.study": ["work_precision"],
-        "nsmodel.plot.sweep": ["sweep_histogram", "sweep_line", "sweep_overview"],
-        "nsmodel.plot.sweep_map": ["sweep_map"],
+        "nsmodel.plot.class_pictures": ["configuration"],
+        "nsmodel.plot.plane": ["phase"],
+        "nsmodel.plot.strips": ["index_map", "index_strip", "space_time"],
+        "nsmodel.plot.study": ["stress", "work_precision"],
+        "nsmodel.plot.sweep": ["sweep_histogram", "sweep_line", "sweep_map", "sweep_overview"],
         "nsmodel.plot.time": ["energy", "inputs", "multipliers", "outputs", "residual", "states"],
-        "nsmodel.plot.window": ["window"],
     },
 )

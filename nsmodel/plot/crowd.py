@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nsmodel.errors import PlotError
-from nsmodel.models.crowd.measure import Flow, Maps, evacuation_times, positions, present
+from nsmodel.models.crowd.measure import Flow, Maps, evacuation_times, maps, positions, present
 from nsmodel.plot import style
 
 if TYPE_CHECKING:
@@ -294,3 +295,20 @@ def _pressure_unit(run: Trajectory) -> str:
     """Reactions m/h have the unit of a velocity."""
     length, time = style.quantity_unit(run, "q") or "m", style.quantity_unit(run, "t")
     return style.quantity_unit(run, "pressure") or (f"{length}/{time}" if time else "")
+
+
+def panels(run: Trajectory, model: Any) -> dict[str, tuple[float, Callable[..., Axes]]]:
+    """What a run in the plane can give, instead of what all runs do; maps where it knows a room with exits."""
+    if "radii" not in (run.metadata.get("scene") or {}):
+        return {}
+    found: dict[str, tuple[float, Callable[..., Axes]]] = {
+        "frame": (3.6, partial(frame, run)),
+        "evacuation": (1.8, partial(evacuation, run)),
+        "paths": (3.6, partial(paths, run)),
+    }
+    if len(run.metadata["scene"].get("exits", ())):
+        measured = maps(run)
+        for draw in (density, pressure, velocity):
+            found[draw.__name__] = (2.2, partial(draw, measured, run))
+    found["pressures"] = (1.4, partial(pressures, run))
+    return found

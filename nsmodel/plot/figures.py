@@ -1,23 +1,27 @@
-"""Whole figures: the overview, and the files of a run."""
+"""Whole figures: the overview, and the files of a run; a run over a window of time for them."""
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.errors import PlotError
+from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.files.storage import replace_atomically
-from nsmodel.modeling.columns import model_type, output_names
 from nsmodel.plot import crowd, style
-from nsmodel.plot.chain import draw_chain, find_chains, state_chains
-from nsmodel.plot.plane import class_plots, phase
-from nsmodel.plot.strip import MAX_ROWS, index_map, index_strip
+from nsmodel.plot.class_pictures import pictures_of
+from nsmodel.plot.plane import phase
+from nsmodel.plot.strips import MAX_ROWS, draw_chain, find_chains, index_map, index_strip, state_chains
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
-from nsmodel.plot.window import Window, window
+from nsmodel.simulation import windows
+from nsmodel.simulation.run_data import model_type, output_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +30,56 @@ if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
 
     FigurePanel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
+
+Window = tuple[float | None, float | None]
+WINDOW_POINTS = 2000  # Rows of an event-driven run, which are read off its polynomials.
+
+
+def window(run: Trajectory, t: Window | None) -> Trajectory:
+    """Return what pictures show of a run from t[0] to t[1]: its rows there; of an event-driven run, whose pieces may be long,
+    about 2000 rows read off its polynomials.
+
+    Args:
+        run: the run.
+        t: both ends; None for an end of the run. None: the whole run, as it is.
+
+    Raises:
+        PlotError: what is no pair of numbers; fewer than two rows between them.
+        UsageError: a window outside the run, or one that ends before it begins.
+    """
+    if t is None:
+        return run
+    begin, end = windows.check_window(run, *_window_ends(t))
+    kept = replace(run, metadata=run.metadata | {"window": [begin, end]})
+    if "piece_x" in run.arrays and len(run.arrays["piece_start"]):
+        return kept.smooth(WINDOW_POINTS, begin, end)
+    first, stop = int(np.searchsorted(run.t, begin, "left")), int(np.searchsorted(run.t, end, "right"))
+    if stop - first < 2:
+        rows = f"the rows next to it are at t = {', '.join(f'{time:.6g}' for time in run.t[max(first - 1, 0) : stop + 1])}"
+        raise PlotError(f"window t = {begin:.6g} to {end:.6g} holds {stop - first} rows, and a picture needs 2: {rows}")
+    return replace(kept, arrays=_cut_arrays(run, first, stop))
+
+
+def _window_ends(t: Any) -> Window:
+    """Both ends as numbers or None."""
+    try:
+        begin, end = (None if one is None else float(one) for one in t)
+    except (TypeError, ValueError):
+        raise PlotError(f"t = {t!r}; expected a window (t0, t1), two numbers, or None for an end of the run") from None
+    if any(one is not None and math.isnan(one) for one in (begin, end)):
+        raise PlotError(f"t = {t!r}: nan is no time; give None for an end of the run")
+    return begin, end
+
+
+def _cut_arrays(run: Trajectory, first: int, stop: int) -> dict[str, np.ndarray]:
+    """The arrays of these rows; lists (see archive.LIST) of what belongs to them."""
+    arrays = {name: array[first:stop] for name, array in run.arrays.items() if not name.startswith(LIST_PREFIXES)}
+    if "contact_row" in run.arrays:
+        part = slice(*np.searchsorted(run.arrays["contact_row"], [first, stop]))
+        arrays |= {name: array[part] for name, array in run.arrays.items() if name.startswith("contact_")}
+        arrays["contact_row"] = arrays["contact_row"] - first
+    return arrays
+
 
 TIME_PANELS = ("states", "outputs", "inputs", "index_strip", "multipliers", "reactions", "pressures")
 CROWD_PANELS = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
@@ -137,7 +191,7 @@ def save(figure: Figure, path: Path, dpi: int = 100) -> None:
 
 def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, FigurePanel]:
     """What the run can give, with at most so many lines and rows of the index set."""
-    plots = class_plots(run)
+    plots = pictures_of(run)
     own = {} if plots is None else plots.panels(run, model)
     if "frame" in own:
         return own

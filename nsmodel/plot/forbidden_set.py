@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.errors import PlotError
 from nsmodel.event_driven import dense_output
 from nsmodel.plot import plane, style
-from nsmodel.plot.scene import draw_discs
+from nsmodel.plot.plane import draw_discs
 from nsmodel.simulation.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 def panels(run: Trajectory, model: Any) -> dict[str, tuple[float, Callable[..., Axes]]]:
     """What its sheets have beside those of all runs: height, and what draws it."""
     known = run.metadata.get("scene") or (model is not None and run.x.shape[1] <= 2)
-    return {"configuration": (3.6, partial(plane.configuration, run, model))} if known else {}
+    return {"configuration": (3.6, partial(configuration, run, model))} if known else {}
 
 
-def configuration(run: Trajectory, model: Any, row: int, ax: Axes | None) -> Axes:
+def configuration(run: Trajectory, model: Any, row: int = -1, ax: Axes | None = None) -> Axes:
     """Draw the scene, or the forbidden set of one or two states."""
     n, rows, scene = run.x.shape[1], len(run.t), run.metadata.get("scene")
     if not -rows <= row < rows:

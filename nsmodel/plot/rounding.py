@@ -5,27 +5,81 @@ its expression. With the model at hand a state is compared with what its rate er
 walk, h sqrt(N) |err(f + g)|, and a multiplier with what the rows that it enters err by: it is 0 where all it moves is below.
 Both hold in any units. Without the model a state or multiplier is compared with the largest of the run, and called rounding only
 if it is also as restless as rounding is: a small charge beside volts that moves smoothly is shown.
+
+What the model in continuous time says of the rows of a run, where the model is at hand: its x, l and energy there.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.modeling.columns import ColumnNames, evaluate_quantity, multiplier_names, read_quantity
+from nsmodel.errors import NsmodelError
+from nsmodel.modeling.output_columns import evaluate_quantity
 from nsmodel.modeling.outputs import Quantity
 from nsmodel.plot import style
-from nsmodel.plot.continuous import continuous_problem_of_run, continuous_states
 from nsmodel.proof.expression_graph import stack_column
+from nsmodel.simulation.columns import column_names, read_quantity
+from nsmodel.simulation.run_data import multiplier_names, state_names
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF, rounding_error_bound
 
 if TYPE_CHECKING:
     from nsmodel.event_driven.problem import ContinuousProblem
     from nsmodel.modeling.base import Model
     from nsmodel.simulation.trajectory import Trajectory
+
+ENERGY_ON_LINES = "on lines between the ends of pieces"  # Of an energy between them, where the model is not at hand.
+
+
+def continuous_problem_of_run(run: Trajectory, model: Model | None) -> ContinuousProblem | None:
+    """The model of a run in continuous time; None where it has no such form, or there is no model."""
+    from nsmodel.modeling.base import Model
+    from nsmodel.simulation.event_driven import event_driven_problem
+
+    if not isinstance(model, Model):
+        return None
+    with contextlib.suppress(NsmodelError):
+        used = run.metadata.get("parameters", {})
+        found = event_driven_problem(model.bind({name: used[name] for name in model.parameters if name in used}))
+        rows = ca.Function("rows", [found.t, found.x, found.l], [found.rate, found.h], {"allow_free": True})
+        return None if rows.get_free() else found
+    return None
+
+
+def continuous_states(run: Trajectory, problem: ContinuousProblem) -> np.ndarray | None:
+    """The problem's x at all rows (N+1, n), NaN as 0: states, velocities, inputs; None where the run has others."""
+    n = problem.states
+    parts = [run.x, *([style.array_columns(run, "v")] if problem.x.numel() - problem.held > n else [])]
+    parts += [style.array_columns(run, "inputs")] if problem.held else []
+    if len(state_names(run)) != n or sum(part.shape[1] for part in parts) != problem.x.numel():
+        return None
+    return np.nan_to_num(np.hstack(parts))
+
+
+def smooth_with_energy(run: Trajectory, model: Model | None, points: int = 2000) -> tuple[Trajectory, bool]:
+    """The run read off its polynomials, see `Trajectory.smooth`; whether its energy is on lines, for want of the ``model``."""
+    run = run.smooth(points)
+    if not run.is_event_driven or "energy" not in run.arrays:
+        return run, False
+    values = _energy(run, model)
+    return (run, True) if values is None else (replace(run, arrays=run.arrays | {"energy": values}), False)
+
+
+def _energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
+    """The energy at all rows (N+1,), from the states there; None where it is not known."""
+    problem = continuous_problem_of_run(run, model)
+    if problem is None or "energy" not in problem.records or (x := continuous_states(run, problem)) is None:
+        return None
+    function = ca.Function("energy", [problem.t, problem.x], [problem.records["energy"]], {"allow_free": True})
+    if function.get_free():
+        return None
+    return np.array(function.map(len(run.t))(run.t[None], x.T)).ravel()
+
 
 ROUNDING_FACTOR = 64  # Times UNIT: rounding, and what a run makes of it.
 SAMPLED_ROWS = 200  # Rows at which rows are evaluated.
@@ -64,7 +118,7 @@ def output_is_rounding(run: Trajectory, name: str, found: np.ndarray) -> np.ndar
     rows = style.evenly_spread(len(run.t), SAMPLED_ROWS)
     arrays = {key: array[rows] for key, array in run.arrays.items() if len(array) == len(run.t)}
     size = style.largest_magnitudes(found)
-    floor = style.largest_magnitudes(evaluate_quantity(bound, ColumnNames.from_run(run), arrays, label).reshape(len(rows), -1))
+    floor = style.largest_magnitudes(evaluate_quantity(bound, column_names(run), arrays, label).reshape(len(rows), -1))
     return (size > 0) & (size <= ROUNDING_FACTOR * UNIT_ROUND_OFF * floor)
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.errors import PlotError
-from nsmodel.modeling.columns import units_of
 from nsmodel.proof.verdict import not_none
+from nsmodel.simulation.run_data import units_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -132,7 +132,7 @@ def thin(*columns: np.ndarray, limit: int = MAX_POINTS) -> np.ndarray:
 
 def blank(width: float, height: float) -> Figure:
     """Return an empty figure that arranges its axes itself."""
-    from nsmodel.plot.shown import NotebookFigure
+    from nsmodel.plot.notebook_figures import NotebookFigure
 
     figure = NotebookFigure(figsize=(width, height))
     figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
@@ -141,7 +141,7 @@ def blank(width: float, height: float) -> Figure:
 
 def get_axes(ax: Axes | None, width: float = 8.0, height: float = 4.5) -> Axes:
     """Return the axes given, or those of a new figure, which show it in a notebook."""
-    from nsmodel.plot.shown import NotebookAxes
+    from nsmodel.plot.notebook_figures import NotebookAxes
 
     return blank(width, height).add_subplot(axes_class=NotebookAxes) if ax is None else ax
 

@@ -38,8 +38,8 @@ from nsmodel.event_driven.radau import stage_count
 from nsmodel.event_driven.stable_exponentials import without_overflow
 from nsmodel.event_driven.step_size import MULTIPLIERS, taylor_order
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.columns import OutputColumns
 from nsmodel.modeling.fingerprint import BACKEND_SETTING, INTERPRETED_BACKEND, content_digest, run_settings
+from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.signals.pwm import HeldSignal
 from nsmodel.modeling.time_grid import TimeGrid, check_times, input_schedule
 from nsmodel.modeling.variants import with_initial_inputs

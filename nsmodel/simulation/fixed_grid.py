@@ -18,8 +18,8 @@ from nsmodel.errors import CodegenError, StepError, UsageError
 from nsmodel.files import cache_folder
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import model_ticks
-from nsmodel.modeling.columns import OutputColumns
 from nsmodel.modeling.fingerprint import ALL_VALUES_SUFFIX, INTERPRETED_BACKEND, run_settings
+from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.parts import Part
 from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.simulation import step_inputs

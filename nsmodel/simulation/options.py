@@ -388,15 +388,15 @@ def takes_options(keywords: Any, before: str | None = None) -> Callable[[F], F]:
                     raise TypeError(f"{function.__name__}() got an unexpected keyword argument {name!r}")
             return function(*positional, **given)
 
-        shown: Any = checked
-        shown.__signature__ = signature
-        shown.__annotations__ = {
+        documented: Any = checked
+        documented.__signature__ = signature
+        documented.__annotations__ = {
             **{one.name: one.annotation for one in parameters},
             **{one.name: types[one.name] for one in taken},
             "return": own.return_annotation,
         }
-        shown.__doc__ = function.__doc__ and _completed_docstring(function.__doc__, taken)
-        return shown
+        documented.__doc__ = function.__doc__ and _completed_docstring(function.__doc__, taken)
+        return documented
 
     return decorate
 

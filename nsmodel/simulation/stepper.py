@@ -14,8 +14,8 @@ import numpy as np
 from nsmodel._utils import describe_shortly, format_number
 from nsmodel.errors import CodegenError, StepError, UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.columns import OutputColumns
 from nsmodel.modeling.inputs import signals_by_name
+from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import SAME_STEP_TOLERANCE, TimeGrid, format_value, is_number
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.simulation.fixed_grid import make_stepper

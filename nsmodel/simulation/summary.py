@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from nsmodel.modeling.columns import model_type, multiplier_names, state_names, units_of
-
-if TYPE_CHECKING:
-    from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.simulation.run_data import RunData, model_type, multiplier_names, state_names, units_of
 
 _SUMMARY_TABLE_WIDTH = 100
 _LABEL_WIDTH = 18  # The column of labels.
@@ -26,7 +23,7 @@ ERROR_CONTROL_KEYS = ("rtol", "accepted", "rejected", "extrapolated", "at_least_
 EVENT_DRIVEN_KEYS = ("rtol", "order", "pieces", "collocated", "events", "worst_estimate", "worst_estimate_t")
 
 
-def run_summary(run: Trajectory) -> dict[str, Any]:
+def run_summary(run: RunData) -> dict[str, Any]:
     """The numbers of a run; those of all steps come from metadata["totals"] where it is, since rows may be a sample."""
     arrays, about, units = run.arrays, run.metadata, units_of(run)
     totals = about.get("totals") or {}
@@ -67,7 +64,7 @@ def run_summary(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def _worst_residual(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+def _worst_residual(run: RunData, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
     """The largest residual, its time and saved row; None where no step was computed."""
     if not computed.size or "residual" not in run.arrays:
         return None
@@ -81,7 +78,7 @@ def _worst_residual(run: Trajectory, totals: dict[str, Any], computed: np.ndarra
     return {"worst": float(residual.max()), "t": float(run.t[row]), "row": row}
 
 
-def _index_set_changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> int | None:
+def _index_set_changes(run: RunData, totals: dict[str, Any], computed: np.ndarray) -> int | None:
     codes = run.arrays.get("index_set", np.zeros((0, 0)))
     if "contact_row" in run.arrays:
         return totals.get("index_set_changes")
@@ -91,7 +88,7 @@ def _index_set_changes(run: Trajectory, totals: dict[str, Any], computed: np.nda
     return totals.get("index_set_changes", int((codes[1:] != codes[:-1]).any(axis=1).sum()))
 
 
-def _newton_iterations(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+def _newton_iterations(run: RunData, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
     if "newton" not in run.arrays or not computed.size:
         return None
     counts = sum((run.metadata.get("solver_counts") or {}).values())
@@ -101,7 +98,7 @@ def _newton_iterations(run: Trajectory, totals: dict[str, Any], computed: np.nda
     return {"mean": float(newton.mean()), "max": int(newton.max())}
 
 
-def _smallest_gap(run: Trajectory) -> dict[str, Any]:
+def _smallest_gap(run: RunData) -> dict[str, Any]:
     """The smallest gap of the saved rows, the constraint and the time, where the class has gaps."""
     gap = run.arrays.get("gap", run.arrays.get("y", np.zeros((0, 0))))
     if not model_type(run).gaps or not np.isfinite(gap).any():
@@ -112,7 +109,7 @@ def _smallest_gap(run: Trajectory) -> dict[str, Any]:
     return {"gap_min": float(gap[row, column]), "gap_min_name": name, "gap_min_t": float(run.t[row])}
 
 
-def _bodies_summary(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
+def _bodies_summary(run: RunData, totals: dict[str, Any]) -> dict[str, Any] | None:
     """Many bodies in short: who is there, what touches at the end, the least gap and the largest pressure of all steps."""
     if "contact_row" not in run.arrays or "bodies" not in run.metadata:
         return None

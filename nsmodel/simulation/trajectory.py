@@ -9,20 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import escape_invisible, html_repr
-from nsmodel.errors import StorageError, UsageError
+from nsmodel._utils import display, escape_invisible, html_repr
+from nsmodel.errors import UsageError
 from nsmodel.event_driven import dense_output
-from nsmodel.files.archive import LIST_PREFIXES, read_archive, write_npz
+from nsmodel.files.archive import read_archive, write_npz
 from nsmodel.files.metadata import RUN_FIELDS, check_field_types
 from nsmodel.files.storage import write_csv
-from nsmodel.modeling import columns
-from nsmodel.modeling.columns import expression_at_rows, resampled_outputs
-from nsmodel.simulation import summary, windows
-from nsmodel.solvers.contacts import Contacts
+from nsmodel.simulation import columns, summary, windows
+from nsmodel.simulation.run_data import RunData, check_run_arrays
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Trajectory:
+class Trajectory(RunData):
     """A run of N steps; row 0 of every array is the start, where multipliers, outputs and residual are NaN.
 
     ``arrays`` is {name: array of N+1 rows}, among them t (N+1,) and x (N+1, n); ``metadata`` holds title, model class,
@@ -40,98 +38,7 @@ class Trajectory:
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]
 
-    _repr_html_ = html_repr("run")
-
-    @property
-    def t(self) -> np.ndarray:
-        """Times (N+1,)."""
-        return self._get_array("t")
-
-    @property
-    def x(self) -> np.ndarray:
-        """States (N+1, n)."""
-        return self._get_array("x")
-
-    @property
-    def multipliers(self) -> np.ndarray:
-        """Multipliers l (N+1, m)."""
-        return self._get_array("multipliers")
-
-    @property
-    def y(self) -> np.ndarray:
-        """Outputs y of the law (N+1, m)."""
-        return self._get_array("y")
-
-    @property
-    def index_set(self) -> np.ndarray:
-        """Codes (N+1, m') int8: 0 where y_i = 0, -1 and +1 where l_i is at its lower and upper end, -2 at the start."""
-        return self._get_array("index_set")
-
-    @property
-    def residual(self) -> np.ndarray:
-        """Residual of each step without unit (N+1,); inf where it is unknown."""
-        return self._get_array("residual")
-
-    @property
-    def step(self) -> np.ndarray:
-        """Length of the step that ended at each row (N+1,)."""
-        return self._get_array("step")
-
-    @property
-    def inputs(self) -> np.ndarray:
-        """Inputs (N+1, nu) at the end of the step that ends at each row, u(t-); at the start u(0+).
-
-        ``inputs_begin`` are those at its begin, just after the row before. Each is also found under its own name.
-        """
-        return self._get_array("inputs")
-
-    @property
-    def newton(self) -> np.ndarray:
-        """Newton iterations of each step (N+1,): 0 where its equations are affine, NaN at the start."""
-        return self.arrays["newton"] if "newton" in self.arrays else np.where(np.isfinite(self.step), 0.0, np.nan)
-
-    @property
-    def active(self) -> np.ndarray:
-        """True where y_i = 0: contact, stick, sliding (N+1, m')."""
-        return self.index_set == 0
-
-    @property
-    def is_event_driven(self) -> bool:
-        """Whether the rows are read off the polynomials of pieces."""
-        return "piece_start" in self.arrays
-
-    @property
-    def status(self) -> str:
-        """How the run ended."""
-        return self.metadata.get("status", "unknown")
-
-    @property
-    def title(self) -> str:
-        """The model's title."""
-        return self.metadata.get("title") or "untitled"
-
-    def multiplier(self, name: str) -> np.ndarray:
-        """Return the multiplier called ``name`` (N+1,), or all k called ``name[...]`` (N+1, k); else UsageError."""
-        names = columns.multiplier_names(self)
-        if name in names:
-            return self.multipliers[:, names.index(name)]
-        entries = [i for i, full in enumerate(names) if full.startswith(f"{name}[")]
-        if not entries:
-            raise UsageError(f"no multiplier is called '{name}'; this run has {', '.join(names) or 'none'}")
-        return self.multipliers[:, entries]
-
-    def contacts(self, row: int) -> Contacts:
-        """Return the contacts that acted in the step that ended at a row, sorted by family and members.
-
-        ``family`` counts in ``metadata["families"]``. UsageError for another model's run, or a row that is not there.
-        """
-        if "contact_row" not in self.arrays:
-            raise UsageError("this run has no contacts: they belong to a model of many bodies (ManyBodies)")
-        if not -len(self.t) <= row < len(self.t):
-            raise UsageError(f"row {row}: the run has the rows 0 to {len(self.t) - 1}")
-        row = range(len(self.t))[row]
-        at = slice(*np.searchsorted(self.arrays["contact_row"], [row, row + 1]))
-        return Contacts(*(self.arrays[f"contact_{name}"][at] for name in Contacts._fields))
+    _repr_html_ = html_repr("run_html")
 
     def at(self, t: Any) -> dense_output.At:
         """Return the run at times t, a number or (k,) of them: states, velocities, multipliers and outputs, (k, ...) each.
@@ -168,7 +75,7 @@ class Trajectory:
         Raises:
             UsageError: a symbol that the run does not have, a name that it has already, a matrix.
         """
-        return expression_at_rows(self, given, units)
+        return columns.expression_at_rows(self, given, units)
 
     def integral(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
         """Return the integral of a quantity from t0 to t1, a number or (k,); left out they are the ends of the run.
@@ -213,7 +120,7 @@ class Trajectory:
         if "piece_x" not in self.arrays or not len(self.arrays["piece_start"]):
             return self
         drawn = replace(self, arrays=dense_output.sample_pieces(self.arrays, points, *windows.check_window(self, t0, t1)))
-        return replace(drawn, arrays=drawn.arrays | resampled_outputs(drawn, self.arrays))
+        return replace(drawn, arrays=drawn.arrays | columns.resampled_outputs(drawn, self.arrays))
 
     @property
     def events(self) -> tuple[dense_output.Event, ...]:
@@ -238,7 +145,7 @@ class Trajectory:
         """
         archive, arrays = read_archive(path)
         check_field_types(archive.metadata, RUN_FIELDS, path)
-        _check_run_arrays(arrays, archive.metadata, path)
+        check_run_arrays(arrays, archive.metadata, path)
         archive.warn_unverified(stacklevel=2)
         return cls(arrays, archive.metadata)
 
@@ -263,9 +170,7 @@ class Trajectory:
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
-        from nsmodel.plot.figures import overview
-
-        return overview(self, **options)
+        return display("plot_trajectory", self, **options)
 
     def view(self, path: str | Path | None = None, model: Any = None) -> Path:
         """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
@@ -282,9 +187,7 @@ class Trajectory:
             StorageError: the file cannot be written.
             PlotError: the model is not that of the run, or has parameters without a value.
         """
-        from nsmodel.view.run import view_run
-
-        return view_run(self, path, model)
+        return display("view_trajectory", self, path, model)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
@@ -295,102 +198,7 @@ class Trajectory:
         found = summary.run_summary(self)
         return escape_invisible(summary.summary_text(found if messages else found | {"warnings": [], "message": ""}))
 
-    def _get_array(self, name: str) -> np.ndarray:
-        if name not in self.arrays:
-            raise AttributeError(f"this run has no '{name}'; it has {', '.join(self._attribute_names())}")
-        return self.arrays[name]
-
-    def _attribute_names(self) -> list[str]:
-        stems, names = self.metadata.get("stems", ()), self.metadata.get("state_names", ())
-        known = columns.multiplier_names(self) if "multipliers" in self.arrays else ()
-        multipliers = [name.partition("[")[0] for i, name in enumerate(known) if name != f"l_{i}"]
-        return list(dict.fromkeys([*stems, *names, *self.metadata.get("input_groups", ()), *self.arrays, *multipliers]))
-
-    def __getattr__(self, name: str) -> np.ndarray:
-        """Find a state by its symbol or name, an array by its own, or a multiplier."""
-        # copy and pickle ask an empty instance for dunder names before it has arrays.
-        if name.startswith("__") or name in ("arrays", "metadata"):
-            raise AttributeError(name)
-        stems, names = self.metadata.get("stems", {}), self.metadata.get("state_names", ())
-        if name in stems:
-            at = stems[name]
-            return self.x[:, at[0]] if len(at) == 1 else self.x[:, at]
-        if name in names:
-            return self.x[:, list(names).index(name)]
-        if name in (groups := self.metadata.get("input_groups", {})):
-            at = [list(columns.input_names(self)).index(one) for one in groups[name]]
-            return self.inputs[:, at[0]] if len(at) == 1 else self.inputs[:, at]
-        if name not in self.arrays and name in self._attribute_names():
-            return self.multiplier(name)
-        return self._get_array(name)
-
-    def __dir__(self) -> list[str]:
-        """List the states and arrays among the attributes."""
-        return sorted({*super().__dir__(), *self._attribute_names()})
-
-    def __len__(self) -> int:
-        """Return the number of steps."""
-        return len(self.t) - 1
-
     def __repr__(self) -> str:
         """Return one line: title, class, steps, times, status."""
         kind, span = self.metadata.get("model_class", "model"), f"t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
         return f"Trajectory({self.title!r}, {kind}, {len(self)} steps, {span}, {self.status})"
-
-
-# What the arrays of a run must be: {name: (kinds of number, axes)}.
-_ARRAY_TYPES = {
-    **dict.fromkeys(("t",), ("if", 1)),
-    **dict.fromkeys(("x",), ("if", 2)),
-    **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("if", 1)),
-    **dict.fromkeys("multipliers y v gap reactions selection defect inputs inputs_begin pressure".split(), ("f", 2)),
-    **dict.fromkeys("piece_start piece_unit piece_event_width contact_reaction".split(), ("f", 1)),
-    **dict.fromkeys("piece_impulse piece_jump piece_defect".split(), ("f", 2)),
-    **dict.fromkeys("piece_x piece_multipliers piece_y".split(), ("f", 3)),
-    **dict.fromkeys("contact_row contact_family contact_first contact_second".split(), ("i", 1)),
-    **dict.fromkeys("index_set piece_codes".split(), ("i", 2)),
-    **dict.fromkeys("piece_event piece_stepped piece_proved stepped".split(), ("b", 1)),
-}
-_KIND_NAMES = {"if": "numbers", "bif": "numbers", "f": "floating-point numbers", "i": "whole numbers", "b": "booleans"}
-_REQUIRED_TOGETHER = {  # And which go with lists of each kind, see LIST.
-    "piece_": "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_impulse".split(),
-    "contact_": ["contact_row", "pressure", "gap_min", *(f"contact_{name}" for name in Contacts._fields)],
-}
-
-
-def _check_run_arrays(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: str | Path) -> None:
-    """Raise StorageError for arrays that are not those of one run, of one number of rows."""
-    needed = ["t", "x"]
-    for kind, names in _REQUIRED_TOGETHER.items():
-        needed += names if any(name.startswith(kind) for name in arrays) else []
-    for name in needed:
-        if name not in arrays:
-            raise StorageError(f"{path} holds no array '{name}': it is no trajectory; give a run's own npz file")
-    t = arrays["t"]
-    if t.ndim != 1 or not len(t) or t.dtype.kind == "b" or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise StorageError(f"{path}: array 't' is no list of finite times, one after the other: it is no trajectory")
-    lengths = {"": len(t)}
-    for name, array in arrays.items():
-        kind = next((start for start in LIST_PREFIXES if name.startswith(start)), "")
-        length, (kinds, axes) = len(array) if array.ndim else -1, _ARRAY_TYPES.get(name, ("bif", max(array.ndim, 1)))
-        expected = lengths.setdefault(kind, length)
-        if array.dtype.kind not in kinds:
-            raise StorageError(
-                f"{path}: array '{name}' is of type {array.dtype}; expected {_KIND_NAMES[kinds]}: it is no trajectory"
-            )
-        if array.ndim != axes or length != expected:
-            of = f"{axes} axes, the first of {expected} {'entries' if kind else 'rows'}"
-            raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {of}: it is no trajectory")
-    for name, first, last in (("piece_start", -np.inf, t[0]), ("contact_row", 0, len(t) - 1)):
-        values = arrays.get(name, np.zeros(0))
-        ends = (values[:1] >= first).all() and (values[:1] <= last).all() and (values[-1:] <= max(last, t[-1])).all()
-        if not (ends and np.isfinite(values).all() and (np.diff(values) >= 0).all()):
-            raise StorageError(f"{path}: array '{name}' is not of this run, or not in order: it is no trajectory")
-    columns = {"x": max((i for stem in metadata.get("stems", {}).values() for i in stem), default=-1) + 1}
-    columns["inputs"] = len(metadata.get("input_names", ()))
-    for name, members in metadata.get("input_groups", {}).items():
-        if set(members) - set(metadata.get("input_names", ())):
-            raise StorageError(f"{path}: input_groups['{name}'] is {members}; expected some of {metadata.get('input_names', [])}")
-    for name, least in columns.items():
-        if name in arrays and arrays[name].shape[1] < least:
-            raise StorageError(f"{path}: array '{name}' has shape {arrays[name].shape}; its names ask for {least} columns")

@@ -15,18 +15,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsmodel._utils import short_repr
 from nsmodel.errors import UsageError
 from nsmodel.event_driven import dense_output
-from nsmodel.modeling.columns import ColumnNames, evaluate_quantity, quantity_at_step_ends, read_quantity
+from nsmodel.modeling.output_columns import evaluate_quantity
 from nsmodel.modeling.outputs import Quantity
-
-if TYPE_CHECKING:
-    from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.simulation.columns import column_names, quantity_at_step_ends, read_quantity
+from nsmodel.simulation.run_data import RunData
 
 THETA_WEIGHTED = frozenset({"x", "y"})  # What is weighed by theta; t and inputs have their own ends.
 WINDOW_TOLERANCE = 1e-12  # A window may end beyond the run by this part of it: rounding.
@@ -51,7 +50,7 @@ class WeightedSamples(NamedTuple):
     values: np.ndarray
 
 
-def window_samples(run: Trajectory, what: Any, t0: float | None, t1: float | None) -> WeightedSamples:
+def window_samples(run: RunData, what: Any, t0: float | None, t1: float | None) -> WeightedSamples:
     """What integrals over a window are made of.
 
     Raises:
@@ -65,11 +64,11 @@ def window_samples(run: Trajectory, what: Any, t0: float | None, t1: float | Non
         return WeightedSamples(weights, _quantity_within_pieces(run, quantity, label, t, number))
     first, last = int(np.searchsorted(run.t, begin, "right")) - 1, int(np.searchsorted(run.t, end, "left"))
     t = np.clip(run.t[first : last + 1], begin, end)
-    found = evaluate_quantity(quantity, ColumnNames.from_run(run), _StepColumns(run, first, last), label)
+    found = evaluate_quantity(quantity, column_names(run), _StepColumns(run, first, last), label)
     return WeightedSamples(np.diff(t), found)
 
 
-def check_window(run: Trajectory, t0: float | None, t1: float | None) -> tuple[float, float]:
+def check_window(run: RunData, t0: float | None, t1: float | None) -> tuple[float, float]:
     """Both ends; left out they are those of the run."""
     first, last = float(run.t[0]), float(run.t[-1])
     begin, end = first if t0 is None else float(t0), last if t1 is None else float(t1)
@@ -97,7 +96,7 @@ def weighted_rms(found: WeightedSamples) -> np.ndarray:
 class _StepColumns(Mapping[str, np.ndarray]):
     """The columns of a run as its scheme sees them in the steps that end at rows first + 1 to last."""
 
-    def __init__(self, run: Trajectory, first: int, last: int) -> None:
+    def __init__(self, run: RunData, first: int, last: int) -> None:
         self._arrays, self._before, self._end = run.arrays, slice(first, last), slice(first + 1, last + 1)
         self._theta, self._gamma = run.metadata.get("weights", (1.0, 1.0))
 
@@ -133,7 +132,7 @@ class _StepColumns(Mapping[str, np.ndarray]):
 # -- event-driven runs ---------------------------------------------------------------------------------------------------
 
 
-def _gauss_nodes(run: Trajectory, begin: float, end: float, harmonics: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _gauss_nodes(run: RunData, begin: float, end: float, harmonics: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, pieces and weights of Gauss sums, exact for the square of what a piece is; more where a harmonic is fast in it."""
     starts, order = run.arrays["piece_start"], run.arrays["piece_x"].shape[2]
     edges = np.concatenate([[begin], starts[(starts > begin) & (starts < end)], [end]])
@@ -147,9 +146,9 @@ def _gauss_nodes(run: Trajectory, begin: float, end: float, harmonics: int) -> t
     return t.ravel(), np.repeat(number, len(s)), (length[:, None] * weights / 2).ravel()
 
 
-def _quantity_within_pieces(run: Trajectory, quantity: Quantity, label: str, t: np.ndarray, number: np.ndarray) -> np.ndarray:
+def _quantity_within_pieces(run: RunData, quantity: Quantity, label: str, t: np.ndarray, number: np.ndarray) -> np.ndarray:
     """A quantity at times within pieces of these numbers."""
-    names, found = ColumnNames.from_run(run), dense_output.evaluate_pieces(run.arrays, t, number)
+    names, found = column_names(run), dense_output.evaluate_pieces(run.arrays, t, number)
     arrays = {"t": t, "x": found.x, "multipliers": found.multipliers, "y": found.y}
     if found.v.shape[1]:
         arrays["v"] = found.v
@@ -170,7 +169,7 @@ def _evaluate_at_times(quantity: Quantity, t: np.ndarray) -> np.ndarray:
     return quantity(np.repeat(t[:, None], len(quantity.of), axis=1))
 
 
-def _check_no_impulses(run: Trajectory, label: str, t: np.ndarray) -> None:
+def _check_no_impulses(run: RunData, label: str, t: np.ndarray) -> None:
     starts = run.arrays["piece_start"]
     inside = (starts > t[0]) & (starts < t[-1]) & (run.arrays["piece_impulse"] != 0).any(axis=1)
     if inside.any():
@@ -182,7 +181,7 @@ def _check_no_impulses(run: Trajectory, label: str, t: np.ndarray) -> None:
 # -- Fourier coefficients ------------------------------------------------------------------------------------------------
 
 
-def spectrum(run: Trajectory, what: Any, t0: float | None, t1: float | None, harmonics: int) -> Spectrum:
+def spectrum(run: RunData, what: Any, t0: float | None, t1: float | None, harmonics: int) -> Spectrum:
     """Fourier coefficients over a window, of as many harmonics of its length.
 
     They are integrals and no sums over samples, so that steps of different lengths and edges within the window are as they are:
@@ -211,7 +210,7 @@ def _fourier_sums(t: np.ndarray, weights: np.ndarray, q: np.ndarray, frequency: 
 
 
 def _step_segments(
-    run: Trajectory, quantity: Quantity, label: str, begin: float, end: float
+    run: RunData, quantity: Quantity, label: str, begin: float, end: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Begins and ends of the steps in a window, and the quantity just after the one and just before the other."""
     first, last = int(np.searchsorted(run.t, begin, "right")) - 1, int(np.searchsorted(run.t, end, "left"))

@@ -17,11 +17,11 @@ import numpy as np
 from nsmodel._utils import former_names, short_repr
 from nsmodel.errors import StepError, UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.columns import output_names
 from nsmodel.modeling.time_grid import input_schedule
 from nsmodel.modeling.variants import block_input_entries
 from nsmodel.proof.verdict import not_none
 from nsmodel.simulation.fixed_grid import FixedGridPropagator, make_stepper
+from nsmodel.simulation.run_data import output_names
 from nsmodel.simulation.step_inputs import reinitialised_step_mask
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.active_set import equilibrate_problem

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import escape_invisible, html_repr, one_line, short_repr, wrap_lines
+from nsmodel._utils import display, escape_invisible, html_repr, one_line, short_repr, wrap_lines
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
 _STRESS_TEXT_WIDTH = 100
@@ -75,7 +75,7 @@ class Stress:
     step: float
     cells: tuple[Cell, ...]
 
-    _repr_html_ = html_repr("stress")
+    _repr_html_ = html_repr("stress_html")
 
     def __repr__(self) -> str:
         """Return a few lines: title, class, what came of the cells."""
@@ -151,9 +151,7 @@ class Stress:
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the table as a heat map, on ``ax`` or a new figure; return the axes (see `nsmodel.plot.stress`)."""
-        from nsmodel.plot.stress import stress
-
-        return stress(self, ax=ax)
+        return display("plot_stress", self, ax)
 
 
 def _check_kinds(cells: Iterable[Cell]) -> list[str]:

@@ -43,8 +43,7 @@ from nsmodel.study.reference import (
     nonuniqueness_reason,
     refined_run_reference,
 )
-from nsmodel.study.result import Study, StudyInterrupted
-from nsmodel.study.text import short_number
+from nsmodel.study.result import Study, StudyInterrupted, short_number
 
 REFINEMENT, MIN_REFINEMENT = (
     8,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import escape_invisible, former_names, html_repr, import_extra
+from nsmodel._utils import display, escape_invisible, former_names, html_repr, import_extra
 from nsmodel.errors import MissingExtraError, StepError, StorageError, UsageError
 from nsmodel.files.archive import StoredArrays, map_archive, write_npz
 from nsmodel.files.storage import dumps, replace_atomically, write_csv
@@ -161,7 +161,7 @@ class Sweep:
     engine: str = ""
     _again: Callable[..., Any] | None = field(default=None)
 
-    _repr_html_ = html_repr("sweep")
+    _repr_html_ = html_repr("sweep_html")
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -339,11 +339,7 @@ class Sweep:
         Without options it is the picture that fits; with ``x`` and ``y`` that of ``nsmodel.plot.sweep_map``, with other options
         (x, hue, over, show, level) that of ``nsmodel.plot.sweep_line``; ``ax`` is where to draw.
         """
-        from nsmodel.plot.sweep import sweep_line, sweep_overview
-        from nsmodel.plot.sweep_map import sweep_map
-
-        draw = sweep_map if "y" in options else sweep_line if options.keys() - {"ax"} else sweep_overview
-        return draw(self[name], **options)
+        return display("plot_sweep", self, name, **options)
 
     def summary(self) -> dict[str, Any]:
         """Return the sweep in short, as numbers, strings, lists and dictionaries."""

@@ -124,7 +124,7 @@ class Share:
     replicates: str | None = None
 
     __repr__ = short_repr
-    _repr_html_ = html_repr("statistics")
+    _repr_html_ = html_repr("statistics_html")
 
     @property
     def text(self) -> str:
@@ -278,7 +278,7 @@ class Statistics:
     even: tuple[str, ...] = ()
 
     __repr__ = short_repr
-    _repr_html_ = html_repr("statistics")
+    _repr_html_ = html_repr("statistics_html")
 
     def quantile(self, q: float) -> Quantile:
         """Return the quantile that was asked for with this q; UsageError where it was not."""

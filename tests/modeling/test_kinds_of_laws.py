@@ -29,7 +29,7 @@ from nsmodel.codegen import write
 from nsmodel.errors import CodegenError
 from nsmodel.hypotheses.equations import model_equations
 from nsmodel.modeling.laws import FACTOR_KINDS, BallSet, ConeSet, EllipsoidSet, Law
-from nsmodel.plot.strip import index_strip
+from nsmodel.plot.strips import index_strip
 from nsmodel.study.reference_steps import formula_residuals
 
 RADIUS = 0.75

@@ -1,8 +1,10 @@
 """Pictures of fabricated runs: their words, their lines, their files, and that nothing overlaps or is cut off."""
 
 import functools
+import re
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -14,10 +16,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+import nsmodel
 from nsmodel import LureSystem, plot, simulate
 from nsmodel.errors import PlotError
 from nsmodel.modeling import laws
-from nsmodel.plot import rounding, strip, style
+from nsmodel.plot import displays, rounding, strips, style
 from nsmodel.simulation.trajectory import Trajectory
 
 
@@ -274,7 +277,7 @@ def test_names_that_matplotlib_would_misread():
     ],
 )
 def test_the_strip_speaks_each_laws_words(kind, words):
-    assert set(strip.STATE_LABELS) == {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid"}
+    assert set(strips.STATE_LABELS) == {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid"}
     run = altered(oscillator(), law_kinds=[kind], model_class="LureSystem")
     assert legend(plot.index_strip(run)) == words
 
@@ -286,7 +289,7 @@ def test_friction_sticks_and_slips():
     run = altered(mixed, index_names=["friction", "potential term 0", "plane[0]", "plane[1]"])
     assert legend(plot.index_strip(run)) == [
         *(f"friction: {word}" for word in words),
-        *(f"relay: {word}" for _, word in strip.STATE_LABELS["relay"].values()),
+        *(f"relay: {word}" for _, word in strips.STATE_LABELS["relay"].values()),
         "isotropic friction: stick (y = 0)",
         "isotropic friction: slip (l on the sphere)",
     ]
@@ -353,13 +356,13 @@ def test_the_strip_of_a_long_run_loses_no_event_and_hides_no_chatter():
 
 
 def test_the_strip_of_a_long_run_has_clean_edges():
-    rows = 5 * strip.MAX_BUCKETS + 3
+    rows = 5 * strips.MAX_BUCKETS + 3
     codes = np.where(np.arange(rows) < rows // 3, -1, 0)[:, None]
     codes[-1] = -1
     ax = plot.index_strip(fabricate(np.linspace(0, 1, rows), np.zeros(rows), np.zeros((rows, 1)), codes))
     boxes = [path.vertices for pieces in ax.collections for path in pieces.get_paths()]
     assert all(np.ptp(box[:, 1]) == pytest.approx(0.76) for box in boxes)
-    assert sorted(box[:, 0].min() for box in boxes) == pytest.approx([0, 1 / 3, 1], abs=2 / strip.MAX_BUCKETS)
+    assert sorted(box[:, 0].min() for box in boxes) == pytest.approx([0, 1 / 3, 1], abs=2 / strips.MAX_BUCKETS)
 
 
 def test_the_strip_refuses_what_it_cannot_draw():
@@ -706,3 +709,14 @@ def test_matplotlib_is_imported_late_and_pyplot_never():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
+
+
+def test_results_find_their_displays_and_import_no_picture():
+    """Also not inside functions: only the command line and what classes draw know `nsmodel.plot` beside itself."""
+    root, named = Path(nsmodel.__file__).parent, set()
+    for path in root.rglob("*.py"):
+        text, place = path.read_text(), path.relative_to(root).parts
+        named |= set(re.findall(r'\b(?:display|html_repr)\("(\w+)"', text))
+        if place[0] not in ("plot", "cli") and place[-1] != "plots.py":
+            assert not re.search(r"^\s*(?:from|import) nsmodel\.plot\b", text, re.MULTILINE), path
+    assert named == set(displays.__all__)

@@ -6,8 +6,8 @@ import pytest
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, SweepingProcess, cli, plot, relay, simulate
 from nsmodel.errors import PlotError, UsageError
-from nsmodel.plot.band import draw_curve
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
+from nsmodel.plot.time import draw_curve
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study.lines import Line, Point
 from nsmodel.study.result import Study

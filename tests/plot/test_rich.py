@@ -10,8 +10,8 @@ import pytest
 
 import nsmodel
 from nsmodel import LureSystem, SweepingProcess, relay, simulate
-from nsmodel.rich import page
-from nsmodel.rich.mathml import mathml
+from nsmodel.plot.html import elements
+from nsmodel.plot.html.elements import mathml
 
 EVIL = '</script><b>$x$ & "\u202e'
 VOID = {"br", "img", "meta"}
@@ -75,11 +75,16 @@ def run():
 
 
 def test_text_is_escaped_in_one_place():
-    assert page.escape_text("</script><b>") == "&lt;/script&gt;&lt;b&gt;"
-    assert page.escape_text("$x$") == "<span>$</span>x<span>$</span>"
+    assert elements.escape_text("</script><b>") == "&lt;/script&gt;&lt;b&gt;"
+    assert elements.escape_text("$x$") == "<span>$</span>x<span>$</span>"
     shown = Reader(
-        page.result_page(
-            EVIL, EVIL, EVIL, page.facts_table([(EVIL, [EVIL])]), page.folded_section(EVIL, EVIL), page.status_badge(EVIL)
+        elements.result_page(
+            EVIL,
+            EVIL,
+            EVIL,
+            elements.facts_table([(EVIL, [EVIL])]),
+            elements.folded_section(EVIL, EVIL),
+            elements.status_badge(EVIL),
         )
     )
     assert shown.seen == {"div", "style", "span", "table", "tbody", "tr", "th", "td", "details", "summary"}
@@ -88,7 +93,7 @@ def test_text_is_escaped_in_one_place():
 
 
 def test_a_verdict_is_a_colour_a_mark_and_a_word():
-    found = {word: Reader(page.status_badge(word)) for word in ("holds", "sampled", "violated", "unknown")}
+    found = {word: Reader(elements.status_badge(word)) for word in ("holds", "sampled", "violated", "unknown")}
     assert [one.text for one in found.values()] == ["✓ holds", "≈ sampled", "✗ violated", "? unknown"]
     assert len({one.classes[0] for one in found.values()}) == 4
 
@@ -101,7 +106,7 @@ def luminance(colour):
 
 def test_words_stand_out_from_the_colours_of_verdicts():
     """By the contrast of WCAG, 4.5 at least."""
-    pairs = re.findall(r"\{background:#(\w+);color:#(\w+)\}", page.STYLE)
+    pairs = re.findall(r"\{background:#(\w+);color:#(\w+)\}", elements.STYLE)
     assert len(pairs) == 4
     for pair in pairs:
         dark, light = sorted(luminance(c if len(c) == 6 else "".join(2 * x for x in c)) for c in pair)
@@ -130,7 +135,7 @@ def test_formulas_are_mathml():
 def test_models_of_all_cases_show_their_equations(case_file):
     """Every formula is well formed, and no command is left that the reader of LaTeX does not know."""
     from nsmodel.hypotheses.equations import model_equations
-    from nsmodel.rich import mathml as reader
+    from nsmodel.plot.html import elements as reader
 
     model = nsmodel.load(case_file)
     lines = model_equations(model)
@@ -197,9 +202,9 @@ def test_a_run_says_how_it_ended_and_shows_its_states(run):
 
 
 def test_a_picture_that_fails_breaks_nothing(run, monkeypatch):
-    from nsmodel.rich import run as module
+    from nsmodel.plot import figures
 
-    monkeypatch.setattr(module, "thumbnail", lambda run: 1 / 0)
+    monkeypatch.setattr(figures, "thumbnail", lambda run: 1 / 0)
     found = safe(run)
     assert "no picture: ZeroDivisionError: division by zero" in found.text
     assert "img" not in found.seen

@@ -15,9 +15,9 @@ import nsmodel
 from nsmodel.cli import main
 from nsmodel.errors import PlotError, StorageError
 from nsmodel.modeling.model_files import case_files
-from nsmodel.view import packed
-from nsmodel.view.page import VIEW_FOLDER
-from nsmodel.view.run import run_document
+from nsmodel.plot.html import page
+from nsmodel.plot.html.page import VIEW_FOLDER
+from nsmodel.plot.html.run_page import run_document
 
 ORIGINS = re.compile(r"https?://|//[a-z]", re.IGNORECASE)
 
@@ -42,15 +42,15 @@ def columns_of(found):
 
 def test_numbers_in_double_precision_come_back_bit_for_bit():
     values = np.array([0.0, -0.0, 1 / 3, np.nan, np.inf, -np.inf, 5e-324, 1.7e308, -1e-300])
-    assert unpacked(packed.pack_numbers(values)).tobytes() == values.tobytes()
-    assert unpacked(packed.pack_numbers(values[:0])).size == 0
+    assert unpacked(page.pack_numbers(values)).tobytes() == values.tobytes()
+    assert unpacked(page.pack_numbers(values[:0])).size == 0
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-9, 1.0, 1e300])
 def test_numbers_in_single_precision_err_by_rounding_alone(scale):
     values = scale * np.random.default_rng(1).standard_normal(1000)
     values[::50], values[7], values[8] = 0.0, np.nan, np.inf
-    found = unpacked(packed.pack_numbers(values, exact=False))
+    found = unpacked(page.pack_numbers(values, exact=False))
     assert (found[::50] == 0).all()
     assert np.isnan(found[7])
     assert np.isposinf(found[8])
@@ -60,7 +60,7 @@ def test_numbers_in_single_precision_err_by_rounding_alone(scale):
 
 def test_what_lies_between_values_near_one_number_is_kept():
     values = 1 + 1e-9 * np.sin(np.arange(500.0))
-    assert abs(unpacked(packed.pack_numbers(values, exact=False)) - values).max() < 1e-15
+    assert abs(unpacked(page.pack_numbers(values, exact=False)) - values).max() < 1e-15
 
 
 @pytest.mark.parametrize("length", [1, 2, 6, 7, 8, 1000])
@@ -72,8 +72,8 @@ def test_extremes_are_those_of_each_few_rows(length, width):
     values[rng.random(length) < 0.1] = np.inf
     values[rng.random(length) < 0.1] = -np.inf
     begin = rng.standard_normal(length)
-    low, high = packed.bucket_extremes(values, width)
-    both = packed.pack_column(values, begin, packed.PackedRows(width, True))
+    low, high = page.bucket_extremes(values, width)
+    both = page.pack_column(values, begin, page.PackedRows(width, True))
     for k in range(0, length, width):
         some = [v for v in values[k : k + width] if v == v]
         expected = (min(some), max(some)) if some else (np.nan, np.nan)
@@ -85,15 +85,15 @@ def test_extremes_are_those_of_each_few_rows(length, width):
 @pytest.mark.parametrize("cells", [(10, 1), (25_000, 10), (25_001, 10), (300_000, 10), (300_001, 10), (10**6, 10), (10**7, 50)])
 def test_columns_find_room_whatever_their_number(cells):
     rows, columns = cells
-    width, exact = packed.packing_for(rows, columns)
+    width, exact = page.packing_for(rows, columns)
     held = (8 if exact else 4) * rows * columns if width == 1 else 8 * -(-rows // width) * columns
-    assert held <= packed.MAX_BYTES + 8 * columns
-    assert width == 1 or 4 * rows * columns > packed.MAX_BYTES
+    assert held <= page.MAX_BYTES + 8 * columns
+    assert width == 1 or 4 * rows * columns > page.MAX_BYTES
 
 
 def test_a_page_of_noise_has_the_size_that_is_meant_and_copies_no_run(tmp_path, monkeypatch):
     """A tenth of what is allowed, 20 MB. Noise compresses worst."""
-    monkeypatch.setattr(packed, "MAX_BYTES", packed.MAX_BYTES // 10)
+    monkeypatch.setattr(page, "MAX_BYTES", page.MAX_BYTES // 10)
     rng = np.random.default_rng(0)
     run = by_hand({f"x_{k}": rng.standard_normal(100_000) for k in range(10)})
     tracemalloc.start()

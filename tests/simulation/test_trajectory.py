@@ -15,7 +15,7 @@ import pytest
 from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
 from nsmodel.files.archive import write_npz
-from nsmodel.modeling.columns import multiplier_names, state_names, units_of
+from nsmodel.simulation.run_data import multiplier_names, state_names, units_of
 from nsmodel.simulation.trajectory import Trajectory
 
 

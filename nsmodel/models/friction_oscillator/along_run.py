@@ -10,10 +10,10 @@ import numpy as np
 
 from nsmodel.hypotheses.along_run import SUM_ROUNDING, constraint_findings, has_every_row, missing_rows_findings
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.modeling.columns import extrapolated_rows
 from nsmodel.models.friction_oscillator.check import FORCED_TEXT
 from nsmodel.models.friction_oscillator.model import FrictionOscillator
 from nsmodel.models.friction_oscillator.schemes import energy_function
+from nsmodel.simulation.run_data import extrapolated_rows
 from nsmodel.simulation.trajectory import Trajectory
 
 RUN_ENERGY = Hypothesis(

@@ -26,9 +26,9 @@ from nsmodel.hypotheses.findings import (
     make_finding,
     measured_consequence,
 )
-from nsmodel.modeling.columns import extrapolated_rows
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints
+from nsmodel.simulation.run_data import extrapolated_rows
 from nsmodel.simulation.trajectory import Trajectory
 
 NORM_BOUND = Hypothesis(

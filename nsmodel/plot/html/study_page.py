@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsmodel._utils import escape_invisible
+from nsmodel.plot.html.page import standalone_page, write_page
 from nsmodel.study.lines import POINT_FAILED, POINT_LEFT_OUT, Line, Point
-from nsmodel.study.text import cost_text
-from nsmodel.view.page import standalone_page, write_page
+from nsmodel.study.result import cost_text
 
 if TYPE_CHECKING:
     from nsmodel.study.result import Study
@@ -22,7 +22,7 @@ LEGEND = (
 TABLE_HEADER = ("method", "run", "status", "largest error", "seconds", "set-up", "steps", "residual")
 
 
-def view_study(study: Study, path: str | Path | None = None) -> Path:
+def write_study_page(study: Study, path: str | Path | None = None) -> Path:
     """Write the page of a study, and return its path; see `Study.view`."""
     return write_page(standalone_page(study.title, study_document(study), STUDY_SCRIPTS), path, study.title)
 

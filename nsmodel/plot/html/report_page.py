@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nsmodel._utils import escape_invisible
-from nsmodel.hypotheses import report as table
-from nsmodel.view.page import standalone_page, write_page
-
-if TYPE_CHECKING:
-    from nsmodel.hypotheses.report import Report
+from nsmodel.hypotheses.report import (
+    Report,
+    decision_text,
+    name_value_pairs,
+    parameter_texts,
+    premises_text,
+    validity_text,
+    witness_texts,
+)
+from nsmodel.plot.html.page import standalone_page, write_page
 
 REPORT_SCRIPTS = ("elements", "report")
 
 
-def view_report(report: Report, path: str | Path | None = None) -> Path:
+def write_report_page(report: Report, path: str | Path | None = None) -> Path:
     """Write the page of a report, and return its path; see `Report.view`."""
     return write_page(standalone_page(report.title, report_document(report), REPORT_SCRIPTS), path, report.title)
 
@@ -26,16 +31,16 @@ def report_document(report: Report) -> dict[str, Any]:
     facts = {
         "model": [f"{report.model_class}; {report.paper}"],
         "region": [report.region],
-        "parameters": table.parameter_texts(report),
+        "parameters": parameter_texts(report),
         "inputs": report.inputs,
         "findings": [report.verdict],
     }
     findings = [
-        _finding_card(finding.id, finding, [_value_text(finding), *_witness_lines(finding), table.decision_text(finding)])
+        _finding_card(finding.id, finding, [_value_text(finding), *_witness_lines(finding), decision_text(finding)])
         for finding in report.findings
     ]
     consequences = [
-        _finding_card(one.name, one, [_value_text(one), table.validity_text(one), table.premises_text(one, report)])
+        _finding_card(one.name, one, [_value_text(one), validity_text(one), premises_text(one, report)])
         for one in report.consequences
     ]
     return {
@@ -59,10 +64,10 @@ def _finding_card(name: str, found: Any, lines: Sequence[str]) -> dict[str, Any]
 
 
 def _value_text(found: Any) -> str:
-    return ", ".join(table.name_value_pairs(found.value))
+    return ", ".join(name_value_pairs(found.value))
 
 
 def _witness_lines(finding: Any) -> list[str]:
-    witness_texts = table.witness_texts(finding)
-    lines = [f"{'with' if finding.verdict == 'holds' else 'at'} {', '.join(witness_texts)}"] if witness_texts else []
-    return lines + ([f"outside it fails at {', '.join(table.name_value_pairs(finding.outside))}"] if finding.outside else [])
+    entries = witness_texts(finding)
+    lines = [f"{'with' if finding.verdict == 'holds' else 'at'} {', '.join(entries)}"] if entries else []
+    return lines + ([f"outside it fails at {', '.join(name_value_pairs(finding.outside))}"] if finding.outside else [])

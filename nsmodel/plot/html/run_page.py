@@ -1,9 +1,10 @@
-"""What of a run is drawn over time: its columns, as panels of one unit each."""
+"""A run as a page: its facts, panels of columns over time, index set, events, phase plane and configuration."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -13,19 +14,13 @@ from nsmodel._utils import escape_invisible
 from nsmodel.errors import PlotError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.modeling import laws
-from nsmodel.modeling.columns import (
-    input_names,
-    model_type,
-    multiplier_names,
-    output_names,
-    quantity_at_step_ends,
-    read_quantity,
-    state_names,
-    units_of,
-)
-from nsmodel.models.crowd.measure import present
-from nsmodel.plot import style
-from nsmodel.view.packed import PackedRows, pack_codes, pack_column
+from nsmodel.models.crowd.measure import positions, present
+from nsmodel.plot import rounding, style
+from nsmodel.plot.class_pictures import pictures_of
+from nsmodel.plot.html.page import PackedRows, pack_codes, pack_column, pack_numbers, packing_for, standalone_page, write_page
+from nsmodel.simulation import summary
+from nsmodel.simulation.columns import quantity_at_step_ends, read_quantity
+from nsmodel.simulation.run_data import input_names, model_type, multiplier_names, output_names, state_names, units_of
 
 if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
@@ -261,3 +256,189 @@ def _off_scale_note(residual: np.ndarray) -> str:
     zero, unknown = int((residual[1:] == 0).sum()), int(np.isposinf(residual).sum())
     parts = [f"exactly 0: {zero} of {len(residual) - 1}, at the bottom"] if zero else []
     return "; ".join(parts + ([f"unknown: {unknown}, at the top"] if unknown else []))
+
+
+MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
+FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis,
+MAX_MOMENTS = 60  # at so many times at most.
+COLOUR_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
+
+
+def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
+    """The configuration as plain data; None of a run whose scene has no discs."""
+    about = run.metadata.get("scene") or {}
+    if "radii" not in about or run.x.shape[1] != 2 * len(about["radii"]) or not len(about["radii"]):
+        return None
+    rows = style.evenly_spread(len(run.t), max(2, MAX_PLACES_BYTES // (4 * run.x.shape[1])))
+    pressure = _pressure_rows(run, rows, len(about["radii"]))
+    pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
+    lines = {key: [np.ravel(one).tolist() for one in about.get(key) or []] for key in ("walls", "exits")}
+    unit = units_of(run).get(state_names(run)[0], "")
+    return {
+        **lines,
+        "radii": [float(radius) for radius in about["radii"]],
+        "window": _scene_window(run, about),
+        "unit": escape_invisible(unit),
+        "rows": [int(row) for row in rows],
+        "of": len(run.t),
+        "times": pack_numbers(run.t[rows]),
+        "places": pack_numbers(run.x[rows].T.ravel(), exact=False),
+        "pressure": None if pressure is None else pack_numbers(pressure.T.ravel(), exact=False),
+        "top": float(np.percentile(pressed, COLOUR_PERCENTILE)) if pressed.size else 1.0,
+        "pressure_unit": escape_invisible(units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", "")),
+    }
+
+
+def _pressure_rows(run: Trajectory, rows: np.ndarray, bodies: int) -> np.ndarray | None:
+    """The sum of the reactions on each body (rows, bodies); None where the run cannot tell."""
+    if "pressure" in run.arrays:
+        return run.arrays["pressure"][rows]
+    owners, reactions = run.metadata.get("constraint_bodies"), run.arrays.get("reactions")
+    if not owners or reactions is None:
+        return None
+    total = np.zeros((len(rows), bodies))
+    for column, members in zip(reactions.T, owners, strict=True):
+        total[:, members] += column[rows, None]
+    return total
+
+
+def _scene_window(run: Trajectory, about: dict[str, Any]) -> list[float]:
+    """x0, x1, y0, y1 around walls, exits and where bodies start; without walls around wherever they are."""
+    fixed = [np.reshape(about.get(key) or [], (-1, 2)) for key in ("walls", "exits")]
+    q, here = positions(run), present(run)
+    own = q[here.argmax(axis=0), np.arange(q.shape[1])] if any(map(len, fixed)) else q.reshape(-1, 2)
+    points = np.concatenate([*fixed, own])
+    points = points[np.isfinite(points).all(axis=1)]
+    points = points if len(points) else np.array([[0.0, 0.0], [1.0, 1.0]])
+    margin = 0.03 * float(np.ptp(points, axis=0).max()) + 1.5 * max(about["radii"])
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
+
+
+def forbidden_set_data(run: Trajectory, model: Any) -> dict[str, Any] | None:
+    """Where a state of one or two components may not be, on a grid and at some times; None where the class knows no such set.
+
+    Of one component over the plane (t, q), of two over their plane. ``inside`` is 1 where some constraint is negative.
+    """
+    own, n = pictures_of(run), run.x.shape[1]
+    if model is None or own is None or own.gap is None or run.metadata.get("scene") or n > 2 or len(run.t) < 2:
+        return None
+    gap, moving = own.gap(model, run)
+    low, high = np.nanmin(run.x, axis=0), np.nanmax(run.x, axis=0)
+    reach = np.maximum(high - low, 0.6 * ((high - low).max() or 1.0)) * 0.8
+    limits = [(run.t[0], run.t[-1])] if n == 1 else []
+    limits += [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
+    across, up = np.meshgrid(*(np.linspace(*limit, FORBIDDEN_GRID) for limit in limits))
+    rows = style.evenly_spread(len(run.t), MAX_MOMENTS) if moving and n == 2 else np.zeros(1, int)
+    shape = (len(rows), *up.shape)
+    points = [np.broadcast_to(one, shape) for one in ((up,) if n == 1 else (across, up))]
+    least = gap(across if n == 1 else run.t[rows][:, None, None], *points)
+    return {
+        "size": FORBIDDEN_GRID,
+        "window": [float(end) for limit in limits for end in limit],
+        "times": pack_numbers(run.t[rows]),
+        "inside": pack_codes(np.ma.filled(least < 0, False).ravel()),
+        "note": f"The set forbidden is drawn at {len(rows)} of {len(run.t)} rows." if 1 < len(rows) < len(run.t) else "",
+    }
+
+
+CURVE_POINTS = 20_000  # Read off the polynomials of an event-driven run.
+MAX_EVENTS = 100_000  # The most that are marked,
+MAX_EVENT_TEXTS = 2_000  # and that say what changes.
+LAW_PANELS = ("Multipliers", "Reactions")  # Before these stands the index set.
+RUN_SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
+
+
+def write_run_page(run: Trajectory, path: str | Path | None = None, model: Any = None) -> Path:
+    """Write the page of a run, and return its path; see `Trajectory.view`."""
+    return write_page(standalone_page(run.title, run_document(run, model), RUN_SCRIPTS), path, run.title)
+
+
+def run_document(run: Trajectory, model: Any = None) -> dict[str, Any]:
+    """All that the page shows of a run, as plain data.
+
+    Panels name one of the ``clocks``, the times that their rows have. An event-driven run has two: points that are read off its
+    polynomials, and the rows that were saved.
+    """
+    drawn, lines = rounding.smooth_with_energy(run, model, CURVE_POINTS)
+    own, rest = run_panels(drawn, {"energy": rounding.ENERGY_ON_LINES} if lines else {}), further_panels(run)
+    if drawn is run:
+        clocks = [_panels_with_clock(run, [*own, *rest], run)]
+    else:
+        clocks = [_panels_with_clock(drawn, own, drawn), _panels_with_clock(run, rest, None)]
+    return {
+        "kind": "run",
+        "title": escape_invisible(run.title),
+        "status": escape_invisible(run.status),
+        "facts": _summary_facts(run),
+        "time": {"unit": escape_invisible(units_of(run).get("t", ""))},
+        "rows": len(drawn.t),
+        "note": _rows_note(run, drawn, clocks[0]["width"]),
+        "clocks": [{key: clock[key] for key in ("width", "times")} for clock in clocks],
+        "panels": [panel for clock in clocks for panel in clock["panels"]],
+        "events": _events(run),
+        "stretches": [
+            [one["start"], min(one["until"], float(run.t[-1]))] for one in (run.metadata.get("totals") or {}).get("stretches", ())
+        ],
+        "phase": _phase_columns(run, clocks[0]["panels"]),
+        "scene": disc_scene_data(run),
+        "forbidden": forbidden_set_data(run, model),
+    }
+
+
+def _panels_with_clock(rows: Trajectory, own: list[TimePanel], strip: Trajectory | None) -> dict[str, Any]:
+    """Panels over the rows of one run, with their times: where the rows begin that are held as one, and the last."""
+    held = packing_for(len(rows.t), sum(len(panel.names) * (1 + bool(panel.begins)) for panel in own))
+    found = [panel.document(held, int(strip is None)) for panel in own]
+    if strip is not None and (codes := index_set_bands(rows, held, 0)) is not None:
+        found.insert(next((k for k, panel in enumerate(own) if panel.title.startswith(LAW_PANELS)), len(own)), codes)
+    times = np.append(rows.t[:: held.width], rows.t[-1])
+    return {"width": held.width, "times": pack_numbers(times), "panels": found}
+
+
+def _summary_facts(run: Trajectory) -> list[list[Any]]:
+    """The summary as labels and lines."""
+    return [
+        [label, [escape_invisible(line) for line in lines]]
+        for label, lines in summary.summary_lines(summary.run_summary(run)).items()
+    ]
+
+
+def _rows_note(run: Trajectory, drawn: Trajectory, width: int) -> str:
+    """What the page does not have: rows."""
+    every = run.metadata.get("save_every", 1)
+    saved = f" (1 saved of {every})" if every > 1 else ""
+    if drawn is not run:
+        return f"{len(drawn.t):,} points read off the polynomials between events; {len(run.t):,} rows saved{saved}."
+    if width == 1:
+        return f"{len(run.t):,} rows{saved}, each of them on this page."
+    return (
+        f"{len(run.t):,} rows{saved}: too many for one page. It holds the least and the largest value of each {width} rows that "
+        "follow one another; zoomed in to these, boxes are drawn and no line. The rows are in the run's own file."
+    )
+
+
+def _events(run: Trajectory) -> dict[str, Any] | None:
+    """The switches of an event-driven run: when, and what changes; None of other runs."""
+    if not run.is_event_driven:
+        return None
+    starts, codes = run.arrays["piece_start"], run.arrays["piece_codes"]
+    at = np.flatnonzero(run.arrays["piece_event"] & (starts <= run.t[-1]))
+    names = run.metadata.get("index_names") or [f"row {k}" for k in range(codes.shape[1])]
+    texts = []
+    for k in at[:MAX_EVENT_TEXTS]:
+        changed = np.flatnonzero(codes[k] != codes[k - 1])[:6] if k else []
+        texts.append(", ".join(f"{escape_invisible(names[i])}: {codes[k - 1, i]} to {codes[k, i]}" for i in changed))
+    return {"count": len(at), "times": pack_numbers(starts[at[:MAX_EVENTS]]), "words": texts}
+
+
+def _phase_columns(run: Trajectory, found: list[dict[str, Any]]) -> list[list[int]] | None:
+    """Which columns the phase plane opens with, as (panel, column): over a state a velocity, another state, or what there is."""
+    places = [(panel["title"], [p, c]) for p, panel in enumerate(found) for c in range(len(panel.get("columns", ())))]
+    states, fast = ([place for title, place in places if title.startswith(kind)] for kind in ("States", "Velocities"))
+    if run.metadata.get("scene") or len(places) < 2:
+        return None
+    if model_type(run).second_order and fast:
+        return [states[0], fast[0]]
+    others = [place for place in states if place[0] != states[0][0]] or states[1:]
+    return [states[0], (others or [place for _, place in places[1:]])[0]]
