@@ -507,7 +507,7 @@ def test_a_run_in_chunks_and_a_resumed_run_have_the_same_bytes(tmp_path, whole, 
 
 def test_a_killed_run_is_resumed_to_the_same_bytes(tmp_path, whole):
     code = (
-        "import time, test_many_bodies as t; t.walk.CHUNK_BYTES = 1\n"
+        "import time, tests.models.test_many_bodies as t; t.walk.CHUNK_BYTES = 1\n"
         "call = t.BodiesStepper.__call__\n"
         "def slow(*args): time.sleep(1e-3); return call(*args)\n"
         "t.BodiesStepper.__call__ = slow; t.simulate(t.resumable(), out='run')"
