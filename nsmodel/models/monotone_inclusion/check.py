@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses import region as uniform
+from nsmodel.hypotheses.along_run import PAIR_CONSEQUENCES
 from nsmodel.hypotheses.findings import (
     HOLDS,
     UNKNOWN,
@@ -335,7 +336,6 @@ def check(
 
 DRIVEN_FIELDS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
-PAIR_CONSEQUENCES = ("contraction", "stability")
 START_TOLERANCE = 1e-10  # Of the start, by which it may be outside.
 ALL_DRIVEN_FIELDS = tuple(field for fields in DRIVEN_FIELDS.values() for field in fields)
 

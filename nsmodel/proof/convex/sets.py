@@ -100,7 +100,7 @@ class ConvexSet:
     def empty(self) -> tuple[str, ...]:
         """Names of constraints that no point satisfies together, where that is proved; () where it is not.
 
-        By the largest value of a concave quadratic, bounds of a row on the box that holds the set, or linear programming.
+        By the largest value of a concave quadratic, bounds of a row, on the box that holds the set, or linear programming.
         """
         low, high = self.bounding_box
         for name, p in zip(self.names, self.polynomials, strict=True):
@@ -109,10 +109,10 @@ class ConvexSet:
                 return (name,)
         if (low > high).any():
             return self.names
-        if self.rows.numel():
-            above = np.asarray(interval_bounds.enclose(self.rows, self.x, low, high)[1]).ravel()
+        for box, alone in (((np.full(self.n, -np.inf), np.full(self.n, np.inf)), True), ((low, high), False)):
+            above = np.asarray(interval_bounds.enclose(self.rows, self.x, *box)[1]).ravel() if self.rows.numel() else np.zeros(0)
             if (above < 0).any():
-                return (self.names[int(np.argmin(above))],)
+                return (self.names[int(np.argmin(above))],) if alone else self.names
         if self.affine and self.n in conic.implied_zeros(_strict_feasibility_system(self)):
             return tuple(self.names[i] for i in self.affine)
         return ()
