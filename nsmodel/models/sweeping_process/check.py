@@ -79,7 +79,7 @@ def _theory_constants(number: dict[tuple[str, str], float], moves_in_all: bool, 
     c = number.get(("A0", "c"), np.inf if moves_in_all else 0.0)
     M, M_contact = (number.get(("A4", name), nothing[1]) for name in ("M", "M_contact"))
     if not M and np.isfinite(c):  # U_i is not all: beyond c nothing is as straight as there, and |q - q_k| <= |q - q_k|^2 / c.
-        M = M_contact = 2 * a / c
+        M = M_contact = _quotient_or_inf(2 * a, c)
     gamma, gamma_0 = (number.get((id, "gamma"), np.inf) for id in (A5.id, A5_ACTIVE.id))
     rho = number.get((A5.id, "rho"), np.inf)
     Theta = _product_or_zero(2 * gamma, _quotient_or_inf(b, a))
@@ -460,6 +460,9 @@ def _decide_start_signs(model: SweepingProcess, constraints: Sequence[Constraint
     left = [k for k, sign in enumerate(signs) if sign is None or sign < 0]
     low, high = _start_bounds(model, left, q0)
     g = np.array(ca.Function("g", [model.t, model.q], [ca.densify(model.g)])(0.0, q0)).ravel()
+    if np.isnan(g).any():
+        witness = {"constraint": constraints[int(np.flatnonzero(np.isnan(g))[0])].name, "q": q0}
+        return make_finding(S_START, VIOLATED, "g_i(0, q_0) has no value", {"min g": -np.inf}, witness)
     slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g[left], model.q))])
     terms = np.nan_to_num(np.abs(np.array(slopes(0.0, q0)).reshape(len(left), q0.size) * q0), posinf=0.0).sum(axis=1)
     size = terms + np.nan_to_num((high[left] - low[left]) / exact.MACHINE_EPSILON, posinf=0.0)

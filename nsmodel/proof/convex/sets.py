@@ -159,8 +159,9 @@ def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: 
     low, high = C.part(lower, upper)
     inside = bool((C.bounding_box[0] >= lower).all() and (C.bounding_box[1] <= upper).all())
     for i in left:
-        found = extremum.largest_eigenvalue(ca.hessian(C.rows[i], C.x)[0], C.x, low, high, bound_to=0.0, quick=quick)
-        if not found.bound <= 0:
+        H, slope = ca.hessian(C.rows[i], C.x)
+        smooth = interval_bounds.is_continuous(ca.vertcat(C.rows[i], slope), C.x, low, high)
+        if not smooth or not extremum.largest_eigenvalue(H, C.x, low, high, bound_to=0.0, quick=quick).bound <= 0:
             return _find_nonconvex_pair(C, i, low, high)
     where = " on the box that holds the set" if inside else ""
     return HypothesisPart(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
