@@ -87,17 +87,17 @@ class SystemLinearisation:
 
     @cached_property
     def defined_everywhere(self) -> bool:
-        """Whether no x or l leaves f, h or g without a value; their derivatives do not show that."""
+        """Whether no x or l leaves f, h or g without a value where their derivatives do not show that."""
         return self._is_defined(np.full(self.z.numel() - 1, -np.inf), np.full(self.z.numel() - 1, np.inf))
 
     def _is_defined(self, lower: np.ndarray, upper: np.ndarray) -> bool:
         stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
         ends = np.append(self.lower[:1], lower), np.append(self.upper[:1], upper)
-        return is_defined_on_box(stacked, self.z[1:], self.z, *ends)
+        return is_defined_on_box(stacked, self.z[1:], self.z, *ends, beside=ca.veccat(*self.jacobians))
 
     @cached_property
     def defined(self) -> DefinednessResult:
-        """Whether f, h and g are finite at all times of the region, and at all states and multipliers of its box."""
+        """Whether f, h and g are finite at all times of the region, and on its box as far as their derivatives do not show."""
         stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
         in_time = check_defined_in_time(
             stacked, self.model.t, float(self.lower[0]), float(self.upper[0]), self.z[1:], self.points[0][1:]
