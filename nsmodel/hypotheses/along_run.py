@@ -18,6 +18,7 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Conse
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS, SpeedBound
 from nsmodel.hypotheses.region import Region
 from nsmodel.modeling.base import Model
+from nsmodel.proof import interval_bounds
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
 from nsmodel.solvers.residuals import EPS
@@ -139,12 +140,14 @@ def constraint_findings(model: Any, run: Trajectory, c: ca.SX, names: Sequence[s
 
 
 ROUND_UP_FACTOR = 1 + 1e-12
+PAIR_CONSEQUENCES = ("contraction", "stability")  # They speak of any two solutions.
 
 
 def time_limit_clauses(
     model: Model, region: Region, findings: Sequence[Finding], consequences: Sequence[Consequence]
 ) -> list[Consequence]:  # fmt: skip
-    """The consequences, those with a clause told for how long it is proved."""
+    """The consequences, those with a clause told for how long it is proved; nothing of a start outside of their box."""
+    consequences = [about_start(model, region, consequence) for consequence in consequences]
     if not any(consequence.clause and consequence.verdict in (HOLDS, SAMPLED) for consequence in consequences):
         return list(consequences)
     bound = _speed_bound(model, region, findings, {consequence.name: consequence for consequence in consequences})
@@ -155,6 +158,20 @@ def time_limit_clauses(
     until = min(until, region.t1) if region.t1 > region.t0 else until
     text = f"; they do for t <= {until:.5g}, moving at {bound.speed:.5g} at most"
     return [replace(item, clause=item.clause + text, until=until) if item.clause else item for item in consequences]
+
+
+def about_start(model: Model, region: Region, item: Consequence) -> Consequence:
+    """The consequence; unknown where it speaks of the solution from the start, which is not proved to lie in its box."""
+    if not item.clause or item.scope is None or item.name in PAIR_CONSEQUENCES:
+        return item
+    low, high = (
+        np.array(ends).reshape(1, -1) for ends in interval_bounds.enclose(model.start, model.p, *region.parameter_bounds())
+    )
+    for column, name in enumerate(region.names):
+        lower, upper = item.scope.states.get(name, (-np.inf, np.inf))
+        if not (model.points(low)[:, column] >= lower).all() or not (model.points(high)[:, column] <= upper).all():
+            return replace(item, verdict=UNKNOWN, statement=f"{item.statement}; the start is not inside the box")
+    return item
 
 
 def _speed_bound(model: Model, region: Region, findings: Sequence[Finding], found: dict[str, Consequence]) -> SpeedBound | None:

@@ -3,6 +3,8 @@
 Each operation with a limited domain asks something of an argument u(t): u != 0 of a division, u > 0 of a logarithm, u >= 0 of a
 root. Where u is a polynomial its roots are isolated exactly; else its sign is bounded by intervals on ever smaller parts.
 
+Is an expression defined on a box of states.
+
 Is a continuous function of time absolutely continuous: its graph is tame, so that it has finitely many monotone pieces.
 
 What is made of arithmetic, powers, roots, exp and log, of moduli, maxima, signs and cases, and of sines and other analytic
@@ -20,9 +22,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import interval_bounds, polynomial
+from nsmodel.proof import extremum, interval_bounds, polynomial
 from nsmodel.proof import polynomial as polynomial_signs
-from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, operation_codes, symbol_hashes
 from nsmodel.proof.verdict import HOLDS, UNKNOWN, VIOLATED
 
 MAX_TIME_PARTS, MIN_TIME_PART = 20_000, 2.0**-46  # Parts of the interval looked at, and how small they get beside it.
@@ -123,6 +125,37 @@ def _power_conditions(base: ca.SX, exponent: ca.SX) -> list[tuple[ca.SX, str, st
 
 def _satisfies_relation(value: float, relation: str) -> bool:
     return value != 0 if relation == NONZERO else value > 0 if relation == POSITIVE else value >= 0
+
+
+def is_defined_on_box(
+    expr: ca.SX, x: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, *, where: ca.SX | None = None,
+    beside: ca.SX | None = None,
+) -> bool:  # fmt: skip
+    """Whether an expression is proved to have a value at each x of a box of z, as far as that is for x to decide.
+
+    Derivatives do not tell: that of x (1/x + 1) is 1, and at 0 there is no value. What an operation asks of other symbols
+    alone, of time, is not looked at.
+
+    Args:
+        expr: of any shape, in the symbols z.
+        x: some of z; lower, upper: the box of z, with ends that may be infinite.
+        where: rows that are >= 0 where a value is asked for; None: everywhere in the box.
+        beside: an expression that is bounded on the box, a derivative: what it asks for too is not looked at.
+    """
+    own, known = symbol_hashes(x), [] if beside is None else [one.u for one in domain_conditions(ca.densify(ca.vec(beside)))]
+    asked = [condition for condition in domain_conditions(ca.densify(ca.vec(expr))) if symbol_hashes(condition.u) & own]
+    asked = [condition for condition in asked if not any(is_same_expression(condition.u, u) for u in known)]
+    return all(_is_met_on_box(condition, z, lower, upper, where) for condition in asked)
+
+
+def _is_met_on_box(condition: DomainCondition, z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None) -> bool:
+    """By bounds of what is asked for, its guards left aside."""
+    low, high = (float(np.ravel(end)[0]) for end in interval_bounds.enclose(condition.u, z, lower, upper))
+    if (low > 0) or (low >= 0 and condition.relation == NONNEGATIVE) or (high < 0 and condition.relation == NONZERO):
+        return True
+    signs = (1, -1) if condition.relation == NONZERO else (1,)
+    bounds = [extremum.supremum(-sign * condition.u, z, lower, upper, where=where, bound_to=0.0).bound for sign in signs]
+    return any(bound <= 0 if condition.relation == NONNEGATIVE else bound < 0 for bound in bounds)
 
 
 def check_defined_in_time(

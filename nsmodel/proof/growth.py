@@ -127,12 +127,13 @@ class PowerBound(NamedTuple):
 
 
 class SizeBounds(NamedTuple):
-    """low <= e <= high, lower <= |e| <= sum of upper (None: no bound)."""
+    """low <= e <= high, lower <= |e| <= sum of upper (None: no bound); ``number``: e has a value all over the box."""
 
     low: float
     high: float
     lower: MonomialSum
     upper: tuple[QuotientTerm, ...] | None
+    number: bool
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,8 @@ class _GrowthCalculus:
     def __init__(self, code: Program, low: np.ndarray, high: np.ndarray, n: int) -> None:
         self.code, self.n = code, n
         with np.errstate(all="ignore"):
-            values = interval_bounds.run_program(code, low[None, :], high[None, :])
+            values, numbers = interval_bounds.run_with_numbers(code, low[None, :], high[None, :])
+        self.numbers = [bool(own.all()) for own in numbers]
         self.ends = [(float(np.min(lo)), float(np.max(hi))) for lo, hi in values]
         self.atoms: list[AffineAtom] = []
         self.known: dict[tuple, int] = {}
@@ -215,8 +217,9 @@ class _GrowthCalculus:
         if not lower and sign:
             lower = ((min(abs(low), abs(high)), ()),)
         return SizeBounds(
-            low, high, lower[:MAX_BOUND_TERMS], upper if upper is not None and len(upper) <= MAX_BOUND_TERMS else None
-        )
+            low, high, lower[:MAX_BOUND_TERMS],
+            upper if upper is not None and len(upper) <= MAX_BOUND_TERMS else None, self.numbers[i],
+        )  # fmt: skip
 
     def _affine_atom(self, p: polynomial.Polynomial, most: float) -> tuple[float, int]:
         """The factor and the atom of an affine value."""
@@ -370,11 +373,11 @@ def _power_size_bounds(a: SizeBounds, c: Fraction) -> tuple[MonomialSum, tuple[Q
 def _function_size_bounds(op: int, a: SizeBounds, b: SizeBounds) -> tuple[MonomialSum, tuple[QuotientTerm, ...] | None]:
     """The same of what is no arithmetic."""
     if op in (ca.OP_FMAX, ca.OP_FMIN):
-        positive = a.low >= 0 and b.low >= 0
-        if op == ca.OP_FMIN and positive:
+        numbers = a.number and b.number  # else it may be the other one, whichever is smaller
+        if op == ca.OP_FMIN and numbers and a.low >= 0 and b.low >= 0:
             return (), a.upper if a.upper is not None and (b.upper is None or len(a.upper) <= len(b.upper)) else b.upper
         lower = a.lower if a.low >= 0 else b.lower if b.low >= 0 else ()
-        return (lower if op == ca.OP_FMAX else ()), add_terms(a.upper, b.upper)
+        return (lower if op == ca.OP_FMAX and numbers else ()), add_terms(a.upper, b.upper)
     if op in (ca.OP_FLOOR, ca.OP_CEIL):
         return (), add_terms(a.upper, (QuotientTerm(1.0, ()),))
     if op == ca.OP_IF_ELSE_ZERO:

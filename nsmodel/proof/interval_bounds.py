@@ -2,12 +2,14 @@
 
 Bounds are rigorous, rounding included, for the expression as it stands, at the points where all parts of it are defined. An
 operation that may be undefined on its arguments (sqrt or log of what can be negative, a division by an interval around 0) has
-no bound, but what holds it may have one: cos(log(x)) lies in [-1, 1] wherever it is a number. Whether an expression is defined
-on a whole box is for ``is_continuous`` to say.
+no bound, but what holds it may have one: cos(log(x)) lies in [-1, 1] wherever it is a number. What is a number though an argument
+is none (fmin, fmax, comparisons) is bounded as it is evaluated: fmin(cos(log(x)), 9) is 9 at x = -1. Whether an expression is
+defined on a whole box is for ``is_continuous`` to say.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -35,17 +37,56 @@ MAX_CONTINUITY_BOXES, MAX_CUT_DEPTH = 4000, 40  # Boxes looked at, and cuts of o
 
 def run_program(code: Program, lower: np.ndarray, upper: np.ndarray) -> list[IntervalPair]:
     """Return the interval of every value over boxes (k, n); arrays (k,), or (1,) of constants."""
+    return _run(code, lower, upper, _asks_for_numbers(code))[0]
+
+
+def run_with_numbers(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[list[IntervalPair], list[np.ndarray]]:
+    """Return the interval of every value, and whether it is proved to be a number all over each box."""
+    return _run(code, lower, upper, True)
+
+
+def _asks_for_numbers(code: Program) -> bool:
+    """Whether an operation has a value also where an argument is no number."""
+    return any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
+
+
+def _run(code: Program, lower: np.ndarray, upper: np.ndarray, asked: bool) -> tuple[list[IntervalPair], list[np.ndarray]]:
     values: list[IntervalPair] = []
+    numbers: list[np.ndarray] = []
     for step in code.steps:
+        args = [values[j] for j in step.sources]
         if step.op == ca.OP_INPUT:
             values.append((lower[:, step.slot], upper[:, step.slot]))
         elif step.op == ca.OP_CONST:
             values.append(UNBOUNDED if np.isnan(step.number) else point_interval(step.number))
         elif step.op in OPERATIONS:
-            values.append(OPERATIONS[step.op].bounds(*(values[j] for j in step.sources)))
+            values.append(OPERATIONS[step.op].bounds(*args))
         else:
             values.append(UNBOUNDED)
-    return values
+        if not asked:
+            continue
+        fine = [numbers[j] for j in step.sources]
+        numbers.append(_is_number(step, values[-1], args, fine))
+        loose = OPERATIONS[step.op].loose if step.op in OPERATIONS else None
+        if loose is not None and not all(part.all() for part in fine):
+            values[-1] = loose(values[-1], fine, *args)
+    return values, numbers
+
+
+def _is_number(step: Instruction, result: IntervalPair, args: list[IntervalPair], sources: list[np.ndarray]) -> np.ndarray:
+    """Whether a value is proved to be a number as it is evaluated: its operation has one, and its arguments are some."""
+    if step.op not in OPERATIONS:
+        return np.full(1, step.op in (ca.OP_INPUT, ca.OP_CONST) and not np.isnan(step.number))
+    fine, loose = OPERATIONS[step.op].defined(result, *args), OPERATIONS[step.op].loose is not None
+    if step.op in (ca.OP_FMIN, ca.OP_FMAX):
+        return sources[0] | sources[1]
+    if step.op == ca.OP_IF_ELSE_ZERO:
+        off = (args[0][0] == 0) & (args[0][1] == 0)
+        return off & sources[0] | sources[1]
+    asked = [] if loose and OPERATIONS[step.op].jumps else sources[:1] if step.op == ca.OP_COPYSIGN else sources
+    for part in asked:
+        fine = fine & part
+    return fine
 
 
 def _is_operation_continuous(step: Instruction, result: IntervalPair, args: list[IntervalPair]) -> np.ndarray:
@@ -59,9 +100,11 @@ def _is_operation_continuous(step: Instruction, result: IntervalPair, args: list
 
 
 def reverse_slopes(
-    code: Program, values: list[IntervalPair], seeds: tuple[int, ...], count: int
+    code: Program, values: list[IntervalPair], seeds: tuple[int, ...], count: int, numbers: Sequence[np.ndarray] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return intervals s (len(seeds), count, n) with f(u) - f(v) = sum s_i (u_i - v_i) for all u, v in one box.
+
+    ``numbers``: which values are numbers, where an operation has a value without (``run_with_numbers``).
 
     Such an s exists wherever every operation is Lipschitz on its arguments; elsewhere it is (-inf, inf). Slopes are carried
     backwards from the outputs ``seeds``, as in reverse differentiation.
@@ -83,6 +126,9 @@ def reverse_slopes(
             continue
         args = [values[j] for j in step.sources]
         regular = _is_operation_continuous(step, values[i], args)
+        if numbers and step.op in OPERATIONS and OPERATIONS[step.op].loose is not None:
+            asking = step.sources[:1] if step.op == ca.OP_IF_ELSE_ZERO else step.sources
+            regular = np.logical_and.reduce(np.broadcast_arrays(regular, *(numbers[j] for j in asking)))
         known = OPERATIONS[step.op].slopes(values[i], *args) if step.op in OPERATIONS else [UNBOUNDED] * len(args)
         for j, slope in zip(step.sources, known, strict=True):
             if code.uses[j]:
@@ -125,10 +171,11 @@ def box_centre(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 def mean_value_form(code: Program, lower: np.ndarray, upper: np.ndarray) -> MeanValueBounds:
     """Bounds of each entry by f(c) + sum s_i (x_i - c_i) and by the values themselves, whichever is better."""
     with np.errstate(all="ignore"):
-        values, middle = run_program(code, lower, upper), box_centre(lower, upper)
+        values, numbers = _run(code, lower, upper, _asks_for_numbers(code))
+        middle = box_centre(lower, upper)
         at_middle = run_program(code, middle, middle)
         count, m = len(lower), len(code.outputs)
-        lo, hi = reverse_slopes(code, values, tuple(range(m)), count)
+        lo, hi = reverse_slopes(code, values, tuple(range(m)), count, numbers)
         total = first = _stack_outputs(code, at_middle, count)
         for i in sorted(frozenset().union(*(code.uses[j] for j in code.outputs))):
             total = add(total, mul((lo[:, :, i], hi[:, :, i]), sub((lower[:, i], upper[:, i]), (middle[:, i], middle[:, i]))))
@@ -183,7 +230,8 @@ def enclose(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Inte
         lower, upper: (n,) or (k, n); ends may be infinite.
 
     Returns:
-        lo, hi: of shape ``expr.shape``, or (k, then ``expr.shape``); -inf and inf where there is no bound, never NaN.
+        lo, hi: of shape ``expr.shape``, or (k, then ``expr.shape``); -inf and inf where there is no bound, never NaN. A box that
+            is one point, where the expression is not proved to have a value, gives no bound: 0 log 0 is not 0.
 
     Raises:
         ValueError: other symbols than z, or no box.
@@ -191,8 +239,33 @@ def enclose(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Inte
     code, (low, high) = program(expr, z), validated_boxes(z, lower, upper)
     batch = np.ndim(lower) > 1
     rows, columns = code.shape
-    lo, hi = (part.T.reshape(len(low), columns, rows).transpose(0, 2, 1) for part in natural_extension(code, low, high))
+    ends = natural_extension(code, low, high)
+    points = (low == high).all(axis=1)
+    if points.any():
+        numbers = np.ones((len(code.outputs), len(low)), bool)
+        numbers[:, points] = _output_numbers(code, low[points])
+        ends = select_interval(numbers, ends, UNBOUNDED)
+    lo, hi = (part.T.reshape(len(low), columns, rows).transpose(0, 2, 1) for part in ends)
     return (lo, hi) if batch else (lo[0], hi[0])
+
+
+def _output_numbers(code: Program, points: np.ndarray) -> np.ndarray:
+    """Whether each output is proved to be a number (numel, k) at points (k, n)."""
+    with np.errstate(all="ignore"):
+        parts = [
+            np.array([np.broadcast_to(numbers[j], len(own)) for j in code.outputs]).reshape(len(code.outputs), len(own))
+            for own in (points[i : i + code.boxes_per_run] for i in range(0, len(points), code.boxes_per_run))
+            for numbers in (run_with_numbers(code, own, own)[1],)
+        ]
+    return np.concatenate(parts, axis=1)
+
+
+def is_number(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether every entry of an expression is proved to have a value all over a box, without cutting it."""
+    code, (low, high) = program(expr, z), validated_boxes(z, lower, upper)
+    with np.errstate(all="ignore"):
+        numbers = run_with_numbers(code, low, high)[1]
+    return all(numbers[j].all() for j in code.outputs)
 
 
 def is_continuous(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:

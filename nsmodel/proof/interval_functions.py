@@ -74,12 +74,20 @@ class IntervalOperation(NamedTuple):
             f is continuous there.
         continuous: (result, *args) -> whether f is proved defined and continuous on the arguments; None: always.
         jumps: f is piecewise constant: where its value is known it is continuous, whatever the arguments do.
+        loose: (result, fine, *args) -> interval of what f may be where arguments may be no numbers, those that are not ``fine``:
+            fmin(NaN, a) is a, NaN < a is 0. None: f is no number either.
     """
 
     bounds: Callable[..., IntervalPair]
     slopes: Callable[..., tuple[IntervalPair, ...]]
     continuous: Callable[..., Array] | None = None
     jumps: bool = False
+    loose: Callable[..., IntervalPair] | None = None
+
+    def defined(self, result: IntervalPair, *args: IntervalPair) -> Array:
+        """Whether f is proved to have a value on the arguments; the angle and copysign jump, and have one everywhere."""
+        total = self.continuous is None or self.jumps or self.bounds in _TOTAL_BOUNDS
+        return np.ones(1, bool) if total or self.continuous is None else self.continuous(result, *args)
 
 
 # -- powers ------------------------------------------------------------------------------------------------------------
@@ -210,8 +218,32 @@ def _choice_slopes(first: Array, second: Array) -> tuple[IntervalPair, IntervalP
     return _truth_interval(first, second & ~first), _truth_interval(second & ~first, first)
 
 
-def _jump_operation(bounds: Callable[..., IntervalPair], arity: int = 1) -> IntervalOperation:
-    return IntervalOperation(bounds, lambda r, *args: (ZERO,) * arity, lambda r, *args: is_point(r), True)
+def _jump_operation(
+    bounds: Callable[..., IntervalPair], arity: int = 1, loose: Callable[..., IntervalPair] | None = None
+) -> IntervalOperation:
+    return IntervalOperation(bounds, lambda r, *args: (ZERO,) * arity, lambda r, *args: is_point(r), True, loose)
+
+
+_TOTAL_BOUNDS = (atan2, _copysign, _if_else_zero)
+
+
+def _or_other_argument(r: IntervalPair, fine: list[Array], x: IntervalPair, y: IntervalPair) -> IntervalPair:
+    """Fmin and fmax are the other argument where one is no number."""
+    r = select_interval(fine[0], r, hull(r, y))
+    return select_interval(fine[1], r, hull(r, x))
+
+
+def _any_truth(r: IntervalPair, fine: list[Array], *args: IntervalPair) -> IntervalPair:
+    known = np.logical_and.reduce(np.broadcast_arrays(*fine))
+    return select_interval(known, r, _truth_interval(np.zeros(1, bool), np.zeros(1, bool)))
+
+
+def _either_sign(r: IntervalPair, fine: list[Array], x: IntervalPair, y: IntervalPair) -> IntervalPair:
+    return select_interval(fine[1], r, hull(magnitude(x), neg(magnitude(x))))
+
+
+def _either_case(r: IntervalPair, fine: list[Array], c: IntervalPair, v: IntervalPair) -> IntervalPair:
+    return select_interval(fine[0], r, hull(ZERO, v))
 
 
 # -- the table ---------------------------------------------------------------------------------------------------------
@@ -278,10 +310,14 @@ OPERATIONS: dict[int, IntervalOperation] = {
     ca.OP_HYPOT: IntervalOperation(hypot, hypot_slopes),
     ca.OP_FABS: _unary_operation(magnitude, lambda r, x: _absolute_value_slope(x)),
     ca.OP_FMIN: IntervalOperation(
-        lambda x, y: (np.minimum(x[0], y[0]), np.minimum(x[1], y[1])), lambda r, x, y: _choice_slopes(x[1] <= y[0], y[1] <= x[0])
+        lambda x, y: (np.minimum(x[0], y[0]), np.minimum(x[1], y[1])),
+        lambda r, x, y: _choice_slopes(x[1] <= y[0], y[1] <= x[0]),
+        loose=_or_other_argument,
     ),
     ca.OP_FMAX: IntervalOperation(
-        lambda x, y: (np.maximum(x[0], y[0]), np.maximum(x[1], y[1])), lambda r, x, y: _choice_slopes(x[0] >= y[1], y[0] >= x[1])
+        lambda x, y: (np.maximum(x[0], y[0]), np.maximum(x[1], y[1])),
+        lambda r, x, y: _choice_slopes(x[0] >= y[1], y[0] >= x[1]),
+        loose=_or_other_argument,
     ),
     ca.OP_SIGN: _jump_operation(lambda x: (np.sign(x[0]), np.sign(x[1]))),
     ca.OP_FLOOR: _jump_operation(lambda x: (np.floor(x[0]), np.floor(x[1]))),
@@ -292,20 +328,28 @@ OPERATIONS: dict[int, IntervalOperation] = {
         _copysign,
         lambda r, x, y: (select_interval(y[0] > 0, _absolute_value_slope(x), neg(_absolute_value_slope(x))), ZERO),
         lambda r, x, y: excludes(y),
+        loose=_either_sign,
     ),
-    ca.OP_LT: _jump_operation(lambda x, y: _truth_interval(x[1] < y[0], x[0] >= y[1]), 2),
-    ca.OP_LE: _jump_operation(lambda x, y: _truth_interval(x[1] <= y[0], x[0] > y[1]), 2),
+    ca.OP_LT: _jump_operation(lambda x, y: _truth_interval(x[1] < y[0], x[0] >= y[1]), 2, _any_truth),
+    ca.OP_LE: _jump_operation(lambda x, y: _truth_interval(x[1] <= y[0], x[0] > y[1]), 2, _any_truth),
     ca.OP_EQ: _jump_operation(
-        lambda x, y: _truth_interval(is_point(x) & is_point(y) & (x[0] == y[0]), (x[1] < y[0]) | (x[0] > y[1])), 2
+        lambda x, y: _truth_interval(is_point(x) & is_point(y) & (x[0] == y[0]), (x[1] < y[0]) | (x[0] > y[1])), 2, _any_truth
     ),
     ca.OP_NE: _jump_operation(
-        lambda x, y: _truth_interval((x[1] < y[0]) | (x[0] > y[1]), is_point(x) & is_point(y) & (x[0] == y[0])), 2
+        lambda x, y: _truth_interval((x[1] < y[0]) | (x[0] > y[1]), is_point(x) & is_point(y) & (x[0] == y[0])), 2, _any_truth
     ),
-    ca.OP_NOT: _jump_operation(lambda x: _truth_interval(_is_false(x), _is_true(x))),
-    ca.OP_AND: _jump_operation(lambda x, y: _truth_interval(_is_true(x) & _is_true(y), _is_false(x) | _is_false(y)), 2),
-    ca.OP_OR: _jump_operation(lambda x, y: _truth_interval(_is_true(x) | _is_true(y), _is_false(x) & _is_false(y)), 2),
+    ca.OP_NOT: _jump_operation(lambda x: _truth_interval(_is_false(x), _is_true(x)), 1, _any_truth),
+    ca.OP_AND: _jump_operation(
+        lambda x, y: _truth_interval(_is_true(x) & _is_true(y), _is_false(x) | _is_false(y)), 2, _any_truth
+    ),
+    ca.OP_OR: _jump_operation(
+        lambda x, y: _truth_interval(_is_true(x) | _is_true(y), _is_false(x) & _is_false(y)), 2, _any_truth
+    ),
     ca.OP_IF_ELSE_ZERO: IntervalOperation(
-        _if_else_zero, lambda r, c, v: (ZERO, select_interval(_is_true(c), ONE, ZERO)), lambda r, c, v: _is_true(c) | _is_false(c)
+        _if_else_zero,
+        lambda r, c, v: (ZERO, select_interval(_is_true(c), ONE, ZERO)),
+        lambda r, c, v: _is_true(c) | _is_false(c),
+        loose=_either_case,
     ),
 }
 

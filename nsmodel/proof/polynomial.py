@@ -53,6 +53,8 @@ def read_polynomials(expr: ca.SX, z: ca.SX) -> list[Polynomial | None]:
 def read_quotient(expr: ca.SX, z: ca.SX) -> tuple[Polynomial, Polynomial] | None:
     """Return a scalar as a quotient of polynomials in z, None where it is not one.
 
+    What is divided by anywhere in it is a factor of the denominator, also where it cancels: 1 / (1 / s) has no value at 0.
+
     >>> s = ca.SX.sym("s")
     >>> read_quotient(s + 2 / (1 + s), s)
     ({((0, 1),): Fraction(1, 1), ((0, 2),): Fraction(1, 1), (): Fraction(2, 1)}, {(): Fraction(1, 1), ((0, 1),): Fraction(1, 1)})
@@ -67,7 +69,7 @@ def read_quotient(expr: ca.SX, z: ca.SX) -> tuple[Polynomial, Polynomial] | None
     fractions: list[tuple[Polynomial, Polynomial]] = []
     for u, before in [*((u, before) for _, u, before in divisors), (flat, stack_column(symbol for symbol, _, _ in divisors))]:
         (p,) = read_polynomials(u, ca.vertcat(z, before))
-        found = None if p is None else _clear_denominators(p, z.numel(), fractions)
+        found = None if p is None else _clear_denominators(p, z.numel(), fractions, least=int(u is flat))
         if found is None or (u is not flat and not found[0]):
             return None
         fractions.append(found if u is flat else (found[1], found[0]))
@@ -103,10 +105,11 @@ def cancel_common_factors(top: Polynomial, bottom: Polynomial, n: int) -> tuple[
 
 
 def _clear_denominators(
-    p: Polynomial, n: int, inverses: Sequence[tuple[Polynomial, Polynomial]]
+    p: Polynomial, n: int, inverses: Sequence[tuple[Polynomial, Polynomial]], least: int = 0
 ) -> tuple[Polynomial, Polynomial] | None:
-    """p(z, y) with y_j = num_j / den_j as one quotient."""
+    """p(z, y) with y_j = num_j / den_j as one quotient, each den_j to a power of ``least`` at least."""
     most = [max((dict(monomial).get(n + j, 0) for monomial in p), default=0) for j in range(len(inverses))]
+    most = [power if is_constant(inverses[j][1]) else max(power, least) for j, power in enumerate(most)]
     top: Polynomial | None = {}
     bottom = _multiply_all([inverses[j][1] for j, power in enumerate(most) for _ in range(power)])
     for monomial, number in p.items():

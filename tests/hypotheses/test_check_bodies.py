@@ -736,3 +736,27 @@ def test_a_box_of_parameters_is_decided_as_on_the_model_written_out():
     wide = ManyBodies(bodies=grown.bodies, constraints=pairs, parameters={k: 0.1}, t_end=1, step=0.1)
     assert check(wide, (), parameters={k: (0.0, 0.1)}, quick=True)["A0"].verdict != "holds"  # looked at, not proved
     assert check(wide, (), parameters={k: (0.0, 0.9)}, quick=True)["S-start"].verdict == "violated"
+
+
+@pytest.mark.parametrize(("width", "q0"), [(0.9, [[0.5, 0.0]]), (3.0, [[0.5], [2.5]])])
+def test_of_a_corridor_narrower_than_its_bodies_nothing_holds(width, q0):
+    """One disc of radius 0.5 in 0.9; two of radius 1 one after the other in 3, on a line."""
+    r = [0.5] if len(q0) == 1 else [1.0, 1.0]
+    model = discs(q0, r, others=lambda i: {"left": i.q[0] - i.r, "right": width - i.q[0] - i.r})
+    for quick in (True, False):
+        report = check(model, [], quick=quick)
+        assert report["S-start"].verdict == VIOLATED
+        assert "Q(0) is empty" in report["S-start"].how
+        assert {report["A5"].verdict, report["A5'"].verdict, *(item.verdict for item in report.consequences)} == {UNKNOWN}
+    wide = discs(q0, r, others=lambda i: {"left": i.q[0] - i.r, "right": 4.5 - i.q[0] - i.r})
+    assert all("empty" not in item.statement for item in check(wide, [], quick=True).consequences)
+
+
+def test_many_bodies_whose_start_is_not_admissible():
+    """Two of forty discs overlap: of the points of a set that is not shown to have any nothing holds."""
+    rng = np.random.default_rng(0)
+    q0 = rng.uniform(0, 30, (40, 2))
+    q0[1] = q0[0] + 0.1
+    report = check(discs(q0, np.full(40, 0.2)), [], quick=True)
+    assert report["S-start"].verdict == VIOLATED
+    assert {item.verdict for item in report.consequences} == {UNKNOWN}

@@ -474,3 +474,26 @@ def test_a_switch_is_violated_only_where_its_argument_changes_sign_the_wrong_way
     if verdict == "violated":
         at, d = found["M-T"].witness["x"][0], 1e-6 * found["M-T"].witness["direction"][0]
         assert (np.sign(float(u(at + d))) - np.sign(float(u(at - d)))) * d < 0
+
+
+@pytest.mark.parametrize(
+    ("row", "convex"),
+    [
+        (lambda x: ca.fabs(x) - 1, False),
+        (lambda x: ca.fmax(x, -x / 2) - 0.5, False),
+        (lambda x: 1 - 2 * ca.sign(x), True),
+        (lambda x: 2 - ca.floor(x), True),
+        (lambda x: 3 + x * (1 / x + 1), False),  # 4 + x off 0, no value at 0
+    ],
+)
+def test_kinks_and_steps_of_a_constraint_are_no_concave_ones(row, convex):
+    """Their second derivatives are 0 off the kink, and say nothing of it."""
+    x = ca.SX.sym("q")
+    model = MonotoneInclusion(x=x, field=[-x], constraints={"row": row(x), "low": x + 3, "up": 3 - x}, x0=[-2], t_end=1, step=0.1)
+    for quick in (True, False):
+        found = nsmodel.check(model, region={"q": (-3, 3)}, quick=quick)["M-C"]
+        assert found.verdict != "holds"
+        points = np.linspace(-3, 3, 601)
+        inside = np.array(ca.Function("c", [x], [row(x)])(points[None, :])).ravel() >= 0
+        assert found.verdict != "violated" or not convex
+        assert convex == bool(inside[np.flatnonzero(inside)[0] : np.flatnonzero(inside)[-1] + 1].all())

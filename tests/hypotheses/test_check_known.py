@@ -8,6 +8,7 @@ import pytest
 
 import nsmodel
 from nsmodel import (
+    FirstOrderSystem,
     FrictionOscillator,
     LureSystem,
     MonotoneInclusion,
@@ -237,3 +238,80 @@ def test_runs_that_agree_are_not_called_exact():
     (order,) = (item for item in report.consequences if item.name == "observed order")
     assert "agree to rounding" in order.statement
     assert "exact" not in order.statement
+
+
+# -- parts without a value ---------------------------------------------------------------------------------------------
+
+X, L = ca.SX.sym("q"), ca.SX.sym("l")
+HOLE = X * (1 / X + 1)  # 1 + x off 0, with the derivative 1; at 0 there is no value
+U = 1 / X
+CANCELLED = (U + X**2 + X) - (U + X**2)  # x off 0
+
+
+@pytest.mark.parametrize(
+    "drift", [-HOLE, -CANCELLED, -X - X * ca.log(X**2) / 99, -X * (1 + ca.sqrt(X - 1)), -X * ca.acos(X + 2)], ids=str
+)
+def test_zero_times_undefined_is_no_rest_point(drift):
+    z = ca.SX.sym("z")
+    model = LureSystem(x=ca.vertcat(X, z), A=[drift, -z], B=[0.5, 0], C=[1, 0], law=relay(1), x0=[0.5, 0.5], t_end=1, step=0.1)
+    report = check(model, quick=True)
+    assert report["7.1"].verdict == "violated"
+    assert report["7.1"].how == "A(0) = 0 fails: A has no value at 0."
+    assert report["5.2"].verdict != "holds" or report["5.2"].scope.states["q"][0] > 0
+    stable = {item.name: item.verdict for item in report.consequences}
+    assert stable["globally asymptotically stable"] == stable["Lyapunov stable"] == "unknown"
+
+
+def test_zero_times_what_has_a_value_is_zero():
+    """x sin(x + 1), x/(3 + cos x), x^2 atan(exp(x)): 0 at 0, exactly, though the other factor is irrational there."""
+    for drift in (-X * ca.sin(X + 1), -X / (3 + ca.cos(X + 1)), -(X**2) * ca.atan(ca.exp(X) + 1), -X * ca.sqrt(X + 2)):
+        model = LureSystem(x=X, A=drift, B=[1], C=[1], law=relay(1), x0=[0.5], t_end=1, step=0.1)
+        assert check(model, quick=True)["7.1"].verdict == "holds", drift
+
+
+def test_a_function_with_a_hole_is_not_affine():
+    """Everything whose derivatives are constant, but that has no value at 0: nothing is said of all states."""
+    shared = {"x0": [-0.5], "t_end": 1, "step": 0.1}
+    models = {
+        "f": FirstOrderSystem(x=X, lam=L, f=-HOLE, g=L, h=X, law=relay(1), **shared),
+        "h": FirstOrderSystem(x=X, lam=L, f=-X, g=L, h=HOLE + L, law=relay(1), **shared),
+        "A": LureSystem(x=X, A=-HOLE, B=[1], C=[1], law=relay(1), **shared),
+        "wall": SweepingProcess(q=X, f=[0], constraints={"wall": 2 + HOLE}, q0=[-0.5], t_end=1, step=0.1),
+        "field": MonotoneInclusion(x=X, field=-HOLE, **shared),
+    }
+    asked = {"f": ("F-jacobians", "F-unique", "F-W", "F-step"), "h": ("F-jacobians", "F-unique"), "A": ("5.2",),
+             "wall": ("S-convex", "A0", "A1", "A4"), "field": ("M-A1", "M-A2", "M-A3", "M-24")}  # fmt: skip
+    for name, model in models.items():
+        report = check(model, quick=True)
+        wide = check(model, quick=True, region={"q": (-1, 1)})
+        for id in asked[name]:
+            assert report[id].verdict != "holds" or report[id].scope.states["q"][1] < 0, (name, id)
+            assert wide[id].verdict != "holds" or id in ("F-W", "F-step", "A1", "A4"), (name, id)
+    g = FirstOrderSystem(x=X, lam=L, f=-X, g=L * (1 / L + 1), h=X, law=relay(1), **shared)
+    assert {check(g, quick=True)[id].verdict for id in ("F-jacobians", "F-unique")} == {"unknown"}
+
+
+def test_a_start_without_a_value_is_not_admissible():
+    model = SweepingProcess(q=X, f=[0], constraints={"wall": 1 + X * ca.log(X)}, q0=[0], t_end=1, step=0.1)
+    finding = check(model, quick=True)["S-start"]
+    assert (finding.verdict, finding.how) == ("violated", "g_i(0, q_0) has no value")
+
+
+@pytest.mark.parametrize(
+    ("field", "grows"),
+    [
+        (ca.fmin(X**2, ca.cos(ca.acos(X))), True),  # x^2 beyond 1, where acos has no value
+        (ca.fmax(ca.sin(ca.sqrt(X)), -(X**2)), True),
+        (ca.if_else(ca.cos(ca.acos(X)) < 2, 1, X**3), True),
+        (ca.fmin(X**2, 5 + ca.fabs(X)), False),
+        (ca.fmin(ca.sqrt(X**2 + 1), X**4), False),
+    ],
+    ids=str,
+)
+def test_growth_of_what_is_chosen_beside_an_undefined_part(field, grows):
+    found = check(MonotoneInclusion(x=X, field=-field, x0=[0.5], t_end=1, step=0.1), quick=True)["M-A2"]
+    assert (found.verdict == "holds") == (not grows)
+    if not grows:
+        x = np.linspace(-1e3, 1e3, 20_001)
+        values = np.abs(np.array(ca.Function("F", [X], [field])(x[None, :])).ravel())
+        assert (values <= found.value["a_1"] + found.value["a_2"] * np.abs(x)).all()

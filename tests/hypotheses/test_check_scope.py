@@ -151,7 +151,22 @@ def test_a_root_of_the_state_outside_the_box():
     well = consequences(found)["well posed"]
     assert "stay inside the box" in well.clause
     assert well.until is None
-    assert "is not proved" in well.clause
+    assert well.verdict == "unknown"
+    assert "the start is not inside the box" in well.statement
+
+
+def test_what_follows_for_solutions_in_a_box_asks_for_a_start_in_it():
+    """x' = x^2 - p is looked at on a box; that two solutions in it part slowly does not depend on x0."""
+    p, z = ca.SX.sym("p"), ca.SX.sym("z")
+    for boxes, x0 in (({}, z * 0 + 0.5), ({p: (0.5, 3)}, p)):
+        model = nsmodel.MonotoneInclusion(
+            x=z, field=[z**2 - p], x0=[0.5 if not boxes else p], t_end=1, step=0.1, parameters={p: 1}
+        )
+        for region, inside in (((-1, 4), True), ((1, 4), False)):
+            made = consequences(check(model, [], region={"z": region}, parameters=boxes or None))
+            assert ("the start is not inside the box" in made["well posed"].statement) == (not inside), x0
+            assert inside or made["well posed"].verdict == "unknown"
+            assert boxes or made["stability"].verdict == "holds"
 
 
 def test_two_pegs_and_one_body():
@@ -266,7 +281,7 @@ def test_the_intersection_of_scopes():
 
 
 def test_scope_is_data_in_every_form_of_the_report(tmp_path):
-    model = swept({}, [0, 0], (0, ca.sqrt(ca.fmax(y, 0)) + 0 * t))
+    model = swept({}, [0, 1.5], (0, ca.sqrt(ca.fmax(y, 0)) + 0 * t))
     report = check(model, [], region={"q_0": (-1, 1), "q_1": (1, 2)})
     plain = json.loads(nsmodel.files.storage.dumps(report.document()))
     assert all("scope" in item for item in [*plain["findings"], *plain["consequences"]])

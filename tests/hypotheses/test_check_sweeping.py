@@ -10,6 +10,7 @@ import pytest
 from fuzz_models import COUNT, FULL
 
 from nsmodel import SweepingProcess
+from nsmodel import check as nsmodel_check
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region, region_of
 from nsmodel.models.sweeping_process.check import HYPOTHESES, check, log_error_constant
@@ -676,3 +677,93 @@ def test_what_is_active_to_rounding_alone_is_not_shown():
     q = ca.SX.sym("q", 2)
     found = decided({"low": q[1], "high": 1e-8 - q[1]}, q, [0, 5e-9], width=1e3, quick=True)["A5'"]
     assert (found.verdict, found.value["gamma"], found.value["attained"]) == (HOLDS, 1, 1)
+
+
+# -- an empty set ------------------------------------------------------------------------------------------------------
+
+x1, x2 = ca.SX.sym("x1"), ca.SX.sym("x2")
+ABOUT_POINTS = ("A5", "A5'", "well posed", "prox-regular", "K_L", "step bound", "linearisation error", "metric qualification",
+                "order 1/2")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rows", "names"),
+    [
+        ({"a": x1 - 1, "b": -x1}, "a, b together"),
+        ({"a": -1 - x1**2}, "a"),
+        (
+            {"a": ca.norm_2(ca.vertcat(x1, x2)) - 5, "left": 1 - x1, "right": 1 + x1, "up": 1 - x2, "low": 1 + x2},
+            "a, left, right, up, ... together",
+        ),
+        ({"a": x1 + x2 - 1, "b": x1 - x2 - 1, "c": 0.5 - x1}, "a, b, c together"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_of_points_of_an_empty_set_nothing_holds(rows, names):
+    found = decided(rows, ca.vertcat(x1, x2), [0.5, 0.5], quick=True)
+    assert {found[name].verdict for name in ABOUT_POINTS} == {UNKNOWN}
+    assert found["A5"].how == f"Q(0) is empty: no point satisfies {names}"
+    assert found["S-start"].verdict == VIOLATED
+    assert f"no point satisfies {names}" in found["S-start"].how
+    assert "is empty" in found["step bound"].statement
+
+
+def test_of_the_points_of_a_set_that_may_be_empty_nothing_holds():
+    """|(x1, x2)| >= 2 and x1 + x2 + sqrt(1 + x1^2) + ... <= 0 on the unit square: no proof knows that no point is left."""
+    wave = ca.sin(3 * x1) * ca.cos(2 * x2) - 2 + ca.fabs(x1) / 1000
+    found = decided({"wave": wave, "wall": x1}, ca.vertcat(x1, x2), [0.5, 0.5], quick=True)
+    assert HOLDS not in {found[name].verdict for name in ABOUT_POINTS}
+
+
+def test_a_start_outside_of_a_set_that_has_points_changes_nothing_of_what_is_said_of_these():
+    for rows in ({"a": x1 - 1}, {"a": x1 - 0.5 - 2**-20, "b": 0.5 + 2**-19 - x1}, {"a": ca.norm_2(ca.vertcat(x1, x2)) - 2}):
+        inside, outside = (
+            decided(rows, ca.vertcat(x1, x2), q0, quick=True) for q0 in ([0.5 + 1.5 * 2**-20 if "b" in rows else 3, 0], [0.4, 0])
+        )
+        assert (inside["S-start"].verdict, outside["S-start"].verdict) == (HOLDS, VIOLATED)
+        for name in ABOUT_POINTS:
+            if "S-start" not in getattr(inside[name], "rests_on", ()):
+                assert outside[name].verdict == inside[name].verdict, name
+
+
+@pytest.mark.parametrize("seed", range(COUNT))
+def test_what_holds_of_random_planes_and_discs_is_said_of_a_set_with_points(seed):
+    """Q(0) on a grid: where no point of it is admissible by far, no sentence about its points holds."""
+    rng = np.random.default_rng([32, seed])
+    q = ca.vertcat(x1, x2)
+    rows = {}
+    for k in range(int(rng.integers(1, 5))):
+        centre, size = rng.uniform(-1, 1, 2), rng.uniform(0.2, 2)
+        normal = rng.normal(size=2)
+        kinds = (
+            ca.norm_2(q - ca.DM(centre)) - size,
+            ca.dot(ca.DM(normal), q) - size,
+            size - rng.uniform(0.1, 1) * ca.sumsqr(q),
+            ca.fmin(x1, x2) - centre[0],
+        )
+        rows[f"c{k}"] = kinds[int(rng.integers(4))]
+    rows |= {"left": x1 + 1.5, "right": 1.5 - x1, "low": x2 + 1.5, "up": 1.5 - x2}
+    points = np.stack(np.meshgrid(np.linspace(-1.6, 1.6, 321), np.linspace(-1.6, 1.6, 321)), -1).reshape(-1, 2)
+    least = np.array(ca.Function("g", [q], [ca.vertcat(*rows.values())])(points.T)).min(axis=0)
+    found = decided(rows, q, [0.1, 0.2], width=1.6, quick=True)
+    verdicts = {found[name].verdict for name in ABOUT_POINTS}
+    if least.max() < -0.05:  # |g_i'| <= 5, and the points are 0.01 apart
+        assert HOLDS not in verdicts
+        assert SAMPLED not in verdicts
+    elif least.max() > 0.05:
+        assert "may be empty" not in found["step bound"].statement
+        assert "is empty" not in found["step bound"].statement
+
+
+def test_of_parameters_at_which_the_set_is_empty_nothing_holds():
+    p = ca.SX.sym("p")
+    for rows, x0, verdict in (
+        ({"a": x1 - p - 1, "b": -x1 - p}, 0, UNKNOWN),
+        ({"a": x1 - p}, 0, HOLDS),
+        ({"a": x1 - p}, 2, HOLDS),
+    ):
+        model = SweepingProcess(q=x1, f=[0], constraints=rows, q0=[x0], t_end=1, step=0.1, parameters={p: 1})
+        report = nsmodel_check(model, parameters={p: (0.5, 1)}, quick=True)
+        assert {item.verdict for item in report.consequences if item.name in ("prox-regular", "K_L", "step bound")} <= {verdict}
+        assert report["A5"].verdict == verdict
+        assert report["S-start"].verdict == (HOLDS if x0 == 2 else VIOLATED)

@@ -310,6 +310,50 @@ def test_a_bound_that_jumps_and_a_set_that_becomes_empty_are_shown():
     empty = checked(lower=T - 1, upper=1)
     assert empty["M-C"].verdict == "violated"
     assert empty["M-C"].witness["t"] >= 2
+    assert empty["M-H"].verdict == "violated"
+
+
+EMPTY_AT_TIMES = {  # C(t) as a box or by constraints, and a time from which on it is empty, at least for a while
+    "sides that pass each other": ({"lower": T - 0.7, "upper": 0.7 - T}, 0.7),
+    "for a moment": ({"lower": 1.1 - (T - 1.5) ** 2, "upper": 1.09}, 1.4),
+    "one side of two": ({"x": Y, "field": [0, 0], "x0": [0, 0], "lower": [-1, T - 2], "upper": [1, 0.5]}, 2.5),
+    "a disc that shrinks": ({"constraints": {"disc": 1 - T - X**2}}, 1.0),
+    "walls": ({"constraints": {"left": X + 1 - T, "right": 1 - T - X}}, 1.0),
+    "never a point": ({"constraints": {"disc": -1 - ca.sin(T) ** 2 - X**2}}, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", EMPTY_AT_TIMES)
+def test_a_set_that_is_empty_at_some_time_does_not_move_at_a_finite_speed(name):
+    given, begins = EMPTY_AT_TIMES[name]
+    report = checked(**given)
+    assert report["M-H"].verdict in ("violated", "unknown")
+    if name != "for a moment":
+        assert report["M-H"].verdict == "violated"
+        assert "empty" in report["M-H"].how
+        assert report["M-H"].witness["t"] >= begins
+    assert "holds" not in {item.verdict for item in report.findings}
+    assert "holds" not in {item.verdict for item in report.consequences if item.name != "tolerances"}
+
+
+def test_a_set_that_shrinks_to_a_point_moves_at_a_finite_speed():
+    """[t - 0.75, 0.75 - t] up to t = 0.75, where it is {0}: in doubles exactly."""
+    report = checked(lower=T - 0.75, upper=0.75 - T, t_end=0.75)
+    assert report["M-H"].verdict == "holds"
+    assert report["M-H"].value["kappa"] == pytest.approx(1)
+    assert report["M-C"].verdict == "violated"  # no interior
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whether_random_intervals_are_empty_at_some_time(seed):
+    """lower and upper sums of waves and lines, against 20 000 times."""
+    rng = np.random.default_rng([35, seed])
+    a, w, b = rng.normal(size=(3, 2))
+    low, up = (a[i] * ca.sin(3 * w[i] * T) + b[i] * T / 3 + shift for i, shift in ((0, -1.0), (1, 1.0)))
+    width = np.array(ca.Function("width", [T], [up - low])(np.linspace(0, 3, 20_001))).min()
+    verdict = checked(lower=low, upper=up)["M-H"].verdict
+    if abs(width) > 1e-3:
+        assert verdict == ("violated" if width < 0 else "holds")
 
 
 def test_a_half_plane_that_turns_is_lipschitz_on_the_box_alone():

@@ -16,7 +16,7 @@ from nsmodel.proof.extremum import (
     spectral_norm,
     supremum,
 )
-from nsmodel.proof.interval_bounds import enclose, is_continuous, mean_value_form, program
+from nsmodel.proof.interval_bounds import enclose, is_continuous, is_number, mean_value_form, program
 from nsmodel.proof.interval_functions import OPERATIONS
 
 INF = np.inf
@@ -107,6 +107,49 @@ def test_slopes_bound_every_difference(seed):
         assert (np.minimum(slope_lo * d, slope_hi * d).sum(axis=1) <= change + round_off).all(), expr
         checked += 1
     assert checked > 50
+
+
+@pytest.mark.parametrize("seed", range(6, 9))
+def test_what_has_a_value_beside_undefined_parts_lies_inside(seed):
+    """fmin(NaN, a) is a, NaN < a is 0: of parts that are no numbers the value is that of CasADi; of overflow nothing is asked."""
+    rng, mixed = np.random.default_rng(seed), 0
+    for expr, x, lower, upper, points, _ in _fuzz(seed, 150):
+        one, other = (INNER[k](x[0]) for k in rng.choice(len(INNER), 2, replace=False))
+        swallowed = SWALLOWING[rng.integers(len(SWALLOWING))](one, expr if rng.random() < 0.5 else other)
+        whole = swallowed + x[-1] * (rng.random() < 0.5)
+        parts = _values(ca.vertcat(one, other, expr, whole), x, points)
+        values = parts[3, np.isfinite(parts[3]) & ~np.isinf(parts).any(axis=0)]
+        if not values.size:
+            continue
+        mixed += bool(np.isnan(parts[:3]).any())
+        means = mean_value_form(program(whole, x), lower[None], upper[None])
+        for lo, hi in ((end.item() for end in enclose(whole, x, lower, upper)), (means.lo.item(), means.hi.item())):
+            assert lo <= values.min() + 1e-9 * (1 + abs(values.min())), (whole, lower, upper)
+            assert hi >= values.max() - 1e-9 * (1 + abs(values.max())), (whole, lower, upper)
+        assert not is_number(whole, x, lower, upper) or not np.isnan(parts[3]).any()
+    assert mixed > 20
+
+
+INNER = (
+    lambda a: ca.cos(ca.acos(a)), lambda a: ca.tanh(ca.log(a)), lambda a: ca.sin(1 / a), lambda a: a**2,
+    lambda a: ca.atan(ca.sqrt(a)), lambda a: ca.acos(a) * 0.5, lambda a: ca.sign(ca.log(a)), lambda a: 1 + ca.cos(ca.acosh(a)),
+)  # fmt: skip
+SWALLOWING = (
+    ca.fmin, ca.fmax, ca.logic_and, ca.logic_or, ca.copysign, lambda a, b: a < b, lambda a, b: b <= a, lambda a, b: a == b,
+    lambda a, b: a != b, lambda a, b: ca.logic_not(a) * 2, lambda a, b: ca.if_else(a < 2, b, 3),
+    lambda a, b: ca.if_else(a, 2, 3) + b, lambda a, b: ca.fmin(b, ca.fmax(a, 0.5)),
+)  # fmt: skip
+
+
+def test_a_point_without_a_value_has_no_bound():
+    x = ca.SX.sym("x")
+    zero, both = np.zeros(1), np.array([[0.0], [1.0]])
+    for expr in (x * ca.log(x), x * (1 / x + 1), 1 + x * ca.sqrt(x - 1), x / ca.sin(x), ca.cos(ca.acos(x + 2))):
+        assert [end.item() for end in enclose(expr, x, zero, zero)] == [-INF, INF]
+    lo, hi = enclose(1 + x * ca.log(x), x, both, both)
+    assert lo.ravel().tolist() == [-INF, 1]
+    assert hi.ravel().tolist() == [INF, 1]
+    assert [end.item() for end in enclose(ca.fmin(x**2, ca.cos(ca.acos(x))), x, zero + 30, zero + 30)] == [-1, 900]
 
 
 def test_a_batch_gives_what_each_box_gives():

@@ -105,7 +105,8 @@ def check(
 def _check_jacobians(at: SystemLinearisation) -> Finding:
     """Algorithmic differentiation is exact but at kinks; difference quotients show it."""
     if at.defined.verdict != HOLDS:
-        how = f"f, h or g has no finite value for all times: {at.defined.how}."
+        what = "has no finite value for all times" if at.defined.verdict == VIOLATED else "is not seen to have finite values"
+        how = f"f, h or g {what}: {at.defined.how}."
         value = {"t": at.defined.at} if at.defined.at is not None else {}
         return make_finding(F_JACOBIANS, at.defined.verdict, how, value, value)
     if at.affine:

@@ -18,9 +18,10 @@ from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import Halfspaces
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.proof import conic, exact
-from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
+from nsmodel.proof.domain import DefinednessResult, check_defined_in_time, is_defined_on_box
 from nsmodel.proof.extremum import samples
 from nsmodel.proof.jumps import ExpressionJump, find_jump, jump_nodes
+from nsmodel.proof.verdict import HOLDS, UNKNOWN
 from nsmodel.simulation.trajectory import Trajectory
 
 MAX_SAMPLED_RUN_ROWS = 100  # of the runs that are looked at
@@ -80,15 +81,30 @@ class SystemLinearisation:
     @property
     def affine(self) -> bool:
         """Whether f, h and g are affine in x and l: then one Newton iteration is exact."""
-        return not self.switches and not any(ca.depends_on(J, self.z[1:]) for J in self.jacobians if J.numel())
+        return self.defined_everywhere and not self.switches and not any(
+            ca.depends_on(J, self.z[1:]) for J in self.jacobians if J.numel()
+        )  # fmt: skip
+
+    @cached_property
+    def defined_everywhere(self) -> bool:
+        """Whether no x or l leaves f, h or g without a value where their derivatives do not show that."""
+        return self._is_defined(np.full(self.z.numel() - 1, -np.inf), np.full(self.z.numel() - 1, np.inf))
+
+    def _is_defined(self, lower: np.ndarray, upper: np.ndarray) -> bool:
+        stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
+        ends = np.append(self.lower[:1], lower), np.append(self.upper[:1], upper)
+        return is_defined_on_box(stacked, self.z[1:], self.z, *ends, beside=ca.veccat(*self.jacobians))
 
     @cached_property
     def defined(self) -> DefinednessResult:
-        """Whether f, h and g are finite at all times of the region."""
+        """Whether f, h and g are finite at all times of the region, and on its box as far as their derivatives do not show."""
         stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
-        return check_defined_in_time(
+        in_time = check_defined_in_time(
             stacked, self.model.t, float(self.lower[0]), float(self.upper[0]), self.z[1:], self.points[0][1:]
         )
+        if in_time.verdict != HOLDS or self.defined_everywhere or self._is_defined(self.lower[1:], self.upper[1:]):
+            return in_time
+        return DefinednessResult(UNKNOWN, f"an operation of them may have no value on {self.where}")
 
     @cached_property
     def switches(self) -> bool:
@@ -106,7 +122,7 @@ class SystemLinearisation:
     @property
     def constant(self) -> bool:
         """Whether all Jacobians are numbers."""
-        return not any(ca.symvar(J) for J in self.jacobians)
+        return self.defined_everywhere and not any(ca.symvar(J) for J in self.jacobians)
 
     @cached_property
     def G(self) -> ca.SX:
@@ -116,8 +132,10 @@ class SystemLinearisation:
     @property
     def is_W_constant(self) -> bool:
         """Whether W does not change with t, x and l."""
-        return not ca.symvar(self.jacobians.A if self.model.theta else ca.SX(1)) and not ca.symvar(
-            self.jacobians.K if self.model.gamma else ca.SX(1)
+        return (
+            self.defined_everywhere
+            and not ca.symvar(self.jacobians.A if self.model.theta else ca.SX(1))
+            and not ca.symvar(self.jacobians.K if self.model.gamma else ca.SX(1))
         )
 
     @cached_property

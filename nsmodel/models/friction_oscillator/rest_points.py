@@ -20,14 +20,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, make_consequence
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, common_scope, make_consequence
 from nsmodel.hypotheses.region import Region, box_middle, depends_on_symbol, potential_without_domain
 from nsmodel.models.friction_oscillator import friction_law
 from nsmodel.models.friction_oscillator.model import FrictionOscillator
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof import interval_bounds as proof
 from nsmodel.proof.convex.lower_bounds import LowerBoundResult, minimise_potential
-from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.proof.convex.sets import ConvexSet, has_interior
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 
@@ -208,6 +208,7 @@ def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarra
 MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
 THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.
 SLOPE_MARGIN = 1e-9
+REAL_LINE = -np.inf, np.inf
 
 
 class RestInterval(NamedTuple):
@@ -222,17 +223,18 @@ def rest_point_consequences(
     model: FrictionOscillator, findings: Sequence[Finding], every: Sequence[str], g: ca.SX, domain: ConvexSet,
     below: LowerBoundResult, source: str,
 ) -> list[Consequence]:  # fmt: skip
-    """Sets that hold the limits: an interval for one state, an ellipsoid for a quadratic potential and isotropic friction."""
+    """Sets that hold the limits: an interval for one state, an ellipsoid for a quadratic potential and isotropic friction.
+
+    Where g is convex on a box alone, the interval is its part in this box, around a minimum there.
+    """
     radius = outer_radius(model)
     if domain.n == 1 and np.isfinite(radius):
         name = next(iter(model.names or ()))
-        found = rest_interval(g, domain, below.at, radius)
-        where = f"where d(0, dg({name})) <= {radius:.6g}"
-        statement = (
-            f"every limit {name}_inf lies in [{_round_outwards(found.low, -1)}, {_round_outwards(found.high, 1)}], {where}"
-        )
-        values = {f"least {name}_inf": found.low, f"largest {name}_inf": found.high}
-        out = [make_consequence("rest points", statement, findings, every, source, values)]
+        scope = common_scope(findings, every)
+        found = rest_interval(g, domain, below.at, radius, (scope.states if scope else {}).get(name, REAL_LINE))
+        if found is None:
+            return []
+        out = _interval_consequences(found, name, f", where d(0, dg({name})) <= {radius:.6g}", findings, every, source)
         if found.strict:
             base = make_consequence("finite from every start", "", findings, every, source)
             statement = "0 is interior to A(0) + dg(x) at every rest point: each sequence stops in finitely many steps"
@@ -248,6 +250,8 @@ def rest_point_consequences(
         f"semi-axis {i + 1}": float(np.nextafter(radius / value, np.inf)) if value > 0 else np.inf
         for i, value in enumerate(values[:6])
     }
+    if not np.isfinite(list(axes.values())).any():
+        return []
     statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue"
     return [make_consequence("rest points", statement, findings, every, source, axes)]
 
@@ -265,12 +269,26 @@ def rest_points_for_all(
         if not np.isfinite(radius):
             return []
         found.append(rest_interval(g, domain, minimise_potential(g, domain, x0)[0], radius))
-    if not found:
+    known = [part for part in found if part is not None]
+    if not known or len(known) < len(found):
         return []
-    low, high = min(part.low for part in found), max(part.high for part in found)
-    name = next(iter(model.names))
-    statement = f"every limit {name}_inf lies in [{_round_outwards(low, -1)}, {_round_outwards(high, 1)}]"
-    values = {f"least {name}_inf": low, f"largest {name}_inf": high}
+    hull = RestInterval(min(part.low for part in known), max(part.high for part in known), False)
+    return _interval_consequences(hull, next(iter(model.names)), "", findings, every, source)
+
+
+def _interval_consequences(
+    found: RestInterval, name: str, where: str, findings: Sequence[Finding], every: Sequence[str], source: str
+) -> list[Consequence]:
+    """The interval in words; nothing where it is the whole line."""
+    low, high = _round_outwards(found.low, -1), _round_outwards(found.high, 1)
+    if np.isinf(found.low) and np.isinf(found.high):
+        return []
+    if np.isinf(found.low) or np.isinf(found.high):
+        place = f"{name}_inf <= {high}" if np.isinf(found.low) else f"{name}_inf >= {low}"
+        statement = f"every limit has {place}{where}"
+    else:
+        statement = f"every limit {name}_inf lies in [{low}, {high}]{where}"
+    values = {f"least {name}_inf": found.low, f"largest {name}_inf": found.high}
     return [make_consequence("rest points", statement, findings, every, source, values)]
 
 
@@ -319,26 +337,64 @@ def _round_outwards(end: float, sign: int) -> str:
     return text
 
 
-def rest_interval(g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float) -> RestInterval:
-    """A set that holds the rest points of one state: {x in dom g : g'(x-) <= radius, g'(x+) >= -radius}, around a minimum of g.
+def rest_interval(
+    g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float, box: tuple[float, float] = REAL_LINE
+) -> RestInterval | None:
+    """A set that holds the rest points of one state in a box, where g is convex; None where no minimum in the box is known.
 
-    It is exact for a quadratic. Else an end is a point before which the slope is proved to exceed the radius, somewhere: being
-    monotone, it does so from there on. Without such a point the end is infinite, or that of the domain.
+    They are the x of dom g with 0 in dg(x) + [-radius, radius]. At the left end of dom g the normal cone makes dg(x) unbounded
+    below, so that no slope is too large there, and no slope at the right end too small. It is exact for a quadratic. Else an end
+    is a point after which the slope is proved to exceed the radius, somewhere: being monotone, it does so from there on, and the
+    search begins in dom g, beyond whose wall nothing is looked at. Without such a point the end is infinite, or that of dom g.
     """
-    P = polynomial.as_quadratic(polynomial.read_polynomials(g, domain.x)[0], 1)
+    centre = _minimum_inside(domain, float(minimum[0]))
+    if centre is None or not box[0] <= centre <= box[1]:
+        return None
     low, high = (float(end[0]) for end in domain.bounding_box)
-    if P is not None and P.H[0, 0] > 0 and len(domain.affine) == domain.rows.numel():
-        ends = [(-P.q[0, 0] + sign * Fraction(radius)) / P.H[0, 0] for sign in (-1, 1)]
-        left, right = max(low, exact.round_down(ends[0])), min(high, exact.round_up(ends[1]))
-        return RestInterval(left, right, left > float(ends[0]) and right < float(ends[1]))
-    slope = ca.gradient(g, domain.x)
-    centre = float(minimum[0])
-    ends, strict = [], True
-    for sign, hull in ((-1.0, low), (1.0, high)):
-        end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
-        ends.append(max(end, hull) if sign < 0 else min(end, hull))
-        strict = strict and _has_slack(slope, domain, centre, sign, ends[-1], radius)
-    return RestInterval(ends[0], ends[1], strict)
+    P = polynomial.as_quadratic(polynomial.read_polynomials(g, domain.x)[0], 1)
+    if P is not None and P.H[0, 0] > 0 and domain.is_polyhedron:
+        free = [(-P.q[0, 0] + sign * Fraction(radius)) / P.H[0, 0] for sign in (-1, 1)]
+        left, right = exact.round_down(free[0]), exact.round_up(free[1])
+        left = _last_inside(domain, centre, left) if left > centre else left
+        right = _last_inside(domain, centre, right) if right < centre else right
+        strict = all(end < low or end > high for end in free)
+    else:
+        slope, ends, strict = ca.gradient(g, domain.x), [], True
+        for sign, hull in ((-1.0, low), (1.0, high)):
+            end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
+            ends.append(end)
+            strict = strict and _has_slack(slope, domain, centre, sign, max(end, hull) if sign < 0 else min(end, hull), radius)
+        left, right = ends
+    return RestInterval(max(left, low, box[0]), min(right, high, box[1]), strict)
+
+
+def _minimum_inside(domain: ConvexSet, minimum: float) -> float | None:
+    """The minimum, met in doubles, or the nearest double towards a strictly feasible point that is proved to lie in the set."""
+    if _is_inside(domain, minimum):
+        return minimum
+    start = np.array([minimum])
+    point = has_interior(domain, start).witness.get("interior point")
+    return None if point is None else _last_inside(domain, float(np.ravel(point)[0]), minimum)
+
+
+def _is_inside(domain: ConvexSet, x: float) -> bool:
+    """Whether a point is proved to satisfy every row: polynomials exactly, others by intervals."""
+    if not np.isfinite(x) or domain.equalities.numel():
+        return False
+    if not domain.rows.numel():
+        return True
+    low = np.ravel(proof.enclose(domain.rows, domain.x, np.array([x]), np.array([x]))[0])
+    exactly = (p is not None and polynomial.evaluate_polynomial(p, [Fraction(x)]) >= 0 for p in domain.polynomials)
+    return all(own or bound >= 0 for own, bound in zip(exactly, low, strict=True))
+
+
+def _last_inside(domain: ConvexSet, inside: float, towards: float) -> float:
+    """The last double on the way from a point of the set that is proved to lie in it, by bisection."""
+    if _is_inside(domain, towards):
+        return towards
+    while inside != (middle := inside + (towards - inside) / 2) != towards:
+        inside, towards = (middle, towards) if _is_inside(domain, middle) else (inside, middle)
+    return inside
 
 
 def _proved_end(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, d: float, radius: float) -> float | None:

@@ -20,8 +20,9 @@ from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.models.lure_system.passivity import LURE_PAPER, Passivity
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.dissipation import ProvedRate, least_rate
+from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.expression_graph import operation_codes, rewrite_nodes
+from nsmodel.proof.expression_graph import operation_codes, rewrite_nodes, symbol_hashes
 from nsmodel.proof.jumps import find_jump, jump_nodes
 from nsmodel.proof.storage_matrix import condition_number, matrix_witness, rational_cholesky, well_conditioned_block
 from nsmodel.proof.verdict import not_none
@@ -165,10 +166,17 @@ def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick:
         )
     if not ca.depends_on(J, x) and not np.isfinite(_dense_numbers(J)).all():
         return HypomonotoneBound(make_finding(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
-    if not ca.depends_on(J, x) and not jump_nodes(A, x):
+    if not ca.depends_on(J, x) and is_drift_affine(A, x):
         rate = least_rate(not_none(passivity.pairing), [_dense_numbers(J)], quick=quick)
         return _growth_finding(passivity, rate, quick, "A is linear; proved in rational arithmetic", linear=True)
     return _nonlinear_growth(J, model, passivity, region, quick)
+
+
+def is_drift_affine(A: ca.SX, x: ca.SX) -> bool:
+    """Whether A, whose Jacobian in x is constant, is affine: it does not jump, and has a value everywhere."""
+    z = ca.vertcat(x, *(symbol for symbol in ca.symvar(A) if symbol.element_hash() not in symbol_hashes(x)))
+    everywhere = np.full(z.numel(), np.inf)
+    return not jump_nodes(A, x) and is_defined_on_box(A, x, z, -everywhere, everywhere)
 
 
 def _nonlinear_growth(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> HypomonotoneBound:

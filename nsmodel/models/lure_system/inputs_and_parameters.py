@@ -44,6 +44,7 @@ from nsmodel.models.lure_system.hypomonotone import (
     HypomonotoneBound,
     JacobianHull,
     bounded_hull,
+    is_drift_affine,
     is_drift_continuous,
 )
 from nsmodel.models.lure_system.large_systems import is_large
@@ -52,7 +53,7 @@ from nsmodel.models.lure_system.passivity import D_PSD_HYPOTHESIS, LURE_PAPER, S
 from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, MOVING_OFFSET_NOTE
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.dissipation import least_rate
-from nsmodel.proof.jumps import jump_nodes
+from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.parameter_hull import matrix_corners
 from nsmodel.proof.storage_matrix import (
     Pairing,
@@ -205,6 +206,8 @@ def _diagonal_energy(model: LureSystem, region: Region) -> ca.SX | None:
     ratios = [polynomial.read_quotient(entry, model.p) for entry in off]
     if ca.depends_on(rows, model.x) or any(ratio is None or ratio[0] for ratio in ratios):
         return None
+    if off and not np.isfinite(interval_bounds.enclose(stack_column(off), model.p, *region.parameter_bounds())).all():
+        return None  # 0 but where a part of it has no value
     at = _corner_matrices([rows], model, region)
     return rows if at is not None and all(entry > 0 for (column,) in at for entry in column.ravel()) else None
 
@@ -217,7 +220,7 @@ def _growth_for_all(model: LureSystem, region: Region, energy: EnergyMatrix, qui
     if energy.pairing is None:
         return None
     if not ca.depends_on(J, x):
-        at = None if jump_nodes(model.A, x) else _corner_matrices([J], model, region)
+        at = _corner_matrices([J], model, region) if is_drift_affine(model.A, x) else None
         hull, local = (None if at is None else JacobianHull([M for (M,) in at], [], True)), False
     else:
         z, infinite = ca.vertcat(x, model.p), np.full(x.numel(), np.inf)
@@ -241,7 +244,7 @@ def _diagonal_growth(model: LureSystem, region: Region, J: ca.SX, d: ca.SX) -> F
     """omega with 2 omega P - P J - J'P psd at all corners, P = diag(d)."""
     P = ca.diag(d)
     at = _corner_matrices([P @ J + J.T @ P, P], model, region)
-    if at is None or jump_nodes(model.A, model.x):
+    if at is None or not is_drift_affine(model.A, model.x):
         return None
     near = 0.0
     for S, own in at:

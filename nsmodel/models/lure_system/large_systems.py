@@ -16,12 +16,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, make_finding
-from nsmodel.models.lure_system.hypomonotone import HYPOMONOTONE, HypomonotoneBound
+from nsmodel.models.lure_system.hypomonotone import HYPOMONOTONE, HypomonotoneBound, is_drift_affine
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.models.lure_system.passivity import D_PSD_HYPOTHESIS, STORAGE_HYPOTHESIS
 from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, H_71
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.jumps import jump_nodes
 
 MAX_DENSE_SIZE = 250  # States and multipliers up to which the proofs with dense matrices take seconds.
 FORCE_SAMPLES = 200  # At which f is looked at.
@@ -94,7 +93,7 @@ def _diagonal_storage_finding(P: list[Fraction]) -> Finding:
 def _gershgorin_growth(model: LureSystem, P: list[Fraction], why: str) -> HypomonotoneBound:
     """5.2 for a diagonal P and a linear A: 2 omega P - P A - A'P has a dominant diagonal."""
     J = ca.jacobian(model.A, model.x)
-    if ca.depends_on(ca.vertcat(ca.SX(0, 1), *J.nonzeros()), model.x) or jump_nodes(model.A, model.x):
+    if ca.depends_on(ca.vertcat(ca.SX(0, 1), *J.nonzeros()), model.x) or not is_drift_affine(model.A, model.x):
         return HypomonotoneBound(make_finding(HYPOMONOTONE, UNKNOWN, why))
     p = np.array([float(entry) for entry in P])
     A = sp.diags(p) @ ca.DM(J).sparse().tocsr()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,8 @@ from nsmodel.models.lure_system.domains import TAU_COLUMN, AffineTerm, ConvexPot
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.proof import conic, exact
 from nsmodel.proof.expression_graph import fold_graph
+from nsmodel.proof.interval_arithmetic import IntervalPair, excludes
+from nsmodel.proof.interval_functions import OPERATIONS
 
 FORCE_TIMES = 1001  # at which f is looked at
 
@@ -49,9 +52,11 @@ def _size_at_zero(expr: ca.SX, symbols: ca.SX) -> float:
 def _check_zero_drift(model: LureSystem) -> RestPointPart:
     """A(0) = 0, in rational arithmetic where A allows it."""
     name = "A(0) = 0"
-    values = fold_graph(model.A, lambda _: Fraction(0), _exact_constant, rational_operation_value)
+    values = exact_values_at_zero(model.A)
     rate = np.array(ca.Function("A", [model.x], [ca.densify(model.A)])(0)).ravel()
     wrong = [i for i, value in enumerate(values) if value is not None and value != 0]
+    if np.isnan(rate).any():
+        return name, VIOLATED, {"A(0)": rate}, "A has no value at 0"
     if wrong or np.abs(rate).max(initial=0.0) > 1e-9 * _drift_scale(model):
         return name, VIOLATED, {"A(0)": rate}, f"A(0) = {', '.join(f'{entry:.4g}' for entry in rate[:6])}"
     if all(value is not None for value in values):
@@ -67,8 +72,47 @@ def _drift_scale(model: LureSystem) -> float:
     return float(np.abs(values[np.isfinite(values)]).max(initial=0.0)) or 1.0
 
 
-def _exact_constant(number: float) -> Fraction | None:
-    return Fraction(number) if np.isfinite(number) else None
+class _ValueAtZero(NamedTuple):
+    """A number where it is known to be rational, and bounds of it; None: it is not proved to have a value."""
+
+    exact: Fraction | None
+    bounds: IntervalPair | None
+
+
+def exact_values_at_zero(expr: ca.SX) -> list[Fraction | None]:
+    """The values of the entries where all symbols are 0; None where one is not rational, or not proved to be defined.
+
+    0 times what has a value is 0; 0 times what may have none is not.
+
+    >>> x = ca.SX.sym("x")
+    >>> exact_values_at_zero(ca.vertcat(x * ca.sin(x + 1), x * (1 / x + 1)))
+    [Fraction(0, 1), None]
+    """
+    with np.errstate(all="ignore"):
+        found = fold_graph(expr, lambda _: _value_of(Fraction(0)), _constant_value, _operation_at_zero)
+    return [value.exact for value in found]
+
+
+def _value_of(number: Fraction) -> _ValueAtZero:
+    return _ValueAtZero(number, (np.array([exact.round_down(number)]), np.array([exact.round_up(number)])))
+
+
+def _constant_value(number: float) -> _ValueAtZero:
+    return _value_of(Fraction(number)) if np.isfinite(number) else _ValueAtZero(None, None)
+
+
+def _operation_at_zero(op: int, args: list[_ValueAtZero]) -> _ValueAtZero:
+    known, bounds = [arg.exact for arg in args], [arg.bounds for arg in args if arg.bounds is not None]
+    number = rational_operation_value(op, known)
+    if number is not None:
+        return _value_of(number)
+    if op not in OPERATIONS or len(bounds) < len(args):
+        return _ValueAtZero(None, None)
+    if (op == ca.OP_MUL and Fraction(0) in known) or (op == ca.OP_DIV and known[0] == 0 and bool(excludes(bounds[1]).all())):
+        return _value_of(Fraction(0))
+    result, rule = OPERATIONS[op].bounds(*bounds), OPERATIONS[op].continuous
+    defined = np.isfinite(result).all() and (rule is None or OPERATIONS[op].jumps or bool(np.all(rule(result, *bounds))))
+    return _ValueAtZero(None, result if defined else None)
 
 
 def rational_operation_value(op: int, args: list[Fraction | None]) -> Fraction | None:
@@ -77,8 +121,7 @@ def rational_operation_value(op: int, args: list[Fraction | None]) -> Fraction |
         return None
     a, b = args[0], args[-1]
     if a is None or b is None:
-        zero = op == ca.OP_MUL and (a == 0 or b == 0)
-        return Fraction(0) if zero else None
+        return None
     if op in _RATIONAL_OPERATIONS:
         return _RATIONAL_OPERATIONS[op](a, b)
     if op in (ca.OP_DIV, ca.OP_INV):
@@ -162,9 +205,7 @@ def _check_zero_in_law(law: Law, names: tuple[str, ...], e: np.ndarray) -> tuple
 
 def _check_stationary_potential(model: LureSystem, p: ConvexPotential) -> tuple[str, dict, str]:
     """0 ∈ dPhi(0): the gradient of the smooth part at 0 is the sum of J'l' with l' in the terms' multipliers at u = c."""
-    values = fold_graph(
-        ca.gradient(model.phi_split.smooth, model.y), lambda _: Fraction(0), _exact_constant, rational_operation_value
-    )
+    values = exact_values_at_zero(ca.gradient(model.phi_split.smooth, model.y))
     if p.unknown or model.phi_split.tau.numel() or any(value is None for value in values):
         return UNKNOWN, {}, "the subdifferential of phi at y = 0 is not read off"
     gradient = np.array(values, dtype=object).reshape(-1, 1)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 
 import casadi as ca
@@ -42,12 +43,14 @@ from nsmodel.models.many_bodies.representatives import (
 from nsmodel.models.many_bodies.schemes import BodiesProblem, ContactRows
 from nsmodel.models.many_bodies.velocity import decide_bodies_velocity
 from nsmodel.models.sweeping_process import check as sweeping
-from nsmodel.models.sweeping_process.check import sweeping_consequences
+from nsmodel.models.sweeping_process.admissible_points import build_process
+from nsmodel.models.sweeping_process.check import sweeping_consequences, weaken_findings
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, AnswersById, Constraint, HypothesisAnswer
 from nsmodel.models.sweeping_process.constraint_constants import decide_constraint
 from nsmodel.models.sweeping_process.qualification import QualificationResult
 from nsmodel.models.sweeping_process.witnesses import ROUNDING_DEFICIT, start_sign
 from nsmodel.proof.global_search import searches_are_quick
+from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.residuals import EPS
 
@@ -284,7 +287,23 @@ def check(model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: 
         findings.append(make_finding(sweeping.S_F, answer.verdict, answer.how, answer.value, answer.witness, scope))
         answer = start_answer(problem)
         findings.append(make_finding(sweeping.S_START, answer.verdict, answer.how, answer.value, answer.witness))
-    return findings, sweeping_consequences(model, findings, runs, count)
+        known_point = known_start_point(model, region, findings[-1])
+        findings = weaken_findings(findings, known_point)
+    return findings, sweeping_consequences(model, findings, runs, count, known_point)
+
+
+def known_start_point(model: ManyBodies, region: Region, start: Finding) -> HypothesisPart:
+    """Whether Q(0) is not empty: the start is in it; of few constraints written out, whether another point is."""
+    few = sum(family.count for family in model.constraints.values()) <= MAX_ONE_BY_ONE[True]
+    if start.verdict == HOLDS or not few or model.enter.any() or model.p.numel():
+        how = start.how if start.verdict == HOLDS else "the start is not in Q(0), which may be empty"
+        return HypothesisPart(start.verdict if start.verdict in (HOLDS, SAMPLED) else UNKNOWN, how, {}, {})
+    still = copy(model)
+    still._set(f=ca.SX.zeros(model.bodies.d))
+    one = still.written_out()
+    given = {name: (region.lower[k % model.bodies.d], region.upper[k % model.bodies.d]) for k, name in enumerate(one.names)}
+    box = region_of(one, (), given)
+    return sweeping.known_start_point(one, box, start, build_process(one, box, (), 0))
 
 
 def _answers_of_worst(worst: Constraint, actual: Constraint, quick: bool) -> AnswersById:

@@ -17,10 +17,10 @@ from nsmodel.hypotheses.findings import Consequence, Finding, IntervalBox, Scope
 from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
 from nsmodel.hypotheses.region import ParameterValues, Region, findings_for_box, unaffected_findings
-from nsmodel.models.many_bodies.check import check
+from nsmodel.models.many_bodies.check import check, known_start_point
 from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.models.many_bodies.velocity import uniform_velocity_answer
-from nsmodel.models.sweeping_process.check import A5, A5_ACTIVE, HYPOTHESES, S_F, sweeping_consequences
+from nsmodel.models.sweeping_process.check import A5, A5_ACTIVE, HYPOTHESES, S_F, S_START, sweeping_consequences
 from nsmodel.models.sweeping_process.constraint_bounds import ON_THE_BOX
 from nsmodel.models.sweeping_process.inputs_and_parameters import state_for_each_signal, sweeping_speed_bound, velocity_norm_bound
 from nsmodel.simulation.trajectory import Trajectory
@@ -52,7 +52,9 @@ def uniform_consequences(model: ManyBodies, region: Region, own: Sequence[Findin
     known = {finding.id: finding.value for finding in own}
     if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):
         return []
-    return sweeping_consequences(model, own, (), sum(family.count for family in model.constraints.values()))
+    start = next(finding for finding in own if finding.id == S_START.id)
+    count = sum(family.count for family in model.constraints.values())
+    return sweeping_consequences(model, own, (), count, known_start_point(model, region, start))
 
 
 DRIVEN_FIELDS = {"f": ("f",)}

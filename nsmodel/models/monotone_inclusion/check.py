@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses import region as uniform
+from nsmodel.hypotheses.along_run import PAIR_CONSEQUENCES
 from nsmodel.hypotheses.findings import (
     HOLDS,
     UNKNOWN,
@@ -56,7 +57,7 @@ from nsmodel.models.monotone_inclusion.growth import velocity_bound
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints
 from nsmodel.proof import extremum, interval_bounds
-from nsmodel.proof.convex.sets import INTERIOR_MARGIN, MovingSet, has_interior_for_all, outer_set
+from nsmodel.proof.convex.sets import INTERIOR_MARGIN, ConvexSet, MovingSet, has_interior_for_all, outer_set
 from nsmodel.proof.global_search import quick_searches
 from nsmodel.proof.jumps import find_jump
 from nsmodel.proof.verdict import HypothesisPart
@@ -69,6 +70,8 @@ KAPPA = "kappa"
 SPEED_QUADRUPLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
 SHELL_PART = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
 TIME_PARTS, MAX_BOX_PARTS = 64, 256  # Parts of the time that a bound is sought on, and of the time and all else together.
+EMPTY_SET_SAMPLES = 9  # Times, with values of all else, at which C is looked at.
+MAY_BE_EMPTY = HypothesisPart(UNKNOWN, "C(t) is not shown to have a point at all times", {}, {})
 JUMP_SAMPLES = 256  # Where a point is looked for that a jump of an input puts outside of C.
 
 
@@ -145,9 +148,40 @@ def set_motion_finding(model: MonotoneInclusion, region: Region, motion: InputBo
         _fixed_set(C) or _input_jump(model, C, region) or _moving_bound_jump(model, C)
         or (_box_speed(model, C) if not model.constraints else _constraint_speed(C, region, quick))
     )  # fmt: skip
+    if part.verdict in (HOLDS, UNKNOWN):
+        crossing = _crossing_sides(model, C)
+        never_empty = has_interior_for_all(C.C, _a_start(model, C)) is not None if model.constraints else not crossing
+        part = _empty_set(model, C, crossing) or (part if never_empty or part.verdict == UNKNOWN else MAY_BE_EMPTY)
     scope = region.scope(part.local)
     where = Scope(scope.states if scope is not None else {}, (region.t0, region.t1), region.parameters)
     return make_finding(SET_MOTION, part.verdict, part.how, part.value, part.witness, where)
+
+
+def _crossing_sides(model: MonotoneInclusion, passing: MovingSetRates) -> list[np.ndarray]:
+    """Times, with values of all else that C depends on, at which a lower side is not proved to be below its upper one."""
+    C, found = passing.C, list[np.ndarray]()
+    for low, up in zip(ca.vertsplit(model.lower), ca.vertsplit(model.upper), strict=True):
+        if not any(end.is_constant() and np.isinf(float(end)) for end in (low, up)):
+            top = extremum.supremum(low - up, C.p, C.lower, C.upper, bound_to=0.0)
+            found += [] if top.bound <= 0 else [C.lower if top.at is None else top.at]
+    return found
+
+
+def _a_start(model: MonotoneInclusion, passing: MovingSetRates) -> np.ndarray:
+    """The start, at the first values of the parameters."""
+    return np.array(ca.DM(ca.substitute(model.x0, model.p, ca.DM(passing.C.lower[1:])))).ravel()
+
+
+def _empty_set(model: MonotoneInclusion, passing: MovingSetRates, first: Sequence[np.ndarray]) -> HypothesisPart | None:
+    """A time at which C is proved to be empty; it is at no finite distance from C at others."""
+    C, names = passing.C, set_constraints(model)[1]
+    for p in (*first, C.lower, C.upper, *extremum.samples(C.lower, C.upper, EMPTY_SET_SAMPLES)):
+        together = ConvexSet(C.x, ca.substitute(C.rows, C.p, ca.DM(p)), names).empty
+        if together:
+            at = dict(zip(map(str, ca.vertsplit(C.p)), p.tolist(), strict=True))
+            witness = {"t": at.pop(str(model.t)), **at, "constraints": list(together)}
+            return HypothesisPart(VIOLATED, "C is empty: no point satisfies these constraints", {"points": 0.0}, witness)
+    return None
 
 
 def _fixed_set(passing: MovingSetRates) -> HypothesisPart | None:
@@ -335,7 +369,6 @@ def check(
 
 DRIVEN_FIELDS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
-PAIR_CONSEQUENCES = ("contraction", "stability")
 START_TOLERANCE = 1e-10  # Of the start, by which it may be outside.
 ALL_DRIVEN_FIELDS = tuple(field for fields in DRIVEN_FIELDS.values() for field in fields)
 

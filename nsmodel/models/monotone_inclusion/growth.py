@@ -33,6 +33,7 @@ from nsmodel.proof.asymptotics import (
 from nsmodel.proof.convex.lower_bounds import additive_terms
 from nsmodel.proof.convex.rules import find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
+from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.expression_graph import program
 from nsmodel.proof.growth import growth_bound, linear_growth_bound
 from nsmodel.proof.verdict import HypothesisPart
@@ -452,8 +453,21 @@ def max_constant_part(field: SelectedField, b: np.ndarray, columns: np.ndarray) 
     return float(np.linalg.norm(b) + sum(sizes)) * NORM_ROUND_UP
 
 
+def require_values(part: HypothesisPart, field: SelectedField) -> HypothesisPart:
+    """What holds of F - S on C; unknown where F - S is not seen to have a value on all of C."""
+    where = field.C.rows if field.C.rows.numel() else None
+    z, low, high = field.variables
+    if part.verdict != HOLDS or is_defined_on_box(field.rest, field.x, z, low, high, where=where):
+        return part
+    return HypothesisPart(UNKNOWN, "F - S is not seen to have a value everywhere on C", {}, {})
+
+
 def linear_growth(field: SelectedField, region: tuple[np.ndarray, np.ndarray], *, quick: bool) -> HypothesisPart:
     """(A2) on C."""
+    return require_values(_linear_growth(field, region, quick), field)
+
+
+def _linear_growth(field: SelectedField, region: tuple[np.ndarray, np.ndarray], quick: bool) -> HypothesisPart:
     found = affine_field(field)
     if found is not None:
         share = max_constant_part(field, exact.doubles(found.b).ravel(), exact.doubles(found.jumps))

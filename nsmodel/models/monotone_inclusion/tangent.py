@@ -21,7 +21,7 @@ from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.models.monotone_inclusion import growth
 from nsmodel.models.monotone_inclusion.cones import copositivity_multipliers
 from nsmodel.models.monotone_inclusion.field import SelectedField
-from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP, nondissipative_curve, split_box
+from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP, nondissipative_curve, require_values, split_box
 from nsmodel.models.monotone_inclusion.tangent_form import (
     TangentForm,
     aligned_offset,
@@ -54,6 +54,10 @@ def dissipativity(field: SelectedField, a: HypothesisPart, *, quick: bool, reach
 
     ``a`` is the finding of (A2), whose numbers enter where C does not hold 0.
     """
+    return require_values(_dissipativity(field, a, quick, reach), field)
+
+
+def _dissipativity(field: SelectedField, a: HypothesisPart, quick: bool, reach: float) -> HypothesisPart:
     base = nearest_point_to_zero(field.C)
     if base is None:
         return HypothesisPart(UNKNOWN, "no point of C near 0 was verified", {}, {})

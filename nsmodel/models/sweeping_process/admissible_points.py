@@ -1,8 +1,11 @@
-"""Points of Q(t) where several constraints are active: rows of the runs, and points pushed against the constraints."""
+"""Points of Q(t) where several constraints are active: rows of the runs, and points pushed against the constraints.
+
+Whether Q(0) is empty: a point of it, proved by bounds, or constraints that no point satisfies together.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -10,14 +13,17 @@ import numpy as np
 
 from nsmodel.hypotheses.region import Region
 from nsmodel.models.sweeping_process.model import SweepingProcess
-from nsmodel.proof import extremum
-from nsmodel.proof.verdict import attach_buffers
+from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.convex.sets import ConvexSet
+from nsmodel.proof.verdict import HOLDS, UNKNOWN, VIOLATED, HypothesisPart, attach_buffers
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.residuals import NumericLaw
 
 MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found.
-MAX_NAMED_STATES = 12
+MAX_NAMED_STATES, MAX_NAMED_ROWS = 12, 4
+INNER_MARGINS = 1e-2, 1e-5, 1e-8  # How deep points of Q(0) are looked for, relative to the gradients and the box.
+INNER_STARTS = 16  # Places of the box from which they are looked for.
 FEASIBILITY_TOLERANCE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.
 
 
@@ -129,6 +135,56 @@ def admissible_points(process: PartialSweepingProcess, count: int) -> list[tuple
         if point is not None:
             found.append((t, point))
     return found
+
+
+def point_of_start_set(model: SweepingProcess, region: Region, process: PartialSweepingProcess) -> HypothesisPart:
+    """Say whether Q(0) is not empty, for all values of the parameters that stayed symbols.
+
+    Args:
+        model: with or without values of its parameters.
+        region: with the boxes of those without.
+        process: of the model, at some values of these; its known points are tried first.
+    """
+    if not model.g.numel():
+        return HypothesisPart(HOLDS, "no constraint", {}, {})
+    at_start, (low, high) = ca.substitute(model.g, model.t, 0), region.parameter_bounds()
+    z = ca.vertcat(model.p, model.q)
+    for q in _inner_candidates(process):
+        if (interval_bounds.enclose(at_start, z, np.append(low, q), np.append(high, q))[0] >= 0).all():
+            return HypothesisPart(HOLDS, "a point of Q(0), by bounds", {}, {"q": q})
+    together = () if model.p.numel() else ConvexSet(model.q, at_start, model.multiplier_names).empty
+    if together:
+        named = ", ".join(together[:MAX_NAMED_ROWS]) + ", ..." * (len(together) > MAX_NAMED_ROWS)
+        how = f"Q(0) is empty: no point satisfies {named}{' together' * (len(together) > 1)}"
+        return HypothesisPart(VIOLATED, how, {}, {"constraints": list(together)})
+    return HypothesisPart(UNKNOWN, "no point of Q(0) is known, which may be empty", {}, {})
+
+
+def _inner_candidates(process: PartialSweepingProcess) -> Iterator[np.ndarray]:
+    """The known points at t = 0, and points that linearised constraints push from them, or from the box, into the inside."""
+    known = [q for t, q in process.known if t == 0]
+    yield from known
+    for margin in INNER_MARGINS:
+        for q in (*known, *extremum.samples(process.lower, process.upper, INNER_STARTS)[:, 1:]):
+            found = _point_inside(process, q, margin * process.size)
+            if found is not None:
+                yield found
+
+
+def _point_inside(process: PartialSweepingProcess, q: np.ndarray, depth: float) -> np.ndarray | None:
+    """A point with g_i >= depth |grad g_i| / 2 at t = 0, reached from q by projections on linearised constraints."""
+    for _ in range(MAX_LINEARISATIONS):
+        g, G = process.at(0.0, q)
+        inner = depth * np.linalg.norm(G, axis=1)
+        if not (np.isfinite(g).all() and np.isfinite(G).all()):
+            return None
+        if (g >= inner / 2).all():
+            return q
+        new = _project_on_linearisation(g - inner, G, q, q)
+        if new is None:
+            return None
+        q = new
+    return None
 
 
 def project_to_admissible(process: PartialSweepingProcess, t: float, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:

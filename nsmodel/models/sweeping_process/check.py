@@ -32,7 +32,12 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.region import Region
 from nsmodel.modeling.base import Model
-from nsmodel.models.sweeping_process.admissible_points import PartialSweepingProcess, admissible_points, build_process
+from nsmodel.models.sweeping_process.admissible_points import (
+    PartialSweepingProcess,
+    admissible_points,
+    build_process,
+    point_of_start_set,
+)
 from nsmodel.models.sweeping_process.constraint_bounds import ON_THE_BOX, AnswersById, Constraint
 from nsmodel.models.sweeping_process.constraint_constants import decide_constraint
 from nsmodel.models.sweeping_process.constraint_shapes import read_shapes
@@ -43,6 +48,7 @@ from nsmodel.models.sweeping_process.velocity_field import decide_velocity
 from nsmodel.models.sweeping_process.witnesses import ROUNDING_DEFICIT, start_sign
 from nsmodel.proof import exact, interval_bounds
 from nsmodel.proof.global_search import searches_are_quick
+from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
 BERNICOT_VENEL_2010 = "Bernicot and Venel 2010"
@@ -73,8 +79,9 @@ def _theory_constants(number: dict[tuple[str, str], float], moves_in_all: bool, 
     c = number.get(("A0", "c"), np.inf if moves_in_all else 0.0)
     M, M_contact = (number.get(("A4", name), nothing[1]) for name in ("M", "M_contact"))
     if not M and np.isfinite(c):  # U_i is not all: beyond c nothing is as straight as there, and |q - q_k| <= |q - q_k|^2 / c.
-        M = M_contact = 2 * a / c
-    gamma, gamma_0, rho = number[("A5", "gamma")], number[("A5'", "gamma")], number.get(("A5", "rho"), np.inf)
+        M = M_contact = _quotient_or_inf(2 * a, c)
+    gamma, gamma_0 = (number.get((id, "gamma"), np.inf) for id in (A5.id, A5_ACTIVE.id))
+    rho = number.get((A5.id, "rho"), np.inf)
     Theta = _product_or_zero(2 * gamma, _quotient_or_inf(b, a))
     return _TheoryConstants(
         K_L=_product_or_zero(gamma, _quotient_or_inf(speed, a)),
@@ -86,8 +93,16 @@ def _theory_constants(number: dict[tuple[str, str], float], moves_in_all: bool, 
     )  # fmt: skip
 
 
-def sweeping_consequences(model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
-    """Return what follows, with the constants of the theory; ``p`` is the number of constraints."""
+def sweeping_consequences(
+    model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int, known_point: HypothesisPart
+) -> list[Consequence]:
+    """Return what follows, with the constants of the theory.
+
+    Args:
+        model: of these findings; runs: of it.
+        p: the number of constraints.
+        known_point: whether Q(0) is not empty; of points of an empty set nothing follows.
+    """
     number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
     verdicts = {finding.id: finding.verdict for finding in findings}
     known = _theory_constants(number, verdicts["A0"] in (HOLDS, SAMPLED), p)
@@ -107,7 +122,38 @@ def sweeping_consequences(model: Model, findings: Sequence[Finding], runs: Seque
         ),
         *_linearisation_consequences(findings, known, p),
     ]  # fmt: skip
-    return [*found, _order_consequence(model, findings, runs, number, known.K_L, known.kappa, known.r)]
+    found.append(_order_consequence(model, findings, runs, number, known.K_L, known.kappa, known.r))
+    return found if known_point.verdict == HOLDS else [_weaken_consequence(item, known_point) for item in found]
+
+
+def _weaken_consequence(item: Consequence, known_point: HypothesisPart) -> Consequence:
+    """What follows where no point of Q(0) is proved: no more than is known of such a point."""
+    if known_point.verdict == SAMPLED:
+        return replace(item, verdict=SAMPLED) if item.verdict == HOLDS else item
+    return replace(item, verdict=UNKNOWN, statement=f"{item.statement}; {known_point.how}")
+
+
+def weaken_findings(findings: Sequence[Finding], known_point: HypothesisPart) -> list[Finding]:
+    """The findings where no point of Q(0) is proved: what is said of all points of Q(t) is not known then."""
+    if known_point.verdict in (HOLDS, SAMPLED):
+        return list(findings)
+    empty = known_point.verdict == VIOLATED
+    return [
+        make_finding(_HYPOTHESES_BY_ID[item.id], UNKNOWN, known_point.how, witness=known_point.witness)
+        if item.id in (A5.id, A5_ACTIVE.id) and item.verdict in (HOLDS, SAMPLED)
+        else replace(item, how=f"{item.how}; {known_point.how}")
+        if item.id == S_START.id and empty
+        else item
+        for item in findings
+    ]
+
+
+def known_start_point(model: SweepingProcess, region: Region, start: Finding, process: PartialSweepingProcess) -> HypothesisPart:
+    """Whether Q(0) is not empty: the start is in it, to rounding at least, or another point."""
+    if start.verdict == HOLDS:
+        return HypothesisPart(HOLDS, start.how, {}, {})
+    found = point_of_start_set(model, region, process)
+    return found._replace(verdict=SAMPLED) if start.verdict == SAMPLED and found.verdict == UNKNOWN else found
 
 
 def _set_consequences(findings: Sequence[Finding], known: _TheoryConstants) -> list[Consequence]:
@@ -240,6 +286,7 @@ A5_ACTIVE = Hypothesis("A5'", "the same over the active constraints, g_i = 0 (qu
 S_F = Hypothesis("S-f", "|f(t,q) - f(t,q')| <= K_f |q - q'|, |f(t,q)| <= L_f (1 + |q|)", f"{BERNICOT_VENEL}, (7) and (8)")
 S_START = Hypothesis("S-start", "q_0 is in Q(0)", f"{BERNICOT_VENEL}, (4)")
 HYPOTHESES = (S_CONVEX, A0, A1, A2, A3, A4, A5, A5_ACTIVE, S_F, S_START)
+_HYPOTHESES_BY_ID = {hypothesis.id: hypothesis for hypothesis in HYPOTHESES}
 
 MINIMISED_VALUES = ("a", "c", "least")  # Of these numbers the least over the constraints counts, of the others the largest.
 MANY_STATES = 24  # With more states fewer points are looked at.
@@ -273,7 +320,9 @@ def check(
         findings += [gamma_finding(A5, near, region, timed), gamma_finding(A5_ACTIVE, active, region, timed)]
         findings.append(_velocity_finding(model, process, region, points, quick))
         findings.append(_decide_start_signs(model, constraints))
-    return findings, sweeping_consequences(model, findings, runs, len(constraints))
+        known_point = known_start_point(model, region, findings[-1], process)
+        findings = weaken_findings(findings, known_point)
+    return findings, sweeping_consequences(model, findings, runs, len(constraints), known_point)
 
 
 def mfcq_results(
@@ -411,6 +460,9 @@ def _decide_start_signs(model: SweepingProcess, constraints: Sequence[Constraint
     left = [k for k, sign in enumerate(signs) if sign is None or sign < 0]
     low, high = _start_bounds(model, left, q0)
     g = np.array(ca.Function("g", [model.t, model.q], [ca.densify(model.g)])(0.0, q0)).ravel()
+    if np.isnan(g).any():
+        witness = {"constraint": constraints[int(np.flatnonzero(np.isnan(g))[0])].name, "q": q0}
+        return make_finding(S_START, VIOLATED, "g_i(0, q_0) has no value", {"min g": -np.inf}, witness)
     slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g[left], model.q))])
     terms = np.nan_to_num(np.abs(np.array(slopes(0.0, q0)).reshape(len(left), q0.size) * q0), posinf=0.0).sum(axis=1)
     size = terms + np.nan_to_num((high[left] - low[left]) / exact.MACHINE_EPSILON, posinf=0.0)

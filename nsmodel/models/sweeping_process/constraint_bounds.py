@@ -17,6 +17,7 @@ from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
 from nsmodel.models.sweeping_process.constraint_shapes import ConstraintShape
 from nsmodel.proof import extremum, interval_bounds, polynomial, sum_of_squares
 from nsmodel.proof.convex import rules
+from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.jumps import jump_nodes, prove_jump
 from nsmodel.proof.krawczyk import enclose_zero
 
@@ -302,7 +303,8 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
     if bent is not None:
         return bent
     both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
-    if top.bound <= 0 and (not jump_nodes(both, c.q) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper)):
+    smooth = not jump_nodes(both, c.q) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper)
+    if top.bound <= 0 and smooth and is_defined_on_box(c.g, c.q, c.z, c.lower, c.upper, beside=H):
         return HypothesisAnswer(
             HOLDS, {"least": -top.bound}, ON_THE_BOX, "the least eigenvalue of the Hessian is bounded below by 0"
         )

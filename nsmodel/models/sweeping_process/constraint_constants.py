@@ -28,7 +28,7 @@ from nsmodel.models.sweeping_process.constraint_bounds import (
 from nsmodel.models.sweeping_process.constraint_shapes import AffineForm, Offset, Squares, form_hessian, offset_expression
 from nsmodel.models.sweeping_process.mfcq_constant import sqrt_above, sqrt_below
 from nsmodel.proof import exact, extremum, interval_bounds
-from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
+from nsmodel.proof.domain import DefinednessResult, check_defined_in_time, is_defined_on_box
 from nsmodel.proof.expression_graph import numeric_constants
 from nsmodel.proof.jumps import jump_nodes, prove_jump
 from nsmodel.proof.ray_expansion import growth_exponent
@@ -54,6 +54,9 @@ def decide_constraint(constraint: Constraint, quick: bool) -> AnswersById:
     known = dict(known or {}) | _time_jump_answer(constraint) | _gradient_jump_answer(constraint)
     missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
     known |= decide_on_box(constraint, missing, known, quick) if missing else {}
+    if known["A0"].verdict == HOLDS and known["A0"].where == ON_THE_BOX and not _has_no_hole(constraint):
+        how = "g_i is not seen to have a value everywhere on the box: U_i may end there"
+        known["A0"] = HypothesisAnswer(UNKNOWN, {}, ON_THE_BOX, how, {"constraint": constraint.name})
     if known["A2"].verdict == SAMPLED and (steep := _unbounded_rate_answer(constraint)) is not None:
         known["A2"] = steep
     return _require_finite_in_time(constraint, known)
@@ -155,7 +158,7 @@ def _plane_answers(c: Constraint) -> AnswersById:
 def _rotating_plane_answers(c: Constraint) -> AnswersById | None:
     """An affine function of the state whose gradient depends on time."""
     gradient = ca.gradient(c.g, c.q)
-    if ca.depends_on(gradient, c.q) or jump_nodes(c.g, c.q):
+    if ca.depends_on(gradient, c.q) or jump_nodes(c.g, c.q) or not _is_defined_everywhere(c):
         return None
     size = ca.sumsqr(gradient)
     largest, least = supremum_over_time(c, size), supremum_over_time(c, -size)
@@ -174,6 +177,18 @@ def _rotating_plane_answers(c: Constraint) -> AnswersById | None:
             text,
         )
     return known
+
+
+def _is_defined_everywhere(c: Constraint) -> bool:
+    """Whether no state leaves g without a value; a constant gradient does not tell."""
+    own = np.arange(c.lower.size) < c.t.numel()
+    ends = np.where(own, c.lower, -np.inf), np.where(own, c.upper, np.inf)
+    return is_defined_on_box(c.g, c.q, c.z, *ends)
+
+
+def _has_no_hole(c: Constraint) -> bool:
+    """Whether no point of the box leaves g without a value that the bounds of its gradient do not show."""
+    return is_defined_on_box(c.g, c.q, c.z, c.lower, c.upper, beside=ca.gradient(c.g, c.q))
 
 
 # -- distances ---------------------------------------------------------------------------------------------------------

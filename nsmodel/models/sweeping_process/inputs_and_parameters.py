@@ -39,6 +39,7 @@ from nsmodel.hypotheses.findings import (
 from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, InputJump, missing_rate_reason
 from nsmodel.hypotheses.region import ParameterValues, Region, findings_for_box, unaffected_findings
+from nsmodel.models.sweeping_process.admissible_points import build_process
 from nsmodel.models.sweeping_process.check import (
     A2,
     A3,
@@ -49,6 +50,7 @@ from nsmodel.models.sweeping_process.check import (
     S_START,
     check,
     joined_finding,
+    known_start_point,
     start_finding,
     sweeping_consequences,
 )
@@ -95,7 +97,12 @@ def uniform_consequences(model: SweepingProcess, region: Region, own: Sequence[F
     known = {finding.id: finding.value for finding in own}
     if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):
         return []
-    return sweeping_consequences(model, own, (), model.g.numel())
+    start = next(finding for finding in own if finding.id == S_START.id)
+    seen = (build_process(model.bind(values), region, (), 0) for values in uniform.sample_values(region.parameters))
+    answers = (known_start_point(model, region, start, process) for process in seen)
+    first = next(answers)
+    known_point = first if first.verdict == HOLDS else next((answer for answer in answers if answer.verdict == HOLDS), first)
+    return sweeping_consequences(model, own, (), model.g.numel(), known_point)
 
 
 def constraints_with_parameters(

@@ -139,6 +139,8 @@ def resolve_kinks(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, l
 
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
         u = args[0] if len(args) == 1 else args[0] - args[1]
+        if op != ca.OP_FABS and not interval_bounds.is_number(u, z, lower, upper):
+            return None  # fmax and fmin are the other argument where one has no value
         (low,), (high,) = (np.asarray(end).ravel() for end in interval_bounds.enclose(u, z, lower, upper))
         if op == ca.OP_SIGN:
             return ca.SX(1) if low > 0 else ca.SX(-1) if high < 0 else None
@@ -270,7 +272,9 @@ class _ConvexityAnalysis:
             left, right = right, left
         if self.nodes[right].constant:
             low, high = self.low[right], self.high[right]
-            if self.known[left].affine and (node.op == ca.OP_MUL or low > 0 or high < 0):
+            if node.op == ca.OP_DIV and low <= 0 <= high:
+                return False
+            if self.known[left].affine:
                 return True
             return (low >= 0 and self._has_curvature(left, sign)) or (high <= 0 and self._has_curvature(left, -sign))
         if self.nodes[left].constant:  # c / u

@@ -100,7 +100,7 @@ class ConvexSet:
     def empty(self) -> tuple[str, ...]:
         """Names of constraints that no point satisfies together, where that is proved; () where it is not.
 
-        By the largest value of a concave quadratic, bounds of a row on the box that holds the set, or linear programming.
+        By the largest value of a concave quadratic, bounds of a row, on the box that holds the set, or linear programming.
         """
         low, high = self.bounding_box
         for name, p in zip(self.names, self.polynomials, strict=True):
@@ -109,10 +109,10 @@ class ConvexSet:
                 return (name,)
         if (low > high).any():
             return self.names
-        if self.rows.numel():
-            above = np.asarray(interval_bounds.enclose(self.rows, self.x, low, high)[1]).ravel()
+        for box, alone in (((np.full(self.n, -np.inf), np.full(self.n, np.inf)), True), ((low, high), False)):
+            above = np.asarray(interval_bounds.enclose(self.rows, self.x, *box)[1]).ravel() if self.rows.numel() else np.zeros(0)
             if (above < 0).any():
-                return (self.names[int(np.argmin(above))],)
+                return (self.names[int(np.argmin(above))],) if alone else self.names
         if self.affine and self.n in conic.implied_zeros(_strict_feasibility_system(self)):
             return tuple(self.names[i] for i in self.affine)
         return ()
@@ -159,8 +159,9 @@ def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: 
     low, high = C.part(lower, upper)
     inside = bool((C.bounding_box[0] >= lower).all() and (C.bounding_box[1] <= upper).all())
     for i in left:
-        found = extremum.largest_eigenvalue(ca.hessian(C.rows[i], C.x)[0], C.x, low, high, bound_to=0.0, quick=quick)
-        if not found.bound <= 0:
+        H, slope = ca.hessian(C.rows[i], C.x)
+        smooth = interval_bounds.is_continuous(ca.vertcat(C.rows[i], slope), C.x, low, high)
+        if not smooth or not extremum.largest_eigenvalue(H, C.x, low, high, bound_to=0.0, quick=quick).bound <= 0:
             return _find_nonconvex_pair(C, i, low, high)
     where = " on the box that holds the set" if inside else ""
     return HypothesisPart(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
