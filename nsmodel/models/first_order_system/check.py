@@ -84,7 +84,10 @@ def check(
     at = linearise_system(model, region, runs)
     if not at.steps.size:
         why = "no time step: give the model step= or steps="
-        findings = [_check_jacobians(at), *(make_finding(hypothesis, UNKNOWN, why) for hypothesis in HYPOTHESES[1:])]
+        findings = [
+            _check_jacobians(at),
+            *(make_finding(hypothesis, UNKNOWN, why) for hypothesis in (F_W, F_MLCP, F_UNIQUE, F_STEP)),
+        ]
         return findings, []
     step = _check_step_limit(at, quick)
     regular = _check_regularity(at, step, quick)

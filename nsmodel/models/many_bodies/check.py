@@ -269,7 +269,7 @@ def check(model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: 
             _families_finding(
                 sweeping.joined_finding(hypothesis, constraints, each, region), kinds, count, len(model.constraints)
             )
-            for hypothesis in HYPOTHESES[:6]
+            for hypothesis in sweeping.CONSTRAINT_HYPOTHESES
         ]
         points = _bodies_sample(model, runs, quick)
         near, active = _bodies_mfcq(problem, kinds, each, region, runs, points, quick or searches_are_quick())
