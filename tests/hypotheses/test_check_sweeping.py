@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fuzz_models import COUNT, FULL
 
+import nsmodel
 from nsmodel import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region, region_of
@@ -676,3 +677,11 @@ def test_what_is_active_to_rounding_alone_is_not_shown():
     q = ca.SX.sym("q", 2)
     found = decided({"low": q[1], "high": 1e-8 - q[1]}, q, [0, 5e-9], width=1e3, quick=True)["A5'"]
     assert (found.verdict, found.value["gamma"], found.value["attained"]) == (HOLDS, 1, 1)
+
+
+def test_two_points_on_a_line_of_which_another_constraint_asks():
+    """|q_1 - q_0| >= 1 alone shares a state with one that reads both: the points that are forbidden have one coordinate."""
+    q = ca.SX.sym("q", 2)
+    gaps = {"apart": (q[1] - q[0]) ** 2 - 1, "sum": 5 - q[0] - q[1]}
+    report = nsmodel.check(SweepingProcess(q=q, f=[1, 0], constraints=gaps, q0=[0, 1.5], t_end=1, step=0.1), quick=True)
+    assert {report[id].verdict for id in ("S-convex", "A0", "A1", "A2", "A3", "A4")} == {HOLDS}

@@ -259,11 +259,9 @@ def oscillator_consequences(
     dry = next(finding for finding in findings if finding.id == "O-dry").value.get(RADIUS_LABEL, 0.0) > 0
     if below is not None and below.bounded and dry:
         out += rest_points.rest_point_consequences(model, findings, REST_IDS, g, domain, below, f"{theorem} (ii)")
-    condition = f"x_n = x_inf from some n_0 on if {strict}"
-    if not runs:
-        out.append(make_consequence("finite convergence", condition, findings, REST_IDS, f"{theorem} (iii)"))
-    out += [_finite_convergence(run, findings, strict, f"{theorem} (iii)") for run in runs if _has_margin(run)]
-    return [*out, order_consequence()]
+    seen = [_finite_convergence(run, findings, strict, f"{theorem} (iii)") for run in runs if _has_margin(run)]
+    alone = make_consequence("finite convergence", _finite_if(strict), findings, REST_IDS, f"{theorem} (iii)")
+    return [*out, *(seen or [alone]), order_consequence()]
 
 
 def _has_margin(run: Trajectory) -> bool:
@@ -284,7 +282,7 @@ def order_consequence() -> Consequence:
 
 
 def _finite_convergence(run: Trajectory, findings: Sequence[Finding], strict: str, source: str) -> Consequence:
-    """What a run showed: at rest for ever with a margin, or not told."""
+    """At rest for ever with a margin, as a run showed; else what the theorem says alone, but where its condition may fail."""
     seen = run.metadata["convergence"]
     numbers = {
         label: seen[key]
@@ -302,8 +300,12 @@ def _finite_convergence(run: Trajectory, findings: Sequence[Finding], strict: st
             "0 lies on the boundary of A(0) + dg(x) as far as the run tells: (iii) does not apply, convergence need not be finite"
         )
         return Consequence("finite convergence", edge, REST_IDS, UNKNOWN, numbers, source)
-    statement = f"not shown to be finite: {seen['reason']}"
-    return Consequence("finite convergence", statement, REST_IDS, UNKNOWN, numbers, source)
+    statement = f"{_finite_if(strict)}; not seen in the run: {seen['reason']}"
+    return make_consequence("finite convergence", statement, findings, REST_IDS, source, numbers)
+
+
+def _finite_if(strict: str) -> str:
+    return f"x_n = x_inf from some n_0 on if {strict}"
 
 
 def _worst_verdict(verdicts: Sequence[str]) -> str:
