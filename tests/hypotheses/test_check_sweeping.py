@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fuzz_models import COUNT, FULL
 
+import nsmodel
 from nsmodel import SweepingProcess
 from nsmodel import check as nsmodel_check
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
@@ -767,3 +768,11 @@ def test_of_parameters_at_which_the_set_is_empty_nothing_holds():
         assert {item.verdict for item in report.consequences if item.name in ("prox-regular", "K_L", "step bound")} <= {verdict}
         assert report["A5"].verdict == verdict
         assert report["S-start"].verdict == (HOLDS if x0 == 2 else VIOLATED)
+
+
+def test_two_points_on_a_line_of_which_another_constraint_asks():
+    """|q_1 - q_0| >= 1 alone shares a state with one that reads both: the points that are forbidden have one coordinate."""
+    q = ca.SX.sym("q", 2)
+    gaps = {"apart": (q[1] - q[0]) ** 2 - 1, "sum": 5 - q[0] - q[1]}
+    report = nsmodel.check(SweepingProcess(q=q, f=[1, 0], constraints=gaps, q0=[0, 1.5], t_end=1, step=0.1), quick=True)
+    assert {report[id].verdict for id in ("S-convex", "A0", "A1", "A2", "A3", "A4")} == {HOLDS}

@@ -10,6 +10,7 @@ at along the run.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -67,6 +68,7 @@ KINK_OPERATION_NAMES = {
 }  # fmt: skip
 BY_ROUNDING = "Regular by rounding only: a change of the entries of M and G by 64 eps of themselves can make W singular."
 DIFFERENCE_TOLERANCE = 1e-4  # A difference quotient further off than this part of the Jacobian's largest entry is no rounding.
+OTHER_STEPS_TEXT = "Of the steps, multipliers and rows of the run it is not proved apart from that."
 MAX_EXACT_STEPS = 50  # Different step lengths that are decided one by one.
 
 
@@ -82,21 +84,38 @@ def check(
         quick: no search for the worst point of the region, no enumeration of solutions.
     """
     at = linearise_system(model, region, runs)
+    findings = _decide(at, quick)
+    if runs and any(finding.verdict in (SAMPLED, UNKNOWN) for finding in findings):
+        findings = keep_proofs(findings, _decide(linearise_system(model, region, ()), quick))
+    return findings, first_order_consequences(at.model, at.affine, findings, runs) if at.steps.size else []
+
+
+def _decide(at: SystemLinearisation, quick: bool) -> list[Finding]:
+    """One finding a hypothesis."""
     if not at.steps.size:
         why = "no time step: give the model step= or steps="
-        findings = [_check_jacobians(at), *(make_finding(hypothesis, UNKNOWN, why) for hypothesis in HYPOTHESES[1:])]
-        return findings, []
+        return [_check_jacobians(at), *(make_finding(hypothesis, UNKNOWN, why) for hypothesis in (F_W, F_MLCP, F_UNIQUE, F_STEP))]
     step = _check_step_limit(at, quick)
     regular = _check_regularity(at, step, quick)
     mlcp = mlcp_solvability(F_MLCP, at, regular.verdict, quick)
-    findings = [
+    return [
         _check_jacobians(at),
         regular,
         mlcp,
         unique_step.step_uniqueness(F_UNIQUE, at, regular, mlcp, quick or searches_are_quick()),
         step,
     ]
-    return findings, first_order_consequences(at.model, at.affine, findings, runs)
+
+
+def keep_proofs(findings: Sequence[Finding], before: Sequence[Finding]) -> list[Finding]:
+    """The findings, which runs take part in, but for those that are decided ``before``, without runs, alone."""
+    decided = {finding.id: finding for finding in before if finding.verdict in (HOLDS, VIOLATED)}
+    return [
+        replace(decided[finding.id], how=f"{decided[finding.id].how} {OTHER_STEPS_TEXT}")
+        if finding.id in decided and finding.verdict in (SAMPLED, UNKNOWN)
+        else finding
+        for finding in findings
+    ]
 
 
 # -- F-jacobians ----------------------------------------------------------------------------------------------------------

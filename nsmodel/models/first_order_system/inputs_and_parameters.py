@@ -20,6 +20,7 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import (
     HOLDS,
+    SAMPLED,
     UNKNOWN,
     VIOLATED,
     Consequence,
@@ -33,7 +34,16 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.inputs import InputBounds, InputJump, missing_rate_reason, scheme_limit_consequence
 from nsmodel.hypotheses.region import ParameterValues, Region, box_middle, depends_on_symbol, findings_for_box, sample_values
-from nsmodel.models.first_order_system.check import F_JACOBIANS, F_MLCP, F_STEP, F_UNIQUE, F_W, check, first_order_consequences
+from nsmodel.models.first_order_system.check import (
+    F_JACOBIANS,
+    F_MLCP,
+    F_STEP,
+    F_UNIQUE,
+    F_W,
+    check,
+    first_order_consequences,
+    keep_proofs,
+)
 from nsmodel.models.first_order_system.linearisation import linearise_system, step_lengths
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.models.lure_system import domains
@@ -49,6 +59,9 @@ MAX_CORNER_STEPS, MAX_MLCP_STATES, MAX_MLCP_ROWS = (
     6,
     6,
 )  # Step lengths, states and multipliers up to which W_mlcp is written out.
+
+
+StepInterval = tuple[float, float]
 
 
 class AffineSystem(NamedTuple):
@@ -78,10 +91,10 @@ class AffineSystem(NamedTuple):
         """The weight of g."""
         return self.z[-1]
 
-    def box(self, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """The box at one step length."""
+    def box(self, steps: StepInterval) -> tuple[np.ndarray, np.ndarray]:
+        """The box at step lengths."""
         low, high = self.lower.copy(), self.upper.copy()
-        low[-3] = high[-3] = h
+        low[-3], high[-3] = steps
         return low, high
 
 
@@ -95,7 +108,7 @@ def uniform_findings(model: FirstOrderSystem, region: Region, quick: bool) -> li
     if not any(depends_on_symbol(getattr(model, part), model.p) for part in FIELDS_OF_SYSTEM):
         return check(model.bind(sample_values(region.parameters)[0]), replace(region, parameters={}), (), quick)[0]
     steps, parts = step_lengths(model, ()), _affine_system(model, region)
-    if parts is None or not 0 < steps.size <= MAX_CORNER_STEPS:
+    if parts is None or not steps.size:
         return findings_for_box(_jacobian_findings(model, region, quick), [], region)
     timed = bool(ca.depends_on(ca.vertcat(model.f, model.h, model.g), model.t))
     scope = intersect_scopes(region.scope(timed=timed), Scope(parameters=region.parameters))
@@ -152,9 +165,14 @@ def _jacobian_findings(model: FirstOrderSystem, region: Region, quick: bool) -> 
     return [finding for finding in found if finding.id in JACOBIAN_IDS and finding.verdict == HOLDS]
 
 
+def _step_intervals(steps: np.ndarray) -> list[StepInterval]:
+    """Each step length for itself; of many all between the least and the largest at once."""
+    return [(float(h), float(h)) for h in steps] if steps.size <= MAX_CORNER_STEPS else [(float(steps.min()), float(steps.max()))]
+
+
 def _step_limit_by_corners(parts: AffineSystem, h: float) -> Finding | None:
     """F-step by sym(M - s G) > 0, or by a norm of M^-1 G where M is constant."""
-    at = matrix_corners([parts.M, parts.G], parts.z, *parts.box(h))
+    at = matrix_corners([parts.M, parts.G], parts.z, *parts.box((h, h)))
     if at is None:
         return None
     if all(exact.definiteness(M - s * G).definite for M, G in at for s in (Fraction(0), Fraction(h))):
@@ -191,12 +209,14 @@ def _mlcp_findings(model: FirstOrderSystem, parts: AffineSystem, steps: np.ndarr
     W = parts.M - parts.h * parts.G
     adjugate = ca.SX(1) if n == 1 else ca.horzcat(*([ca.vertcat(*(_cofactor(W, i, j) for j in range(n))) for i in range(n)]))
     mlcp = ca.det(parts.M) * (ca.det(W) * parts.D + parts.h * parts.gamma * parts.C @ adjugate @ parts.B)
-    each = [_matrix_kind(mlcp, parts, float(h)) for h in steps]
+    intervals = _step_intervals(steps)
+    each = [_matrix_kind(mlcp, parts, one) for one in intervals]
     if not all(each):
         return []
     kind = next((name for name in ("positive semidefinite", "a P-matrix", "positive definite") if name in each), "")
+    every_step = f" and step lengths from {steps.min():.4g} to {steps.max():.4g}" if len(intervals) < steps.size else ""
     solvable = make_finding(
-        F_MLCP, HOLDS, f"W_mlcp is {kind} for all values (exact, or by bounds).", {"step lengths": steps.size}
+        F_MLCP, HOLDS, f"W_mlcp is {kind} for all values{every_step} (exact, or by bounds).", {"step lengths": steps.size}
     )
     boxes = model.law.is_box
     if "positive semidefinite" in each or ("a P-matrix" in each and not boxes) or depends_on_symbol(model.law, model.p):
@@ -208,9 +228,9 @@ def _mlcp_findings(model: FirstOrderSystem, parts: AffineSystem, steps: np.ndarr
     why = (
         "W_mlcp is positive definite for all values"
         if boxes is False or kind != "a P-matrix"
-        else "W_mlcp is a P-matrix, K a box"
+        else "K is a box, and W_mlcp a P-matrix for all values"
     )
-    return [solvable, make_finding(F_UNIQUE, HOLDS, f"{why}.", {"solutions": 1})]
+    return [solvable, make_finding(F_UNIQUE, HOLDS, f"{why}{every_step}.", {"solutions": 1})]
 
 
 def _cofactor(W: ca.SX, i: int, j: int) -> ca.SX:
@@ -218,9 +238,9 @@ def _cofactor(W: ca.SX, i: int, j: int) -> ca.SX:
     return (-1) ** (i + j) * ca.det(W[rest[0], rest[1]])
 
 
-def _matrix_kind(mlcp: ca.SX, parts: AffineSystem, h: float) -> str:
+def _matrix_kind(mlcp: ca.SX, parts: AffineSystem, steps: StepInterval) -> str:
     """What the matrix is for all values; '' where it is not known."""
-    low, high = parts.box(h)
+    low, high = parts.box(steps)
     at = matrix_corners([mlcp], parts.z, low, high)
     if at is not None and all(exact.is_psd(S) for (S,) in at):
         return "positive definite" if all(exact.definiteness(S).definite for (S,) in at) else "positive semidefinite"
@@ -293,6 +313,8 @@ def driven_findings(
     model: FirstOrderSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each value of the inputs, and F-inputs where one stands in h or g; see the inclusions' module of this name."""
+    if runs and any(item.verdict in (SAMPLED, UNKNOWN) for item in own):
+        own = keep_proofs(own, uniform_findings(model, region, quick))
     if not runs:
         own = [replace(item, how=f"{item.how} {SHORTER_STEPS_TEXT}") if item.id in STEP_DEPENDENT_IDS else item for item in own]
     return (

@@ -17,6 +17,7 @@ from nsmodel.hypotheses.region import BOX_GROWTH, Region
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import Halfspaces
 from nsmodel.models.first_order_system.model import FirstOrderSystem
+from nsmodel.models.first_order_system.step_matrix import MlcpOfStep
 from nsmodel.proof import conic, exact
 from nsmodel.proof.domain import DefinednessResult, check_defined_in_time, is_defined_on_box
 from nsmodel.proof.extremum import samples
@@ -154,6 +155,13 @@ class SystemLinearisation:
     def exact_W(self, h: float) -> np.ndarray:
         """M - h (theta A + gamma K) in Fractions, where it is constant."""
         return self.M - exact.rational([h])[0] * self.exact_G()
+
+    @cached_property
+    def mlcp_kind(self) -> str:
+        """What W_mlcp is at all step lengths from the least to the largest that occur, where all is constant; '' elsewhere."""
+        gamma, low, high = exact.rational([self.model.gamma, self.steps.min(), self.steps.max()])
+        B, C, D = (exact.rational(constant_matrix_values(J)) for J in (self.jacobians.B, self.jacobians.C, self.jacobians.D))
+        return MlcpOfStep(self.M, self.exact_G(), B, gamma * C, D).kind_for_all(low, high)
 
     def exact_mlcp(self, h: float) -> np.ndarray | None:
         """W_mlcp in Fractions, where all is constant; None where W is singular."""

@@ -11,6 +11,7 @@ import numpy as np
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import Halfspaces, Intervals
 from nsmodel.proof import exact, polynomial
+from nsmodel.proof.verdict import not_none
 
 ENTRY_ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
 ROUNDING_LABEL = "change by rounding, 1 where singular"
@@ -92,6 +93,92 @@ def _embed_rows(Z: np.ndarray, place: int, m: int) -> np.ndarray:
     out = exact.zeros(m, Z.shape[1])
     out[place : place + len(Z)] = Z
     return out
+
+
+class MlcpOfStep(NamedTuple):
+    """W_mlcp(s) = D + s C (M - s G)^-1 B as a function of the step s, in Fractions; ``C`` is gamma times that of the model."""
+
+    M: np.ndarray
+    G: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+
+    def mlcp(self, s: Fraction) -> np.ndarray:
+        """W_mlcp at one step, where M - s G is regular."""
+        return self.D + s * exact.matrix_product(self.C, exact.solve_linear_system(self.M - s * self.G, self.B))
+
+    def restricted(self, left: np.ndarray, right: np.ndarray) -> MlcpOfStep:
+        """Those of left' W_mlcp right."""
+        product = exact.matrix_product
+        return MlcpOfStep(
+            self.M, self.G, product(self.B, right), product(left.T, self.C), product(left.T, product(self.D, right))
+        )
+
+    def kind_for_all(self, low: Fraction, high: Fraction) -> str:
+        """What W_mlcp is for all low <= s <= high; '' where that is not proved, or M - s G singular at one.
+
+        A matrix that is definite, or whose principal minors are > 0, at one step is so at all, where no determinant vanishes
+        between; one whose kernel stays is looked at beside it.
+        """
+        if not is_regular_between(self.M, -self.G, low, high):
+            return ""
+        at_end = self.mlcp(high)
+        definite = exact.definiteness(at_end)
+        if definite.psd:
+            kernel = exact.nullspace(at_end + at_end.T)
+            if kernel.shape[1] and not self._is_kernel_for_all(kernel):
+                return ""
+            basis = np.hstack([kernel, exact.eye(len(self.D))])
+            rest = basis[:, [k for k in exact.independent_columns(basis) if k >= kernel.shape[1]]]
+            regular = self.restricted(rest, rest)._is_symmetric_part_regular(low, high)
+            return ("positive definite" if definite.definite else "positive semidefinite") if regular else ""
+        if len(self.D) > MAX_P_MATRIX_ROWS // 2 or not decide_p_matrix(at_end)[0]:
+            return ""
+        units = exact.eye(len(self.D))
+        sets = [list(rows) for k in range(1, len(self.D) + 1) for rows in combinations(range(len(self.D)), k)]
+        minors = (self.restricted(units[:, rows], units[:, rows]) for rows in sets)
+        return "a P-matrix" if all(part._is_regular(low, high) for part in minors) else ""
+
+    def _is_kernel_for_all(self, kernel: np.ndarray) -> bool:
+        """Whether (W_mlcp + W_mlcp') v = 0 at all steps: det(M - s G) times that is a polynomial, of degree n."""
+        n = len(self.M)
+        steps = (Fraction(k) for k in range(1, 3 * n + 2))  # of which M - s G is singular at n at most
+        regular = [s for s in steps if exact.determinant(self.M - s * self.G)][: n + 1]
+        sums = ((S := self.mlcp(s)) + S.T for s in regular)
+        return not any(exact.matrix_product(S, kernel).any() for S in sums)
+
+    def _is_regular(self, low: Fraction, high: Fraction) -> bool:
+        """Whether det W_mlcp vanishes at no step between: it is det [M - s G, B; -s C, D] / det(M - s G)."""
+        constant = np.vstack([np.hstack([self.M, self.B]), np.hstack([0 * self.C, self.D])])
+        slope = np.vstack([np.hstack([-self.G, 0 * self.B]), np.hstack([-self.C, 0 * self.D])])
+        return is_regular_between(constant, slope, low, high)
+
+    def _is_symmetric_part_regular(self, low: Fraction, high: Fraction) -> bool:
+        """Whether det(W_mlcp + W_mlcp') vanishes at no step between, likewise."""
+        none = 0 * self.M
+        constant = np.vstack(
+            [
+                np.hstack([self.M, none, self.B]), np.hstack([none, self.M.T, 0 * self.C.T]),
+                np.hstack([0 * self.C, -self.B.T, self.D + self.D.T]),
+            ]
+        )  # fmt: skip
+        slope = np.vstack(
+            [
+                np.hstack([-self.G, none, 0 * self.B]), np.hstack([none, -self.G.T, self.C.T]),
+                np.hstack([-self.C, 0 * self.B.T, 0 * self.D]),
+            ]
+        )  # fmt: skip
+        return is_regular_between(constant, slope, low, high)
+
+
+def is_regular_between(constant: np.ndarray, slope: np.ndarray, low: Fraction, high: Fraction) -> bool:
+    """Whether constant + s slope (n, n; Fractions) is regular for all low <= s <= high: whether its determinant has no root."""
+    nodes = [Fraction(k) for k in range(len(constant) + 1)]
+    values = exact.rational([[exact.determinant(constant + s * slope)] for s in nodes])
+    powers = exact.rational([[s**k for k in range(len(nodes))] for s in nodes])
+    coefficients = list(not_none(exact.solve_linear_system(powers, values)).ravel())
+    return any(coefficients) and not polynomial.real_roots(coefficients, low, high)
 
 
 class RegularSteps(NamedTuple):

@@ -116,13 +116,14 @@ def _smooth_uniqueness(hypothesis: Hypothesis, at: SystemLinearisation, regular:
 
 def _constant_uniqueness(hypothesis: Hypothesis, at: SystemLinearisation, mlcp_finding: Finding, quick: bool) -> Finding | None:
     """Every state and each step length that occurs, where the Jacobians are constant; None where that settles nothing."""
-    if len(at.steps) > MAX_DECIDED_STEPS:
-        return None
-    lengths = [float(h) for h in at.steps]
     try:
         domains.domains_of_law(at.model.law, np.zeros((at.model.law.size,) * 2))
     except domains.EmptyDomain:
         return None
+    if len(at.steps) > MAX_DECIDED_STEPS:
+        reason = _uniqueness_reason_for_all_steps(at)
+        return _unique_finding(hypothesis, at, f"{reason} {_steps_text(at)}") if reason else None
+    lengths = [float(h) for h in at.steps]
     reasons = [_uniqueness_reason(at, at.exact_mlcp(h)) for h in lengths]
     if all(reasons):
         return _unique_finding(hypothesis, at, reasons[0])
@@ -225,6 +226,21 @@ def _uniqueness_reason(at: SystemLinearisation, W: np.ndarray | None) -> str:
     return ""
 
 
+def _uniqueness_reason_for_all_steps(at: SystemLinearisation) -> str:
+    """The same at all step lengths from the least to the largest."""
+    kind, W = at.mlcp_kind, at.exact_mlcp(float(at.steps.max()))
+    if kind == "positive definite" or (kind == "a P-matrix" and at.model.law.is_box):
+        return f"W_mlcp is {kind}{', and K a box,' if kind == 'a P-matrix' else ''}"
+    bounded = bool(domains.unrestricted_outputs(at.model.law).all())
+    if kind == "positive semidefinite" and bounded and W is not None and _is_kernel_contained(W, at):
+        return "W_mlcp is psd, its kernel moves no x, and K is bounded"
+    return ""
+
+
+def _steps_text(at: SystemLinearisation) -> str:
+    return f"at all step lengths from {at.steps.min():.4g} to {at.steps.max():.4g} (exact)"
+
+
 def _is_kernel_contained(W: np.ndarray, at: SystemLinearisation) -> bool:
     """Whether ker(W + W') lies in ker B: two solutions l have the same B l."""
     S = W + W.T
@@ -320,6 +336,8 @@ def _exact_solvability(hypothesis: Hypothesis, at: SystemLinearisation) -> Findi
         kinds.add("a P-matrix, all its principal minors > 0, and not psd")
         value |= {} if np.isnan(minor.value) else {"least minor with diagonal 1": minor.value}
     which = " and ".join(sorted(kinds))
+    if len(at.steps) > MAX_MLCP_STEPS and at.mlcp_kind:
+        return make_finding(hypothesis, HOLDS, f"W_mlcp is constant and {at.mlcp_kind} {_steps_text(at)}.", value)
     if len(at.steps) > MAX_MLCP_STEPS:
         how = f"W_mlcp is {which} at the {MAX_MLCP_STEPS} longest of {len(at.steps)} step lengths (exact)."
         return make_finding(hypothesis, SAMPLED, how, value)

@@ -34,7 +34,7 @@ def class_findings_along_run(
     """dom g, and Proposition 4.1."""
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     if model.is_forced:
-        energies = [make_finding(hypothesis, UNKNOWN, FORCED_TEXT) for hypothesis in RUN_HYPOTHESES]
+        energies = [make_finding(hypothesis, UNKNOWN, FORCED_TEXT) for hypothesis in (RUN_ENERGY, RUN_DISSIPATED)]
     else:
         energies = (
             _energy_findings(model, run, numbers) if has_every_row(run) else missing_rows_findings(RUN_ENERGY, RUN_DISSIPATED)

@@ -46,6 +46,8 @@ O_DRY = Hypothesis(
 )
 O_STEPS = Hypothesis("O-steps", "the steps are positive and nondecreasing", f"{CABOT_PAPER}, Proposition 4.1")
 HYPOTHESES = (O_THETA, O_G, O_DRY, O_STEPS)
+WELL_POSED_IDS = (O_THETA.id, O_G.id)  # What Proposition 2.1 rests on; Theorem 4.1 and Corollary 4.2 on the second.
+REST_IDS = (O_THETA.id, O_G.id, O_DRY.id, O_STEPS.id)
 RADIUS_LABEL = "radius of A(0)"
 TIGHT_BOUND = 1e-7  # A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g.
 BOUNDARY_MARGIN = 1e-9  # A margin below this, beside the forces, at the end of a run may be 0.
@@ -242,14 +244,13 @@ def oscillator_consequences(
     theorem = f"{CABOT_PAPER}, Corollary 4.2" if isotropic else f"{CABOT_PAPER}, Theorem 4.1"
     limit = "d(0, dg(x_inf)) <= theta'(0)" if isotropic else "0 in A(0) + dg(x_inf)"
     strict = "d(0, dg(x_inf)) < theta'(0)" if isotropic else "0 is interior to A(0) + dg(x_inf)"
-    every = [h.id for h in HYPOTHESES]
     statements = (
-        ("well posed", "each step has one and only one solution", every[:2], f"{CABOT_PAPER}, Proposition 2.1"),
+        ("well posed", "each step has one and only one solution", WELL_POSED_IDS, f"{CABOT_PAPER}, Proposition 2.1"),
         (
             "energy decay", "E_{n+1} - E_n <= -l_n Phi_A((x_{n+2} - x_{n+1})/l_n)", ["O-theta", "O-g", "O-steps"],
             f"{CABOT_PAPER}, Proposition 4.1",
         ),
-        ("convergence", f"sum |x_{{n+1}} - x_n| is finite, x_n -> x_inf, and {limit}", every, f"{theorem} (i), (ii)"),
+        ("convergence", f"sum |x_{{n+1}} - x_n| is finite, x_n -> x_inf, and {limit}", REST_IDS, f"{theorem} (i), (ii)"),
     )  # fmt: skip
     out = [make_consequence(name, statement, findings, rests_on, source) for name, statement, rests_on, source in statements]
     if model.is_forced:
@@ -257,12 +258,10 @@ def oscillator_consequences(
         return [out[0], *moved, order_consequence()]
     dry = next(finding for finding in findings if finding.id == "O-dry").value.get(RADIUS_LABEL, 0.0) > 0
     if below is not None and below.bounded and dry:
-        out += rest_points.rest_point_consequences(model, findings, every, g, domain, below, f"{theorem} (ii)")
-    condition = f"x_n = x_inf from some n_0 on if {strict}"
-    if not runs:
-        out.append(make_consequence("finite convergence", condition, findings, every, f"{theorem} (iii)"))
-    out += [_finite_convergence(run, findings, every, strict, f"{theorem} (iii)") for run in runs if _has_margin(run)]
-    return [*out, order_consequence()]
+        out += rest_points.rest_point_consequences(model, findings, REST_IDS, g, domain, below, f"{theorem} (ii)")
+    seen = [_finite_convergence(run, findings, strict, f"{theorem} (iii)") for run in runs if _has_margin(run)]
+    alone = make_consequence("finite convergence", _finite_if(strict), findings, REST_IDS, f"{theorem} (iii)")
+    return [*out, *(seen or [alone]), order_consequence()]
 
 
 def _has_margin(run: Trajectory) -> bool:
@@ -282,10 +281,8 @@ def order_consequence() -> Consequence:
     return Consequence("order of convergence", statement, (), UNKNOWN, {}, f"{CABOT_PAPER} (no statement)")
 
 
-def _finite_convergence(
-    run: Trajectory, findings: Sequence[Finding], every: Sequence[str], strict: str, source: str
-) -> Consequence:
-    """What a run showed: at rest for ever with a margin, or not told."""
+def _finite_convergence(run: Trajectory, findings: Sequence[Finding], strict: str, source: str) -> Consequence:
+    """At rest for ever with a margin, as a run showed; else what the theorem says alone, but where its condition may fail."""
     seen = run.metadata["convergence"]
     numbers = {
         label: seen[key]
@@ -296,15 +293,19 @@ def _finite_convergence(
     }  # fmt: skip
     if seen["finite"]:
         statement = f"the run is at rest from n_0 on, and {strict}: in finitely many steps"
-        return make_consequence("finite convergence", statement, findings, every, source, numbers)
+        return make_consequence("finite convergence", statement, findings, REST_IDS, source, numbers)
     size = max(abs(seen["margin"] - seen["distance"]), abs(seen["distance"])) if np.isfinite(seen["margin"]) else np.inf
     if abs(seen["margin"]) <= BOUNDARY_MARGIN * size < np.inf:
         edge = (
             "0 lies on the boundary of A(0) + dg(x) as far as the run tells: (iii) does not apply, convergence need not be finite"
         )
-        return Consequence("finite convergence", edge, tuple(every), UNKNOWN, numbers, source)
-    statement = f"not shown to be finite: {seen['reason']}"
-    return Consequence("finite convergence", statement, tuple(every), UNKNOWN, numbers, source)
+        return Consequence("finite convergence", edge, REST_IDS, UNKNOWN, numbers, source)
+    statement = f"{_finite_if(strict)}; not seen in the run: {seen['reason']}"
+    return make_consequence("finite convergence", statement, findings, REST_IDS, source, numbers)
+
+
+def _finite_if(strict: str) -> str:
+    return f"x_n = x_inf from some n_0 on if {strict}"
 
 
 def _worst_verdict(verdicts: Sequence[str]) -> str:

@@ -33,12 +33,13 @@ from nsmodel.models.friction_oscillator import friction_law, rest_points
 from nsmodel.models.friction_oscillator.check import (
     CABOT_PAPER,
     FORCED_TEXT,
-    HYPOTHESES,
     O_DRY,
     O_G,
     O_STEPS,
     O_THETA,
     RADIUS_LABEL,
+    REST_IDS,
+    WELL_POSED_IDS,
     check,
     forced_steps_finding,
     order_consequence,
@@ -80,9 +81,9 @@ def driven_consequences(
     """A step has one solution; nothing is said of rest."""
     del model, region, motion, runs
     well = make_consequence(
-        "well posed", "each step has one and only one solution", own, ["O-theta", "O-g"], f"{CABOT_PAPER}, Proposition 2.1"
+        "well posed", "each step has one and only one solution", own, WELL_POSED_IDS, f"{CABOT_PAPER}, Proposition 2.1"
     )
-    rest = make_consequence("convergence", "x_n converges", own, [item.id for item in own], f"{CABOT_PAPER}, Theorem 4.1")
+    rest = make_consequence("convergence", "x_n converges", own, REST_IDS, f"{CABOT_PAPER}, Theorem 4.1")
     return [well, unknown_consequence(rest, FORCED_TEXT), order_consequence()]
 
 
@@ -117,10 +118,14 @@ def uniform_consequences(model: FrictionOscillator, region: Region, own: Sequenc
     """What follows for all values of the parameters."""
     C = _moving_domain(model, region)
     made = oscillator_consequences(model, own, ca.SX(0), outer_set(C), None, ())
-    every, proved = [hypothesis.id for hypothesis in HYPOTHESES], all(item.verdict == HOLDS for item in own)
-    if model.is_forced or C.x.numel() > 1 or C.moving or not proved or any(item.scope and item.scope.states for item in own):
+    premises = [item for item in own if item.id in REST_IDS]
+    proved = all(item.verdict == HOLDS and not (item.scope and item.scope.states) for item in premises)
+    if model.is_forced or C.x.numel() > 1 or C.moving or not proved:
         return made
-    return [*made, *rest_points.rest_points_for_all(model, region, own, every, outer_set(C), f"{CABOT_PAPER}, Theorem 4.1 (ii)")]
+    return [
+        *made,
+        *rest_points.rest_points_for_all(model, region, own, REST_IDS, outer_set(C), f"{CABOT_PAPER}, Theorem 4.1 (ii)"),
+    ]
 
 
 # -- friction ----------------------------------------------------------------------------------------------------------

@@ -272,7 +272,7 @@ def check(model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: 
             _families_finding(
                 sweeping.joined_finding(hypothesis, constraints, each, region), kinds, count, len(model.constraints)
             )
-            for hypothesis in HYPOTHESES[:6]
+            for hypothesis in sweeping.CONSTRAINT_HYPOTHESES
         ]
         points = _bodies_sample(model, runs, quick)
         near, active = _bodies_mfcq(problem, kinds, each, region, runs, points, quick or searches_are_quick())
@@ -348,12 +348,33 @@ def _bodies_mfcq(
     points: list[TimedBodies], quick: bool,
 ) -> tuple[QualificationResult, QualificationResult]:  # fmt: skip
     """A5 and A5': of few constraints as of a sweeping process written out."""
-    model = problem.model
-    everybody = all(np.isfinite(run.x).all() for run in runs) and not model.enter.any()
-    if isinstance(model.f, ca.SX) and everybody and sum(family.count for family in problem.families) <= MAX_ONE_BY_ONE[not quick]:
-        one = model.written_out()
-        given = {name: (region.lower[k % model.bodies.d], region.upper[k % model.bodies.d]) for k, name in enumerate(one.names)}
-        return sweeping.mfcq_results(one, region_of(one, runs, given), runs, quick)
+    few = sum(family.count for family in problem.families) <= MAX_ONE_BY_ONE[not quick]
+    if not (isinstance(problem.model.f, ca.SX) and few) or problem.model.enter.any():
+        return _network_mfcq(problem, kinds, each, region, points, quick)
+    alone = _written_out_mfcq(problem.model, region, runs, quick)
+    if all(np.isfinite(run.x).all() for run in runs) or {result.verdict for result in alone} == {HOLDS}:
+        return alone
+    near, active = (
+        one if one.verdict == HOLDS else other
+        for one, other in zip(alone, _network_mfcq(problem, kinds, each, region, points, quick), strict=True)
+    )
+    return near, active
+
+
+def _written_out_mfcq(
+    model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: bool
+) -> tuple[QualificationResult, QualificationResult]:
+    """That of all bodies together, which is that of each part of them: where one has left, fewer constraints act."""
+    one = model.written_out()
+    given = {name: (region.lower[k % model.bodies.d], region.upper[k % model.bodies.d]) for k, name in enumerate(one.names)}
+    return sweeping.mfcq_results(one, region_of(one, runs, given), runs, quick)
+
+
+def _network_mfcq(
+    problem: BodiesProblem, kinds: ModelRepresentatives, each: Sequence[AnswersById], region: Region, points: list[TimedBodies],
+    quick: bool,
+) -> tuple[QualificationResult, QualificationResult]:  # fmt: skip
+    """That of the contact graph at points."""
     size = float(np.max(region.upper - region.lower))
     slope = max((item["A1"].value.get("b", 1.0) for item in each), default=1.0)
     depth = [2 * item["A0"].value.get("delta", np.inf) for item in each]

@@ -20,12 +20,21 @@ from nsmodel.hypotheses.region import ParameterValues, Region, findings_for_box,
 from nsmodel.models.many_bodies.check import check, known_start_point
 from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.models.many_bodies.velocity import uniform_velocity_answer
-from nsmodel.models.sweeping_process.check import A5, A5_ACTIVE, HYPOTHESES, S_F, S_START, sweeping_consequences
+from nsmodel.models.sweeping_process.check import (
+    A5,
+    A5_ACTIVE,
+    CONSTRAINT_HYPOTHESES,
+    S_F,
+    S_START,
+    sweeping_consequences,
+)
 from nsmodel.models.sweeping_process.constraint_bounds import ON_THE_BOX
 from nsmodel.models.sweeping_process.inputs_and_parameters import state_for_each_signal, sweeping_speed_bound, velocity_norm_bound
 from nsmodel.simulation.trajectory import Trajectory
 
-READS = {hypothesis.id: ("constraints",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "constraints")}
+READS = {hypothesis.id: ("constraints",) for hypothesis in (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE, S_START)} | {
+    S_F.id: ("f", "constraints")
+}
 
 
 def special_values(model: ManyBodies, box: IntervalBox) -> list[ParameterValues]:

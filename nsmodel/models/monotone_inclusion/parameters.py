@@ -32,7 +32,16 @@ from nsmodel.hypotheses.region import (
 )
 from nsmodel.modeling.convex_split import split_convex
 from nsmodel.models.monotone_inclusion import autonomous as inclusion
-from nsmodel.models.monotone_inclusion.autonomous import HYPOTHESES, M_A3, autonomous_consequences, check_autonomous
+from nsmodel.models.monotone_inclusion.autonomous import (
+    HYPOTHESES,
+    M_24,
+    M_A1,
+    M_A2,
+    M_A3,
+    M_T,
+    autonomous_consequences,
+    check_autonomous,
+)
 from nsmodel.models.monotone_inclusion.field import constraint_set, decompose_field
 from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP, linear_growth
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
@@ -225,7 +234,8 @@ def _nondissipative_value(model: MonotoneInclusion, region: Region) -> Finding:
 def _decide_parts(grounds: InclusionCheckContext) -> dict[str, HypothesisPart]:
     """(5), (A1)-(A3), (24), where proved."""
     parts = {id: part for id, part in _decide_at_corners(grounds).items() if part is not None}
-    return parts if len(parts) == len(HYPOTHESES) - 1 else {**prove_over_parameters(grounds, _switching_bounds(grounds)), **parts}
+    every = {which.id for which in (M_T, M_A1, M_A2, M_A3, M_24)} <= parts.keys()
+    return parts if every else {**prove_over_parameters(grounds, _switching_bounds(grounds)), **parts}
 
 
 def _switching_bounds(grounds: InclusionCheckContext) -> SwitchingBounds:

@@ -285,7 +285,8 @@ A5 = Hypothesis(
 A5_ACTIVE = Hypothesis("A5'", "the same over the active constraints, g_i = 0 (quantified MFCQ)", f"{BERNICOT_VENEL}, (A5')")
 S_F = Hypothesis("S-f", "|f(t,q) - f(t,q')| <= K_f |q - q'|, |f(t,q)| <= L_f (1 + |q|)", f"{BERNICOT_VENEL}, (7) and (8)")
 S_START = Hypothesis("S-start", "q_0 is in Q(0)", f"{BERNICOT_VENEL}, (4)")
-HYPOTHESES = (S_CONVEX, A0, A1, A2, A3, A4, A5, A5_ACTIVE, S_F, S_START)
+CONSTRAINT_HYPOTHESES = (S_CONVEX, A0, A1, A2, A3, A4)  # What each constraint is asked for alone.
+HYPOTHESES = (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE, S_F, S_START)
 _HYPOTHESES_BY_ID = {hypothesis.id: hypothesis for hypothesis in HYPOTHESES}
 
 MINIMISED_VALUES = ("a", "c", "least")  # Of these numbers the least over the constraints counts, of the others the largest.
@@ -313,7 +314,7 @@ def check(
         process = _process_with_points(model, constraints, region, runs)
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _answers_of_constraints(constraints, quick or unknown > MANY_UNKNOWN_SHAPES)
-        findings = [joined_finding(hypothesis, constraints, each, region) for hypothesis in HYPOTHESES[:6]]
+        findings = [joined_finding(hypothesis, constraints, each, region) for hypothesis in CONSTRAINT_HYPOTHESES]
         points = _admissible_sample(process, len(model.names) > MANY_STATES, quick or searches_are_quick())
         near, active = _mfcq_of_constraints(constraints, each, process, points, model, quick or searches_are_quick())
         timed = any(constraint.shape.time for constraint in constraints)

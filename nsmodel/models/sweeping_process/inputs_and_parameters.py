@@ -45,7 +45,7 @@ from nsmodel.models.sweeping_process.check import (
     A3,
     A5,
     A5_ACTIVE,
-    HYPOTHESES,
+    CONSTRAINT_HYPOTHESES,
     S_F,
     S_START,
     check,
@@ -71,7 +71,10 @@ from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.jumps import jump_nodes
 from nsmodel.simulation.trajectory import Trajectory
 
-READS = {hypothesis.id: ("g",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "g"), S_START.id: ("g", "q0")}
+READS = {hypothesis.id: ("g",) for hypothesis in (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE)} | {
+    S_F.id: ("f", "g"),
+    S_START.id: ("g", "q0"),
+}
 
 
 def special_values(model: SweepingProcess, box: IntervalBox) -> list[ParameterValues]:
@@ -87,7 +90,7 @@ def uniform_findings(model: SweepingProcess, region: Region, quick: bool) -> lis
     own: list[Finding | None] = [uniform_velocity_finding(model, region), uniform_start_finding(model, region)]
     answers = [answer for answer in each if answer is not None]
     if len(answers) == len(each):
-        own += [joined_finding(hypothesis, constraints, answers, region) for hypothesis in HYPOTHESES[:6]]
+        own += [joined_finding(hypothesis, constraints, answers, region) for hypothesis in CONSTRAINT_HYPOTHESES]
         own += _uniform_mfcq(constraints, answers, region)
     return findings_for_box((item for item in own if item is None or item.verdict == HOLDS), same, region)
 

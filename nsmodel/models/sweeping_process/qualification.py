@@ -91,8 +91,8 @@ def _bound_on_interval(
     place = {j: k for k, j in enumerate(columns)}
     rows, t = [], constraints[0].t
     for c in constraints:
-        own = [int(together[place[i]]) for i in c.shape.own]
-        rows.append(ca.substitute(c.g, c.q, ca.vec(y[own])))  # y[own] of a single y is a row
+        own = ca.vertcat(*(y[int(together[place[i]])] for i in c.shape.own))
+        rows.append(ca.substitute(c.g, c.q, own))
     shared = [np.flatnonzero(together == k) for k in range(y.numel())]
     start = np.array([0.5 * (lower[1 + own].mean() + upper[1 + own].mean()) for own in shared])
     width = np.array([max(float((upper - lower)[1 + own].max()), 1e-300) for own in shared])
