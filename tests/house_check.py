@@ -26,6 +26,7 @@ LIMITS = {  # A structure that needs more is to be thought over; a limit that ha
     "loose modules": 5,
     "files": 330,
     "lines of the longest module": 700,
+    "lines of verify.py": 1500,
     "import circles": 0,
     "upward imports": 0,
     "modules found by strings": 8,
@@ -137,6 +138,8 @@ def measure() -> dict[str, tuple[int, list[str]]]:
     """Return each measure of ``LIMITS``: its number, and what stands behind it."""
     modules, graph = read_modules(), grimp.build_graph("nsmodel", cache_dir=None)
     lengths = {str(path): len((REPOSITORY / path).read_text().splitlines()) for path in modules}
+    alone = str(next(path for path in modules if path.name == "verify.py"))  # One file that a stranger reads.
+    verifier = lengths.pop(alone)
     document = REPOSITORY / "docs" / "architecture.md"
     loose = [path.stem for path in modules if len(path.parts) == 2 and not path.stem.startswith("__")]
 
@@ -149,6 +152,7 @@ def measure() -> dict[str, tuple[int, list[str]]]:
         "loose modules": count(loose),
         "files": count(map(str, modules)),
         "lines of the longest module": (max(lengths.values()), sorted(lengths, key=lengths.__getitem__)[-5:]),
+        "lines of verify.py": (verifier, [alone]),
         "import circles": count(find_import_circles(graph)),
         "upward imports": count(find_upward_imports(graph)),
         "modules found by strings": count(find_modules_by_string(modules)),

@@ -39,7 +39,7 @@ def answered(class_name: str, which: str | int) -> Row:
     model = nsmodel.load(which) if class_name == "cases" else draw(class_name, int(which))
     certificate = json.loads(json.dumps(certificate_of(check(model, runs=[]))))
     written = time.perf_counter()
-    answers = [(s["id"], verify.verdict(certificate["model"], s)) for s in certificate["statements"]]
+    answers = [(s["id"], ": ".join(verify.answer(certificate["model"], s))) for s in certificate["statements"]]
     return {"class": class_name, "model": which, "answers": answers, "kind": model.title,
             "seconds": written - started, "verified": time.perf_counter() - written}  # fmt: skip
 
@@ -56,7 +56,7 @@ def table(rows: Sequence[Row]) -> str:
             lines.append(f"  {id:12}" + "".join(f"{of_id[answer]:6d} {answer}" for answer in ANSWERS))
         reasons: dict[tuple[str, str], list[str | int]] = {}
         for row, id, answer in own if name != "all" else ():
-            if answer != "yes":
+            if not answer.startswith("yes"):
                 reasons.setdefault((id, answer), []).append(row["model"])
         for (id, answer), models in sorted(reasons.items(), key=lambda item: -len(item[1])):
             lines.append(f"  {len(models):4d}  {id:12} {answer}  {models[:6]}")

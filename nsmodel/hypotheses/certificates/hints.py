@@ -144,8 +144,11 @@ MAX_COVER_PARTS, MAX_COVER_DEPTH = 1000, 40  # Parts of a cover.
 ROUND_DOWN, KEEP_EXACT, ROUND_UP = -1, 0, 1
 
 
-class UnprovedFinding(Exception):
+class UnprovedFinding(verify.Unproved):
     """No proof of a finding is known that ``verify`` can check; says why."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, verify.UNCHECKED)
 
 
 class CoverTooLarge(UnprovedFinding):
@@ -180,8 +183,8 @@ class AdaptiveCover:
         self.hint, self.only, self.tree = hint, only, None
 
 
-def verify_with_covers(model: dict[str, Any], statement: dict[str, Any]) -> str:
-    """The verdict of ``verify``, with covers grown where the hints ask for them; they are then part of the statement."""
+def verify_with_covers(model: dict[str, Any], statement: dict[str, Any]) -> tuple[str, str]:
+    """The answer of ``verify``, with covers grown where the hints ask for them; they are then part of the statement."""
     plain = verify.cover
 
     def growing(tree: Any, box: list[Any], leaf: Callable[[list[Any], Any], bool]) -> bool:
@@ -192,7 +195,7 @@ def verify_with_covers(model: dict[str, Any], statement: dict[str, Any]) -> str:
 
     try:
         verify.cover = growing
-        answer = verify.verdict(model, statement)
+        answer = verify.answer(model, statement)
     finally:
         verify.cover = plain
     statement["proof"] = _replace_covers(statement["proof"])
@@ -213,8 +216,8 @@ def _grow_cover(grown: AdaptiveCover, box: list[Any], leaf: Callable[[list[Any],
 
     def passes(part: list[Any], hint: Any) -> bool:
         try:
-            return bool(leaf(part, hint))
-        except (verify.Undefined, AssertionError):
+            return leaf(part, hint)
+        except verify.Unproved:
             return False
 
     def grow(part: list[Any], depth: int) -> Any:

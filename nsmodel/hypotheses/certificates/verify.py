@@ -1,600 +1,1500 @@
 """Verify a certificate of ``nsmodel check --certificate``: python verify.py certificate.json
 
-This file needs nothing but Python. Each statement is proved anew from the model's data, in fractions; the certificate's hints
-(matrices, vectors, covers of boxes) serve where they can be checked. The answer is "yes", "no", or "not checkable: reason".
-A graph is a straight-line program: steps ["in", k], ["const", c], ["add", i, j], ["mul", i, j], ["pow", i, exponent],
-["fmax", i, j], and ["exp", i], the same with log, sin, cos, tanh, atan, where i and j are numbers of earlier steps.
+This file needs nothing but Python, and trusts nothing in the certificate: each statement is proved anew from the model's data, in
+fractions and in intervals of fractions; hints (matrices, vectors, ways to cut a box) serve where they can be checked. It prints
+the model as it reads it, and of each statement the sentence that was proved, made from the model and the numbers, never the words
+of the certificate. The answer is "yes" with that sentence, "no" with a reason, or "not checkable" with a reason.
+
+A function is a straight-line program: steps ["in", k], ["const", c], ["add", i, j], ["mul", i, j], ["pow", i, exponent],
+["fmax", i, j], and ["exp", i], the same with log, sin, cos, tanh, atan, where i and j are numbers of earlier steps. It is the
+real function that is defined where each of its steps is: log u where u > 0, u^n for all u if n is an integer >= 0, where u is not
+0 if n is an integer < 0, and else where u >= 0, or u > 0 if n < 0.
+
+A rule's docstring names the theorem and its premises, numbered; comments #1, #2, ... say where each is checked.
 """
 
-import collections, decimal, hashlib, json, math, sys
+from __future__ import annotations
+
+import decimal
+import hashlib
+import json
+import math
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction as Q
 from itertools import pairwise, product
-BITS, CONTEXT = 80, decimal.Context(prec=60)  # Intervals are rounded outwards to so many bits.
-HALF, BIG, INF, PI = Q("1/2"), Q(2) ** 1000, math.inf, Q("3.14159265358979323846264338327950288")  # pi to 1e-35
-class NotCheckable(Exception): """What this file does not know how to verify."""
-class Undefined(Exception): """An operation may be undefined, or jump, on an interval."""
-def need(true, text, error=AssertionError):
-    if not true: raise error(text)
-def numbers(item):
-    """Fractions of text, in lists and dictionaries; infinities stay floats."""
-    if isinstance(item, (dict, list)):
-        return {k: numbers(part) for k, part in item.items()} if isinstance(item, dict) else [numbers(part) for part in item]
-    return float(item) if item in ("inf", "-inf") else item if item is None else Q(item)
-# -- linear algebra: matrices are lists of rows
-def transpose(A): return [list(row) for row in zip(*A, strict=True)]
-def dot(a, b): return sum((x * y for x, y in zip(a, b, strict=True) if x and y), Q(0))
-def times(A, B): return [[dot(row, column) for column in transpose(B)] for row in A]
-def plus(A, B, factor=1): return [[a + factor * b for a, b in zip(r, s, strict=True)] for r, s in zip(A, B, strict=True)]
-def eye(n, entry=1): return [[Q(entry) if i == j else Q(0) for j in range(n)] for i in range(n)]
-def psd(M, definite=False):
+from typing import Any
+
+FORMAT = 3
+BITS = 80  # Intervals are rounded outwards to so many bits.
+CONTEXT = decimal.Context(prec=60)
+ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
+PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
+MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS = 1000, 16, 20000, 200000
+YES, NO, UNCHECKED = "yes", "no", "not checkable"
+Matrix = list[list[Q]]
+Monomial = tuple[tuple[int, int], ...]
+Switch = tuple[Q, list[Q], Q]  # w, a, c of w l a with l in Sgn(a'x + c), w >= 0: the subdifferential of w |a'x + c|.
+NUMBER = re.compile(r"-?[0-9]{1,4000}(/[1-9][0-9]{0,3999})?", re.ASCII)
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,40}", re.ASCII)
+UP, DOWN = decimal.ROUND_CEILING, decimal.ROUND_FLOOR
+FIRST_ATOM = 10**6  # Variables of polynomials: inputs 0, 1, ..., atoms from here on.
+
+
+class Unproved(Exception):
+    """A premise of a theorem is not met (NO), or this file knows no proof (UNCHECKED)."""
+
+
+def need(true: bool, text: str, kind: str = NO) -> None:
+    """Raise unless it is True; anything else, also what Python takes for true, is a failure."""
+    if true is not True:
+        raise Unproved(text, kind)
+
+
+def record(item: Any) -> dict[str, Any]:
+    """A JSON object."""
+    need(type(item) is dict, "an object is missing")
+    return item
+
+
+def entries(item: Any, count: int | None = None) -> list[Any]:
+    """A JSON array, of so many entries where that is given."""
+    need(type(item) is list and count in (None, len(item)), "a list is missing, or has another length")
+    return item
+
+
+def field(item: Any, name: str) -> Any:
+    """An entry of a JSON object."""
+    need(name in record(item), f"'{name}' is missing")
+    return item[name]
+
+
+def names_of(item: Any) -> list[str]:
+    """A list of different texts, at least one letter each."""
+    need(all(type(name) is str and name != "" for name in entries(item)), "a name is no text")
+    need(len(set(item)) == len(item), "two inputs have one name")
+    return item
+
+
+def index(item: Any, count: int) -> int:
+    """An integer from 0 to count - 1."""
+    need(type(item) is int and 0 <= item < count, "an index is out of range")
+    return item
+
+
+def number(item: Any, infinite: bool = False) -> Any:
+    """A finite number, "-3/4" or "7"; also "inf" and "-inf" where that is allowed."""
+    if infinite and item in ("inf", "-inf"):
+        return float(item)
+    need(type(item) is str and NUMBER.fullmatch(item) is not None, "a number is not written as a fraction")
+    return Q(item)
+
+
+def vector(item: Any, count: int | None = None, infinite: bool = False) -> list[Any]:
+    """A list of numbers."""
+    return [number(entry, infinite) for entry in entries(item, count)]
+
+
+def matrix(item: Any, rows: int | None, columns: int) -> Matrix:
+    """The rows of a matrix of this size."""
+    return [vector(row, columns) for row in entries(item, rows)]
+
+
+def escaped(item: Any) -> str:
+    """Foreign text on one line: a name of letters, digits, _ and . as it is, else quoted, in ASCII, the rest written out."""
+    item = item if type(item) is str else f"<no text: {type(item).__name__}>"
+    return item if NAME.fullmatch(item) else ascii(item[:120] + "..." * (len(item) > 120))
+
+
+def written(x: Any, rounding: str = decimal.ROUND_HALF_EVEN) -> str:
+    """A number: exactly where that is short, else as a decimal of 15 digits rounded in a direction."""
+    if abs(x) == INF or len(str(x)) <= 12:
+        return str(x)
+    return str(rounded_by(decimal.Context(prec=15, rounding=rounding), x))
+
+
+def transpose(A: Matrix) -> Matrix:
+    """A' of a matrix that has rows."""
+    return [list(row) for row in zip(*A, strict=True)]
+
+
+def dot(a: Iterable[Q], b: Iterable[Q]) -> Q:
+    """The scalar product <a, b>."""
+    return sum((x * y for x, y in zip(a, b, strict=True) if x and y), ZERO)
+
+
+def times(A: Matrix, B: Matrix) -> Matrix:
+    """The product of two matrices."""
+    columns = transpose(B)
+    return [[dot(row, column) for column in columns] for row in A]
+
+
+def plus(A: Matrix, B: Matrix, factor: Any = 1) -> Matrix:
+    """The sum of A and of B times a number."""
+    return [[a + factor * b for a, b in zip(r, s, strict=True)] for r, s in zip(A, B, strict=True)]
+
+
+def eye(n: int, entry: Any = 1) -> Matrix:
+    """A number times the identity."""
+    return [[Q(entry) if i == j else ZERO for j in range(n)] for i in range(n)]
+
+
+def psd(M: Matrix, definite: bool = False) -> bool:
     """Whether M + M' is positive semidefinite (or definite): its LDL' factorisation with the largest pivots first."""
-    S, left = plus(M, transpose(M)), list(range(len(M)))
+    S, left = plus(M, transpose(M)) if M else [], list(range(len(M)))
     while left:
         k = max(left, key=lambda i: S[i][i])
-        if S[k][k] <= 0: return not definite and all(S[i][j] == 0 for i in left for j in left)
+        if S[k][k] <= 0:
+            return not definite and all(S[i][j] == 0 for i in left for j in left)
         left.remove(k)
         for i in left:
             factor = S[i][k] / S[k][k]
             S[i] = [x - factor * y for x, y in zip(S[i], S[k], strict=True)] if factor else S[i]
     return True
-# -- intervals
-def rounded(x, up=False):
-    """x rounded down or up to BITS bits; beyond BIG to infinity."""
+
+
+def symmetric_below(A: Matrix, P: Matrix, L: Q) -> bool:
+    """Whether P A + A'P <= 2 L P, P symmetric."""
+    return psd(plus([[L * x for x in row] for row in P], times(P, A), -1)) if P else True
+
+
+def rounded(x: Any, up: bool = False) -> Any:
+    """The number x rounded down or up to BITS bits; beyond BIG to infinity."""
     if abs(x) > BIG:
         return (INF if up else BIG) if x > 0 else -rounded(-x, not up)
-    x = Q(x)
-    n, d, shift = x.numerator, x.denominator, BITS - x.numerator.bit_length() + x.denominator.bit_length()
+    n, d = x.numerator, x.denominator
     if not n or (d & (d - 1) == 0 and n.bit_length() <= BITS):
-        return x
+        return Q(x)
+    shift = BITS - n.bit_length() + d.bit_length()
     over, under = (n << shift, d) if shift > 0 else (n, d << -shift)
     whole = -(-over // under) if up else over // under
     return Q(whole, 1 << shift) if shift > 0 else Q(whole << -shift)
+
+
+def end_product(a: Any, b: Any) -> Any:
+    """The product of two ends, with 0 inf = 0."""
+    if not a or not b:
+        return ZERO
+    if abs(a) == INF or abs(b) == INF:
+        return INF if (a > 0) == (b > 0) else -INF
+    return a * b
+
+
 class VerifierInterval:
-    """lo <= x <= hi, fractions or infinite; operations round outwards. Functions raise Undefined where they may have no value."""
-    def __init__(self, lo, hi=None, slack=0):
-        self.lo, self.hi = rounded(lo - slack), rounded((lo if hi is None else hi) + slack, True)
-    def __add__(self, other): return VerifierInterval(self.lo + other.lo, self.hi + other.hi)
-    def __neg__(self): return VerifierInterval(-self.hi, -self.lo)
-    def __mul__(self, other):
-        ends = [a * b if a and b else Q(0) for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
+    """The numbers x with lo <= x <= hi, at least one; ends are fractions or infinite; operations round outwards."""
+
+    __slots__ = ("hi", "lo")
+
+    def __init__(self, lo: Any, hi: Any = None, slack: Any = 0) -> None:
+        hi = lo if hi is None else hi
+        need(lo <= hi and lo < INF and hi > -INF, "an interval is empty")
+        self.lo, self.hi = rounded(lo - slack if slack else lo), rounded(hi + slack if slack else hi, True)
+
+    def __add__(self, other: VerifierInterval) -> VerifierInterval:
+        return VerifierInterval(self.lo + other.lo, self.hi + other.hi)
+
+    def __neg__(self) -> VerifierInterval:
+        return VerifierInterval(-self.hi, -self.lo)
+
+    def __mul__(self, other: VerifierInterval) -> VerifierInterval:
+        ends = [end_product(a, b) for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
         return VerifierInterval(min(ends), max(ends))
-    def scaled(self, c): return self * VerifierInterval(c)
-    def within(self, bound): return -bound <= self.lo and self.hi <= bound
-    def clipped(self, bound): return VerifierInterval(max(self.lo, -bound), min(self.hi, bound))
-    def middle(self):
+
+    def __str__(self) -> str:
+        """An interval inside this one, and this one but for rounding."""
+        left, right = "[" if self.lo > -INF else "(", "]" if self.hi < INF else ")"
+        return f"{left}{written(self.lo, UP)}, {written(self.hi, DOWN)}{right}"
+
+    def scaled(self, c: Q) -> VerifierInterval:
+        """The interval times a number."""
+        return self * VerifierInterval(c)
+
+    def within(self, bound: Any) -> bool:
+        """Whether |x| <= bound."""
+        return -bound <= self.lo and self.hi <= bound
+
+    def clipped(self, bound: Q) -> VerifierInterval:
+        """What is known where |x| <= bound too."""
+        return VerifierInterval(max(self.lo, -bound), min(self.hi, bound))
+
+    def middle(self) -> Any:
         """Where a cover cuts: where an end is infinite at 0, or twice as far out."""
         if self.hi < INF:
-            return (self.lo + self.hi) / 2 if self.lo > -INF else min(2 * self.hi, Q(-1))
-        return max(2 * self.lo, Q(1)) if self.lo > -INF else Q(0)
-    def power(self, n):
-        if n.denominator == 2:
-            return VerifierInterval(root(self.lo).lo, root(self.hi).hi).power(2 * n)
-        if n.denominator > 2:
-            return (self.log().scaled(n)).exp()
-        need(n >= 0 or not self.lo <= 0 <= self.hi, "a division by an interval around 0", Undefined)
-        if n < 0: return VerifierInterval(1 / self.hi, 1 / self.lo).power(-n)
-        ends = sorted((self.lo**n, self.hi**n))
-        return VerifierInterval(0 if n and n % 2 == 0 and self.lo < 0 < self.hi else ends[0], ends[1])
-    def exp(self): return VerifierInterval(exp(self.lo).lo, exp(self.hi).hi)
-    def log(self): return VerifierInterval(log(self.lo).lo, log(self.hi).hi)
-    def atan(self): return VerifierInterval(atan(self.lo).lo, atan(self.hi).hi)
-    def tanh(self): return VerifierInterval(1) + (self.scaled(2).exp() + VerifierInterval(1)).power(Q(-1)).scaled(-2)
-    def sin(self, quarters=0):
-        """sin(x + quarters pi/2): the value in the middle, and the slope 1."""
-        if self.lo == self.hi == 0 or self.hi - self.lo > 7:
-            return VerifierInterval(quarters) if self.lo == self.hi else VerifierInterval(-1, 1)
+            return (self.lo + self.hi) / 2 if self.lo > -INF else min(2 * self.hi, -ONE)
+        return max(2 * self.lo, ONE) if self.lo > -INF else ZERO
+
+    def rising(self, f: Callable[[Any], VerifierInterval]) -> VerifierInterval:
+        """The values of an increasing function that encloses its values at ends."""
+        return VerifierInterval(f(self.lo).lo, f(self.hi).hi)
+
+    def power(self, n: Any) -> VerifierInterval:
+        """The power x^n, n a fraction."""
+        n = Q(n)
+        if n.denominator > 1:
+            if self.lo < 0 or (n < 0 and self.lo == 0):
+                raise Unproved("a power of what may be negative, or of 0", NO)
+            if n.denominator == 2:
+                return self.rising(root_of).power(n.numerator)
+            high = log_of(self.hi).scaled(n).rising(exp_of).hi if self.hi > 0 else ZERO
+            return self.log().scaled(n).rising(exp_of) if self.lo > 0 else VerifierInterval(ZERO, high)
+        if n < 0:
+            if self.lo <= 0 <= self.hi:
+                raise Unproved("a division by what may be 0", NO)
+            return VerifierInterval(*(ZERO if abs(x) == INF else 1 / x for x in (self.hi, self.lo))).power(-n)
+        ends = sorted((self.lo**n.numerator, self.hi**n.numerator)) if n else [ONE, ONE]
+        return VerifierInterval(ZERO if n and n % 2 == 0 and self.lo < 0 < self.hi else ends[0], ends[1])
+
+    def log(self) -> VerifierInterval:
+        """The logarithm of x > 0."""
+        if self.lo <= 0:
+            raise Unproved("a logarithm of what may not be positive", NO)
+        return self.rising(log_of)
+
+    def sin(self, quarters: int = 0) -> VerifierInterval:
+        """The sine of x + quarters pi/2, quarters 0 or 1: the value in the middle, and the slope 1."""
+        if self.lo == self.hi == 0:
+            return VerifierInterval(Q(quarters))
+        if self.hi - self.lo > 7:
+            return VerifierInterval(-ONE, ONE)
         middle, half = (self.lo + self.hi) / 2 + quarters * PI / 2, (self.hi - self.lo) / 2
         k = round(middle / PI)
-        y, total = rounded(middle - k * PI), Q(0)
+        y, series = rounded(middle - k * PI), ZERO
         term = -y if k % 2 else y
         for i in range(1, 36, 2):
-            total, term = total + term, rounded(-term * y * y / ((i + 1) * (i + 2)))
-        return VerifierInterval(total, slack=half + Q(abs(k) + 2, 2**70)).clipped(Q(1))
-def root(x):
-    need(x >= 0, "a root of what may be negative", Undefined)
-    if x == INF: return VerifierInterval(BIG, INF)
+            series, term = series + term, rounded(-term * y * y / ((i + 1) * (i + 2)))
+        return VerifierInterval(series, slack=half + Q(abs(k) + 2, 2**70)).clipped(ONE)
+
+
+def root_of(x: Any) -> VerifierInterval:
+    """The root of an end >= 0."""
+    if x == INF:
+        return VerifierInterval(BIG, INF)
     shift = max(0, BITS - (x.numerator.bit_length() - x.denominator.bit_length()) // 2)
     low = Q(math.isqrt((x.numerator << 2 * shift) // x.denominator), 1 << shift)
     return VerifierInterval(low, low if low * low == x else low + Q(1, 1 << shift))
-def digits(x): return CONTEXT.divide(decimal.Decimal(x.numerator), decimal.Decimal(x.denominator))
-def exp(x):  # Python rounds exp and ln of decimals correctly; exp(700) > BIG
+
+
+def rounded_by(context: decimal.Context, x: Q) -> decimal.Decimal:
+    """A number as a decimal."""
+    return context.divide(decimal.Decimal(x.numerator), decimal.Decimal(x.denominator))
+
+
+def exp_of(x: Any) -> VerifierInterval:
+    """The exponential of an end. Python rounds exp and ln of decimals correctly, to 60 digits here; e^700 > BIG."""
     if abs(x) > 700:
-        return VerifierInterval(BIG, INF) if x > 0 else VerifierInterval(0, 1 / BIG)
-    value = Q(CONTEXT.exp(digits(x)))
+        return VerifierInterval(BIG, INF) if x > 0 else VerifierInterval(ZERO, 1 / BIG)
+    value = Q(CONTEXT.exp(rounded_by(CONTEXT, x)))
     return VerifierInterval(value, slack=value / 2**150 if x else 0)
-def log(x):
-    need(x >= 0, "a logarithm of what may be negative", Undefined)
-    return VerifierInterval(-INF, INF) if x in (0, INF) else VerifierInterval(
-        Q(CONTEXT.ln(digits(x))), slack=Q(int(x != 1), 2**150))
-def atan(x):
-    """y + atan(e) where tan(y) is about x and e = (x cos y - sin y)/(cos y + x sin y)."""
-    x, y = max(-BIG, min(x, BIG)), VerifierInterval(Q(math.atan(x)))
-    e = (VerifierInterval(x) * y.sin(1) + -y.sin()) * (y.sin(1) + VerifierInterval(x) * y.sin()).power(Q(-1))
-    need(e.within(Q(1, 2**40)), "an arctangent that the machine gets wrong")
+
+
+def log_of(x: Any) -> VerifierInterval:
+    """The logarithm of an end > 0."""
+    value = ZERO if x == INF else Q(CONTEXT.ln(rounded_by(CONTEXT, x)))
+    return VerifierInterval(value, INF if x == INF else value, slack=Q(int(x != 1), 2**150))
+
+
+def atan_of(x: Any) -> VerifierInterval:
+    """The arctangent of an end: y + atan(e) where tan y is about x and e = (x cos y - sin y)/(cos y + x sin y)."""
+    x = max(-BIG, min(x, BIG))
+    near = math.atan(x)
+    y, at = VerifierInterval(Q(near)), VerifierInterval(x)
+    e = (at * y.sin(1) + -y.sin()) * (y.sin(1) + at * y.sin()).power(-1)
+    need(abs(near) < 1.6 and near * x >= 0 and e.within(Q(1, 2**40)), "an arctangent that the machine gets wrong")
     return y + VerifierInterval(e.lo, e.hi, slack=Q(int(x != 0), 2**110))
-FUNCTIONS = {  # f(x), f'(x), f''(x)
-    "exp": lambda x: (x.exp(), x.exp(), x.exp()), "log": lambda x: (x.log(), x.power(Q(-1)), -x.power(Q(-2))),
-    "sin": lambda x: (x.sin(), x.sin(1), -x.sin()), "cos": lambda x: (x.sin(1), -x.sin(), -x.sin(1)),
-    "tanh": lambda x: (t := x.tanh(), d := VerifierInterval(1) + -t.power(Q(2)), (t * d).scaled(-2)),
-    "atan": lambda x: (x.atan(), d := (VerifierInterval(1) + x.power(Q(2))).power(Q(-1)), ((x * d).clipped(HALF) * d).scaled(-2))}
-def length(row): return sum((x.power(Q(2)) for x in row), VerifierInterval(0)).power(HALF)
-# -- graphs
-def run(graph, inputs, const, apply):
-    """The outputs in an algebra with + and *; ``apply(op, u, w)`` does the other operations, w the second argument."""
-    nodes = []
-    need("steps" in graph, f"a function that is not written down ({graph.get('why')})", NotCheckable)
-    for op, i, *j in graph["steps"]:
-        w = nodes[j[0]] if op in ("add", "mul", "fmax") else Q(j[0]) if j else None
-        nodes.append(inputs[i] if op == "in" else const(Q(i)) if op == "const" else nodes[i] + w if op == "add"
-                     else nodes[i] * w if op == "mul" else apply(op, nodes[i], w))
-    return [nodes[k] for k in graph["outputs"]]
+
+
+Box = list[VerifierInterval]
+IntervalMatrix = list[list[VerifierInterval]]
+UNIT, ALL = VerifierInterval(ONE), VerifierInterval(-INF, INF)
+FUNCTIONS: dict[str, Callable[[VerifierInterval], tuple[VerifierInterval, ...]]] = {  # f(x), f'(x), f''(x)
+    "exp": lambda x: (x.rising(exp_of),) * 3,
+    "log": lambda x: (x.log(), x.power(-1), -x.power(-2)),
+    "sin": lambda x: (x.sin(), x.sin(1), -x.sin()),
+    "cos": lambda x: (x.sin(1), -x.sin(), -x.sin(1)),
+    # 1 - 2/(e^2x + 1), in which x occurs once.
+    "tanh": lambda x: (
+        t := UNIT + (x.scaled(Q(2)).rising(exp_of) + UNIT).power(-1).scaled(Q(-2)), d := UNIT + -t.power(2), (t * d).scaled(Q(-2))
+    ),
+    "atan": lambda x: (x.rising(atan_of), d := (UNIT + x.power(2)).power(-1), ((x * d).clipped(HALF) * d).scaled(Q(-2))),
+}  # fmt: skip
+
+
+def length(row: Iterable[VerifierInterval]) -> VerifierInterval:
+    """The Euclidean length."""
+    return sum((x.power(2) for x in row), VerifierInterval(ZERO)).power(HALF)
+
+
+def interval_psd(H: IntervalMatrix) -> bool:
+    """Whether all symmetric matrices in H are psd: the middle is, with the lower ends on the diagonal, less each row's radii."""
+    n = range(len(H))
+    radii = [sum((H[i][j].hi - H[i][j].lo for j in n if j != i), ZERO) / 2 for i in n]
+    if not all(H[i][i].lo > -INF and radii[i] < INF for i in n):
+        return False
+    return psd([[H[i][i].lo - radii[i] if i == j else H[i][j].middle() for j in n] for i in n])
+
+
+def norm_below(J: IntervalMatrix, K: Q) -> bool:
+    """Whether |J| <= K in the spectral norm for all J in an interval matrix: [K, J; J', K] is psd."""
+    m, n, k, zero = len(J), len(J[0]) if J else 0, VerifierInterval(K), VerifierInterval(ZERO)
+    upper = [[k if i == j else zero for j in range(m)] + J[i] for i in range(m)]
+    return interval_psd(upper + [[J[i][j] for i in range(m)] + [k if j == l else zero for l in range(n)] for j in range(n)])
+
+
+def form_below(J: IntervalMatrix, P: Matrix, L: Q) -> bool:
+    """Whether P J + J'P <= 2 L P for all J in an interval matrix."""
+    n = range(len(P))
+    PJ = [[sum((J[k][b].scaled(P[a][k]) for k in n), VerifierInterval(ZERO)) for b in n] for a in n]
+    return interval_psd([[VerifierInterval(2 * L * P[a][b]) + -PJ[a][b] + -PJ[b][a] for b in n] for a in n])
+
+
+class VerifierProgram:
+    """A function of named inputs, from JSON: its steps, each of earlier ones, and which of them are its values.
+    The inputs have different names, the steps have the forms of this file's docstring, and exponents are at most MAX_EXPONENT.
+    """
+
+    def __init__(self, data: Any, inputs: Sequence[str] | None = None, outputs: int | None = None) -> None:
+        self.inputs = names_of(field(data, "inputs"))
+        need(inputs is None or self.inputs == inputs, "a function has other inputs")
+        need("steps" in data, f"a function that is not written down: {escaped(data.get('why'))}", UNCHECKED)
+        self.steps: list[tuple[str, Any, Any]] = []
+        for step in entries(data["steps"]):
+            self.steps.append(self._read_step(*entries(step)))
+        self.outputs = [index(k, len(self.steps)) for k in entries(field(data, "outputs"), outputs)]
+        self.used = {i for op, i, _ in self.steps if op == "in"}
+
+    def _read_step(self, op: Any, i: Any, *rest: Any) -> tuple[str, Any, Any]:
+        count = len(self.steps)
+        need(len(rest) == (op in ("add", "mul", "fmax", "pow")), "a step has too much or too little")
+        if op in ("in", "const"):
+            return op, index(i, len(self.inputs)) if op == "in" else number(i), None
+        if op == "pow":
+            n = number(rest[0])
+            need(abs(n) <= MAX_EXPONENT, "an exponent that is too large", UNCHECKED)
+            return op, index(i, count), n
+        need(type(op) is str and (op in FUNCTIONS or len(rest) == 1), "a step has no such operation")
+        return op, index(i, count), index(rest[0], count) if rest else None
+
+    def run(self, inputs: Sequence[Any], const: Callable[[Q], Any], apply: Callable[[str, Any, Any], Any]) -> list[Any]:
+        """The values in an algebra with + and *; ``apply(op, u, w)`` does the other operations, w the second argument."""
+        nodes: list[Any] = []
+        for op, i, w in self.steps:
+            if op in ("in", "const"):
+                nodes.append(inputs[i] if op == "in" else const(i))
+            elif op in ("add", "mul"):
+                nodes.append(nodes[i] + nodes[w] if op == "add" else nodes[i] * nodes[w])
+            else:
+                nodes.append(apply(op, nodes[i], nodes[w] if op == "fmax" else w))
+        return [nodes[k] for k in self.outputs]
+
+
 class VerifierJet:
     """Value, gradient and Hessian on a box, in intervals; gradient and Hessian may be left out."""
-    def __init__(self, v, g, H):
+
+    __slots__ = ("H", "g", "v")
+
+    def __init__(self, v: VerifierInterval, g: list[VerifierInterval], H: IntervalMatrix) -> None:
         self.v, self.g, self.H = v, g, H
-    def __add__(self, o):
-        return VerifierJet(self.v + o.v, [a + b for a, b in zip(self.g, o.g, strict=True)],
-                   [[a + b for a, b in zip(r, s, strict=True)] for r, s in zip(self.H, o.H, strict=True)])
-    def __mul__(self, o):
+
+    def __add__(self, o: VerifierJet) -> VerifierJet:
+        H = [[a + b for a, b in zip(r, s, strict=True)] for r, s in zip(self.H, o.H, strict=True)]
+        return VerifierJet(self.v + o.v, [a + b for a, b in zip(self.g, o.g, strict=True)], H)
+
+    def __mul__(self, o: VerifierJet) -> VerifierJet:
         n, g = range(len(self.H)), [self.v * b + o.v * a for a, b in zip(self.g, o.g, strict=True)]
-        return VerifierJet(self.v * o.v, g, [[self.v * o.H[i][j] + o.v * self.H[i][j] + self.g[i] * o.g[j] + self.g[j] * o.g[i]
-                                      for j in n] for i in n])
-    def chain(self, f, d, dd):
+        H = [[self.v * o.H[i][j] + o.v * self.H[i][j] + self.g[i] * o.g[j] + self.g[j] * o.g[i] for j in n] for i in n]
+        return VerifierJet(self.v * o.v, g, H)
+
+    def chain(self, f: VerifierInterval, d: Any, dd: Any) -> VerifierJet:
+        """The function f of it, with its derivatives d and dd there."""
         n = range(len(self.H))
-        return VerifierJet(f, [d * a for a in self.g], [[dd * self.g[i] * self.g[j] + d * self.H[i][j] for j in n] for i in n])
-    def larger(self, o):
-        """fmax; where it is not settled the hull of both, without second derivatives."""
-        if self.v.lo >= o.v.hi or o.v.lo >= self.v.hi:
-            return self if self.v.lo >= o.v.hi else o
-        need(not self.H, "a kink", Undefined)
+        H = [[dd * self.g[i] * self.g[j] + d * self.H[i][j] for j in n] for i in n]
+        return VerifierJet(f, [d * a for a in self.g], H)
+
+    def larger(self, o: VerifierJet, smooth: bool) -> VerifierJet:
+        """The maximum. Where one is not strictly larger on the closed part, there may be a kink: then the hull of the gradients.
+        Being strict matters: a kink on the common side of two parts would else be seen from neither.
+        """
+        if self.v.lo > o.v.hi or o.v.lo > self.v.hi:
+            return self if self.v.lo > o.v.hi else o
+        if self.g and (smooth or self.H):
+            raise Unproved("a kink", NO)
         g = [VerifierInterval(min(a.lo, b.lo), max(a.hi, b.hi)) for a, b in zip(self.g, o.g, strict=True)]
         return VerifierJet(VerifierInterval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
-def jets(graph, box, order=2, wrt=None):
-    """The Jet of each output; derivatives up to ``order`` by the inputs ``wrt`` (None: all)."""
-    own = list(range(len(graph["inputs"])) if wrt is None else wrt)
-    zero = [VerifierInterval(0)] * len(own) if order else []
+
+
+def jets(
+    program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False
+) -> list[VerifierJet]:
+    """The jet of each value on a closed box; derivatives up to ``order`` by the inputs ``wrt`` (None: all).
+    It returns only if the function is defined on the whole box, and, with order 2, or ``smooth`` and order 1, has continuous
+    derivatives of this order at each point of the box. With order 1 alone gradients hold all limits of gradients at kinks.
+    """
+    own = list(range(len(program.inputs)) if wrt is None else wrt)
+    zero = [VerifierInterval(ZERO)] * len(own) if order else []
     flat = [zero] * len(own) if order > 1 else []
-    def apply(op, u, w):
-        if op in FUNCTIONS:
-            return u.chain(*FUNCTIONS[op](u.v))
+
+    def apply(op: str, u: VerifierJet, w: Any) -> VerifierJet:
+        if op == "fmax":
+            return u.larger(w, smooth)
         if op == "pow":
-            first = u.v.power(w - 1).scaled(w) if order else None
-            return u.chain(u.v.power(w), first, u.v.power(w - 2).scaled(w * (w - 1)) if order > 1 else None)
-        return u.larger(w) if op == "fmax" else need(False, f"no operation {op}")
-    inputs = [VerifierJet(x, [VerifierInterval(int(k == i)) for i in own] if order else [], flat) for k, x in enumerate(box)]
-    return run(graph, inputs, lambda c: VerifierJet(VerifierInterval(c), zero, flat), apply)
-def cover(tree, box, leaf):
+            factors = [w, w * (w - 1)][:order]
+            slopes = [u.v.power(w - 1 - k).scaled(f) if f else zero[0] for k, f in enumerate(factors)]
+            return u.chain(u.v.power(w), *slopes, *[None] * (2 - order))
+        return u.chain(*FUNCTIONS[op](u.v))
+
+    need(len(box) == len(program.inputs), "a box has another size")
+    units = [[VerifierInterval(ONE if k == i else ZERO) for i in own] if order else [] for k in range(len(box))]
+    inputs = [VerifierJet(x, unit, flat) for x, unit in zip(box, units, strict=True)]
+    return program.run(inputs, lambda c: VerifierJet(VerifierInterval(c), zero, flat), apply)
+
+
+def cover(tree: Any, box: Box, leaf: Callable[[Box, Any], bool]) -> bool:
     """Whether ``leaf`` holds on each part: a tree [coordinate, left, right] halves the box; anything else is a hint."""
-    if isinstance(tree, list) and len(tree) == 3 and isinstance(tree[0], int):
-        k, middle = tree[0], box[tree[0]].middle()
+    if type(tree) is list and len(tree) == 3 and type(tree[0]) is int:
+        k = index(tree[0], len(box))
+        middle = box[k].middle()
         sides = VerifierInterval(box[k].lo, middle), VerifierInterval(middle, box[k].hi)
         return all(cover(part, [*box[:k], side, *box[k + 1 :]], leaf) for part, side in zip(tree[1:], sides, strict=True))
-    return bool(leaf(box, tree))
-def interval_psd(H):
-    """A symmetric interval matrix is psd where its middle is, with the lower ends on the diagonal, less each row's radii."""
-    n = range(len(H))
-    radii = [sum((H[i][j].hi - H[i][j].lo for j in n if j != i), Q(0)) / 2 for i in n]
-    return all(max(-H[i][i].lo, radii[i]) < INF for i in n) and psd(
-        [[H[i][i].lo - radii[i] if i == j else H[i][j].middle() for j in n] for i in n])
-def norm_below(J, K):
-    """|J| <= K for an interval matrix: [K, J; J', K] is psd."""
-    if K == INF: return True
-    m, n, k, zero = len(J), len(J[0]), VerifierInterval(K), VerifierInterval(0)
-    rows = [[k if i == j else zero for j in range(m)] + J[i] for i in range(m)]
-    return interval_psd(rows + [[J[i][j] for i in range(m)] + [k if j == l else zero for l in range(n)] for j in range(n)])
-# -- polynomials in the inputs 0, 1, ... and in atoms, {monomial: coefficient}
-class Poly(dict):
-    """A monomial is a tuple of (variable, power)."""
-    def __add__(self, o): return Poly({m: a for m in {**self, **o} if (a := self.get(m, Q(0)) + o.get(m, Q(0)))})
-    def __neg__(self): return self.scaled(-1)
-    def scaled(self, c): return Poly({m: a * c for m, a in self.items() if c})
-    def number(self): return self.get((), Q(0)) if set(self) <= {()} else None
-    def __mul__(self, o):
-        terms = (Poly({tuple(sorted((collections.Counter(dict(m)) + collections.Counter(dict(k))).items())): a * b})
-                 for (m, a), (k, b) in product(self.items(), o.items()))
-        return sum(terms, Poly())
-def constant(c): return Poly({(): Q(c)} if c else {})
-def variable(v, c=1): return Poly({((v, 1),): Q(c)} if c else {})
+    return leaf(box, tree)
+
+
+class Poly(dict[Monomial, Q]):
+    """A polynomial {monomial: coefficient}; a monomial is ((variable, exponent), ...), variables rising, exponents > 0."""
+
+    def __init__(self, terms: dict[Monomial, Q]) -> None:
+        super().__init__({m: a for m, a in terms.items() if a})
+        sizes = [a.numerator.bit_length() + a.denominator.bit_length() for a in self.values()]
+        need(len(sizes) <= MAX_TERMS and max(sizes, default=0) <= MAX_BITS, "a polynomial that is too long", UNCHECKED)
+        for m in self:
+            need(all(type(v) is int and type(n) is int and n > 0 for v, n in m), "an exponent is no integer > 0")
+            need(all(a < b for (a, _), (b, _) in pairwise(m)), "a monomial names a variable twice")
+
+    def __add__(self, o: Poly) -> Poly:
+        return Poly({m: self.get(m, ZERO) + o.get(m, ZERO) for m in {**self, **o}})
+
+    def __neg__(self) -> Poly:
+        return self.scaled(-ONE)
+
+    def __mul__(self, o: Poly) -> Poly:
+        need(len(self) * len(o) <= 50 * MAX_TERMS, "a polynomial that is too long", UNCHECKED)
+        terms: dict[Monomial, Q] = {}
+        for (m, a), (k, b) in product(self.items(), o.items()):
+            powers = dict(m)
+            for v, n in k:
+                powers[v] = powers.get(v, 0) + n
+            both = tuple(sorted(powers.items()))
+            terms[both] = terms.get(both, ZERO) + a * b
+        return Poly(terms)
+
+    def scaled(self, c: Any) -> Poly:
+        """The polynomial times a number."""
+        return Poly({m: a * c for m, a in self.items()})
+
+    def number(self) -> Q | None:
+        """Its value where it is a constant."""
+        return self.get((), ZERO) if set(self) <= {()} else None
+
+
+def constant(c: Any) -> Poly:
+    """A number as a polynomial."""
+    return Poly({(): Q(c)})
+
+
+def variable(v: int, c: Any = 1) -> Poly:
+    """A variable times a number."""
+    return Poly({((v, 1),): Q(c)})
+
+
 class Atoms:
-    """Each operation that is no polynomial is a new variable, the same for the same operation on the same polynomials."""
-    def __init__(self):
-        self.known, self.meaning, self.nonnegative = {}, {}, set()
-    def of(self, op, *args):
-        key = (op, *(tuple(sorted(p.items())) if isinstance(p, Poly) else p for p in args))
-        v = self.known.setdefault((op, *sorted(key[1:])) if op == "fmax" else key, 10**6 + len(self.known))
+    """Each operation that is no polynomial is a new variable, the same for the same operation on the same polynomials.
+    ``nonnegative`` has inputs that are >= 0.
+    """
+
+    def __init__(self, nonnegative: Iterable[int] = ()) -> None:
+        self.known: dict[Any, int] = {}
+        self.meaning: dict[int, tuple[Any, ...]] = {}
+        self.nonnegative = set(nonnegative)
+
+    def of(self, op: str, *args: Any) -> Poly:
+        """The atom of an operation."""
+        key = [frozenset(part.items()) if isinstance(part, Poly) else part for part in args]
+        v = self.known.setdefault((op, frozenset(key)) if op == "fmax" else (op, *key), FIRST_ATOM + len(self.known))
         self.meaning[v] = (op, *args)
         return variable(v)
-    def apply(self, op, u, w):
-        if op == "pow" and w.denominator == 1 and (u.number() or 0 <= w <= 16):
-            return constant(u.number() ** w) if u.number() else math.prod([u] * int(w), start=constant(1))
-        return self.of(op, u, *([] if w is None else [w]))
-    def read(self, graph):
-        return run(graph, [variable(k) for k in range(len(graph["inputs"]))], constant, self.apply)
-    def inputs(self, *polys):
+
+    def apply(self, op: str, u: Poly, w: Any) -> Poly:
+        """An operation on polynomials: powers are expanded where they can be."""
+        if op == "pow" and w.denominator == 1 and 0 <= w <= MAX_EXPANDED_POWER:
+            return math.prod([u] * int(w), start=constant(ONE))
+        c = u.number()
+        return constant(c**w) if op == "pow" and w.denominator == 1 and c else self.of(op, u, *([] if w is None else [w]))
+
+    def read(self, program: VerifierProgram) -> list[Poly]:
+        """The values of a program as polynomials: equal to it wherever it is defined."""
+        return program.run([variable(k) for k in range(len(program.inputs))], constant, self.apply)
+
+    def inputs(self, *polys: Poly) -> set[int]:
         """The inputs that polynomials depend on, through atoms too."""
         own = {v for p in polys for m in p for v, _ in m}
         inner = [part for v in own if v in self.meaning for part in self.meaning[v][1:] if isinstance(part, Poly)]
         return {v for v in own if v not in self.meaning} | (self.inputs(*inner) if inner else set())
-def slope(p, k, atoms):
+
+    def feels(self, v: int, own: Iterable[int]) -> bool:
+        """Whether a variable depends on one of these inputs."""
+        return bool(self.inputs(variable(v)) & set(own))
+
+
+def slope(p: Poly, k: int, atoms: Atoms) -> Poly:
     """The derivative of a polynomial by the variable k, which is in none of its atoms."""
-    need(k not in atoms.inputs(*(variable(v) for m in p for v, _ in m if v in atoms.meaning)), "a derivative", NotCheckable)
-    terms = ((tuple((v, n - (v == k)) for v, n in m if n > (v == k)), a * dict(m)[k]) for m, a in p.items() if k in dict(m))
-    return sum((Poly({m: a}) for m, a in terms), Poly())
-def hessian(p, own, atoms):
+    need(not any(v in atoms.meaning and atoms.feels(v, [k]) for m in p for v, _ in m), "a derivative", UNCHECKED)
+    lower = {m: tuple((v, n - (v == k)) for v, n in m if n > (v == k)) for m in p if k in dict(m)}
+    return Poly({lower[m]: p[m] * dict(m)[k] for m in lower})
+
+
+def hessian(p: Poly, own: Iterable[int], atoms: Atoms) -> Matrix | None:
     """The constant second derivatives of p by the variables ``own``; None where p is no quadratic in them."""
-    H = [[slope(slope(p, i, atoms), j, atoms).number() for j in own] for i in own]
-    return None if any(x is None for row in H for x in row) else H
-def squares(hint):
-    """m'G m with monomials m and a psd G: a sum of squares."""
-    m = [Poly({tuple((int(v), int(n)) for v, n in one): Q(1)}) for one in hint["monomials"]]
-    need(psd(G := numbers(hint["G"])) and len(G) == len(m), "G is not psd")
-    return sum(((a * b).scaled(G[i][j]) for (i, a), (j, b) in product(enumerate(m), enumerate(m))), Poly())
-def affine(p, own, atoms):
-    """(row, rest): p = row . own + rest, the rest free of these inputs; None where it is not so."""
-    rest = Poly({m: a for m, a in p.items() if len(m) != 1 or m[0][1] != 1 or m[0][0] not in own})
-    return None if atoms.inputs(rest) & set(own) else ([p.get(((v, 1),), Q(0)) for v in own], rest)
-def convex(p, own, atoms, hint=None):
-    """Whether p is convex: a psd quadratic, even powers and convex atoms weighted >= 0, or what is left a convex polynomial."""
-    # With a hint that has any degree, and y'D2p y, y_k the variable -1 - k, is a sum of squares.
-    rest = Poly()
+    rows = [[slope(slope(p, i, atoms), j, atoms).number() for j in own] for i in own]
+    H = [[x for x in row if x is not None] for row in rows]
+    return H if all(len(row) == len(rows) for row in H) else None
+
+
+def squares(hint: Any) -> Poly:
+    """The sum of squares m'G m of monomials m and a psd G: >= 0 whatever its variables are."""
+    pairs = [[tuple(entries(pair, 2)) for pair in entries(one)] for one in entries(field(hint, "monomials"))]
+    need(all(type(x) is int for one in pairs for pair in one for x in pair), "a monomial has no integers")
+    m, G = [Poly({tuple(sorted(one)): ONE}) for one in pairs], matrix(field(hint, "G"), len(pairs), len(pairs))
+    need(psd(G), "G is not psd")
+    return sum(((a * b).scaled(G[i][j]) for (i, a), (j, b) in product(enumerate(m), enumerate(m))), Poly({}))
+
+
+def affine(polys: Iterable[Poly], own: Sequence[int], atoms: Atoms) -> tuple[Matrix, list[Poly]] | None:
+    """A and b: the polynomials are A own + b, b free of these inputs; None where they are not so."""
+    A, b = [], []
+    for p in polys:
+        rest = Poly({m: a for m, a in p.items() if len(m) != 1 or m[0][1] != 1 or m[0][0] not in own})
+        if atoms.inputs(rest) & set(own):
+            return None
+        A.append([p.get(((v, 1),), ZERO) for v in own])
+        b.append(rest)
+    return A, b
+
+
+def convex(p: Poly, own: Sequence[int], atoms: Atoms, hint: Any = None) -> bool:
+    """Whether p is convex in the inputs ``own``, at all values that these can have, wherever p is defined.
+    A sum of convex terms with weights >= 0 (see ``bends``) and of a rest, a polynomial in ``own``: of degree 2 with a psd
+    Hessian, or, with a hint, of any degree where y'D2p y, y_k the variable -1 - k, is the sum of squares of the hint.
+    """
+    rest = {}
     for m, a in p.items():
-        inner = [(v, n) for v, n in m if atoms.inputs(variable(v)) & set(own)]
-        if inner and all(v in own for v, _ in m) and (hint or sum(n for _, n in m) <= 2):
+        inner = [(v, n) for v, n in m if atoms.feels(v, own)]
+        if inner and all(v in own for v, _ in m) and (hint is not None or sum(n for _, n in m) <= 2):
             rest[m] = a
         elif inner and not (len(m) == 1 and a > 0 and bends(*inner[0], own, atoms)):
             return False
-    if hint:
-        form = (slope(slope(rest, i, atoms), j, atoms) * variable(-1 - i) * variable(-1 - j) for i in own for j in own)
-        return not sum(form, -squares(hint))
-    H = hessian(rest, own, atoms)
+    left = Poly(rest)
+    if hint is not None:
+        form = (slope(slope(left, i, atoms), j, atoms) * variable(-1 - i) * variable(-1 - j) for i in own for j in own)
+        return sum(form, Poly({})) == squares(hint)
+    H = hessian(left, own, atoms)
     return H is not None and psd(H)
-def bends(v, n, own, atoms):
-    """Whether v^n is convex: an even power, the norm of an affine map, a larger or an exp of convex ones, and their powers."""
+
+
+def bends(v: int, n: int, own: Sequence[int], atoms: Atoms) -> bool:
+    """Whether v^n is convex, n >= 1.
+    An even power of an input, or any of one that is >= 0. Of atoms: the norm of an affine map; exp or max of convex ones; u^k, k
+    > 1, of a convex u >= 0; and powers of these where they are >= 0.
+    """
     if v in own:
         return n % 2 == 0 or v in atoms.nonnegative
     op, u, *more = atoms.meaning[v]
-    if n > 1 and not positive(variable(v), atoms): return False
-    if op == "pow" and more[0] == HALF:  # z^2 u(x/z) is a psd quadratic form, z the variable -1
-        form = Poly({(*[(-1, k)] * (k > 0), *m): a for m, a in u.items() for k in [2 - sum(n for _, n in m)]})
-        H = hessian(form, sorted({w for m in form for w, _ in m}), atoms)
-        return H and psd(H) and not any(w in atoms.meaning and atoms.inputs(variable(w)) & set(own) for m in u for w, _ in m)
+    if n > 1 and not positive(variable(v), atoms):
+        return False
+    if op == "pow" and more[0] == HALF and all(sum(n for _, n in m) <= 2 for m in u):  # z^2 u(x/z) is psd, z the variable -1.
+        form = Poly({(*[(-1, 2 - k)] * (k < 2), *m): a for m, a in u.items() for k in [sum(n for _, n in m)]})
+        H = hessian(form, sorted({v for m in form for v, _ in m}), Atoms())
+        return H is not None and psd(H) and not any(w in atoms.meaning and atoms.feels(w, own) for m in u for w, _ in m)
     powers = op == "pow" and more[0] > 1 and positive(u, atoms)
     return (powers or op in ("fmax", "exp")) and all(convex(part, own, atoms) for part in (u, *more) if isinstance(part, Poly))
-def positive(p, atoms):
-    """Whether all terms are >= 0: even powers, and inputs and atoms that are."""
-    def is_nonnegative(v):
+
+
+def positive(p: Poly, atoms: Atoms) -> bool:
+    """Whether all terms are >= 0 wherever they are defined: even powers, and inputs and atoms that are >= 0."""
+
+    def is_nonnegative(v: int) -> bool:
         op, u, *more = atoms.meaning.get(v, ("in", None))
-        return (v in atoms.nonnegative or op == "exp" or (op == "pow" and more[0].denominator > 1)
-                or (op == "fmax" and (u == -more[0] or positive(u, atoms) or positive(more[0], atoms))))
+        if op == "fmax":
+            return u == -more[0] or positive(u, atoms) or positive(more[0], atoms)
+        return v in atoms.nonnegative or op == "exp" or (op == "pow" and more[0].denominator > 1)
+
     return all(a >= 0 and all(n % 2 == 0 or is_nonnegative(v) for v, n in m) for m, a in p.items())
-# -- statements: each proves one hypothesis of the model m; s has the numbers, the scope and the hints
-def box_of(names, s, *graphs):
-    """The scope's intervals of some inputs, all numbers where it has none; 0 where no step of the graphs looks at one."""
-    used = {step[1] for graph in graphs for step in graph.get("steps", ()) if step[0] == "in"} if graphs else range(len(names))
-    own = {**((s["scope"] or {}).get("states") or {}), "t": (s["scope"] or {}).get("time")}
-    return [VerifierInterval(*(numbers(own.get(name)) or (-INF, INF))) if k in used else VerifierInterval(0)
-            for k, name in enumerate(names)]
-def on_cover(graph, s, tree, order, leaf, wrt=None):
-    """``leaf(jets)`` on each part of the scope's box."""
-    need(cover(tree, box_of(graph["inputs"], s, graph), lambda part, _: leaf(jets(graph, part, order, wrt))), "a bound fails")
-class Shape:
-    """A constraint g(t, q_1, ..., q_k) of the form "affine" or "norm", w |A q + c(t)| + offset(t)."""
-    # With "box" [low, high]: w |q - min(max(q, low), high)| + offset(t), the distance to a box.
-    def __init__(self, c, hint, s):
-        self.graph, self.hint, self.s, self.atoms, self.form = c["graph"], hint, s, Atoms(), hint["form"]
-        self.own, self.delta = [*range(1, len(c["graph"]["inputs"]))], Q(c.get("delta", 0))
-        (self.p,) = self.atoms.read(self.graph)
-        if self.form == "affine":
-            self.row, self.offset = affine(self.p, self.own, self.atoms) or need(False, "g is not affine")
-            self.centre, self.hint = [], {**hint, "c": [], "offset": self.graph}
-        elif self.form == "norm":
-            self.A, self.w = numbers(hint["A"]), Q(hint["w"])
-            *self.centre, self.offset = (self.atoms.read(part)[0] for part in [*hint["c"], hint["offset"]])
-            need(self.w > 0 and self.atoms.inputs(*self.centre, self.offset) <= {0}, "c or the offset holds states")
-            u = [sum(map(variable, self.own, row), c) for row, c in zip(self.A, self.centre, strict=True)]
-            if "box" in hint:
-                need(self.A == eye(len(self.own)) and not any(self.centre), "q has other coordinates")
-                u = [x + self.atoms.of("fmax", -self.atoms.of("fmax", x, constant(a)), constant(-b))
-                     for x, (a, b) in zip(u, numbers(hint["box"]), strict=True)]
-            norm = self.atoms.of("pow", sum((x * x for x in u), constant(0)), HALF)
-            need(self.p == norm.scaled(self.w) + self.offset, "g is not w |A q + c| + offset")
-    def in_time(self, leaf):
-        """``leaf(|c'|, offset', offset)`` at all times of the scope."""
-        if not self.atoms.inputs(*self.centre, self.offset):
-            return need(leaf(VerifierInterval(0), VerifierInterval(0), VerifierInterval(self.offset.number() or 0)),
-                        "a bound fails")
-        def part(box, _):
-            rest = [VerifierInterval(0)] * len(self.own)  # of an affine g the offset is its value where q = 0
-            found = [jets(g, (box + rest)[: len(g["inputs"])], 1, [0])[0] for g in [*self.hint["c"], self.hint["offset"]]]
-            return leaf(length([j.g[0] for j in found[:-1]]), found[-1].g[0], found[-1].v)
-        need(cover(self.hint.get("time"), box_of(["t"], self.s), part), "a bound fails at some time")
-def shapes(m, s): return [Shape(c, hint, s) for c, hint in zip(m["constraints"], s["proof"]["constraints"], strict=True)]
-def s_convex(m, s):
-    for c in shapes(m, s):  # a norm of an affine map, and the distance to a box, are convex
-        need(c.form in ("affine", "norm") or curved(c.graph, s, c.hint, c.own, Atoms(), c.own) is None, "no form")
-NEEDED = {"A0": (), "A1": ("a", "b"), "A2": ("speed",), "A3": ("turn",), "A4": ("M", "M_contact")}
-def regular(m, s):
-    """A0 to A4: a <= |grad g| <= b, |d_t g| <= speed, |d_t grad g| <= turn, |D^2 g| <= M if g > -delta, M_contact if g >= 0."""
-    # c = delta / b is the distance of the boundary of {g > -delta}; a number that is not given is not looked at.
-    need(all(name in s["value"] for name in NEEDED[s["id"]]), "a number is missing")
-    most = {**dict.fromkeys(("b", "speed", "turn", "M", "M_contact"), INF), "a": Q(0), "c": Q(0), **numbers(s["value"])}
-    a, b, speed, turn, M, near, far = (most[name] for name in ("a", "b", "speed", "turn", "M", "M_contact", "c"))
-    need(min(turn, M, near) >= 0 and (a > 0 or "a" not in s["value"]), "a number has the wrong sign")
-    for c in shapes(m, s):
-        if c.form == "affine":
-            need(a * a <= dot(c.row, c.row) <= b * b, "a or b")
-            c.in_time(lambda _, rate, offset: rate.within(speed))
-            continue
-        delta, steep = c.delta, numbers(c.hint["b"])
-        need(0 < delta and steep <= b and (not far or far * steep <= delta), "delta, b or c")
-        if c.form == "norm":  # grad g = w A'n, |n| = 1; D^2 g = w^2 A'(1 - nn')A / (g - offset)
-            reach, AA = Q(c.hint["reach"]), times(c.A, transpose(c.A))
-            need(delta < reach and psd(plus(AA, eye(len(AA), (a / c.w) ** 2), -1)), "a")
-            need(psd(plus(eye(len(AA), (steep / c.w) ** 2), AA, -1)), "b")
-            need(steep**2 <= M * (reach - delta) and steep**2 <= near * reach, "M")
-            c.in_time(lambda rate, moving, offset, w=c.w, k=steep, r=reach, d=delta: offset.hi <= -r
-                      and w * k * rate.hi <= turn * (r - d) and w * rate.hi + max(-moving.lo, moving.hi) <= speed)
-        else:
-            def leaf(found, delta=delta, steep=steep):
-                (g,), n = found, range(1, len(found[0].g))
-                size, H = length(g.g[1:]), [[g.H[i][k] for k in n] for i in n]
-                return g.v.hi <= -delta or (a <= size.lo and size.hi <= steep and g.g[0].within(speed) and norm_below(H, M)
-                    and length([g.H[0][i] for i in n]).hi <= turn and (g.v.hi < 0 or norm_below(H, near)))
-            on_cover(c.graph, s, c.hint["cover"], 2, leaf)
-def qualified(m, s):
-    """A direction d on each part with <grad g, d> >= |grad g| |d| / gamma for the g that may be <= rho."""
-    gamma, rho, names = Q(s["value"]["gamma"]), Q(s["value"].get("rho", 0)), m["f"]["inputs"]
-    need(gamma >= 1 and (len(m["constraints"]) < 2 or s["id"] == "A5'" or "rho" in s["value"]), "gamma < 1, or no rho")
-    def leaf(box, d):
-        own = dict(zip(names, box, strict=True))
-        found = [(c, jets(c["graph"], [own[name] for name in c["graph"]["inputs"]], 1)[0]) for c in m["constraints"]]
-        close = [(c["graph"]["inputs"][1:], g.g[1:]) for c, g in found if g.v.lo <= rho]
-        if len(close) <= 1 or any(g.v.hi < 0 for _, g in found):
-            return True
-        d = dict(zip(names[1:], numbers(d), strict=True))
-        along = [sum((x.scaled(d[v]) for v, x in zip(own, slope, strict=True)), VerifierInterval(0)) for own, slope in close]
-        size = length([VerifierInterval(x) for x in d.values()])
-        return all(x.lo * gamma >= (length(slope) * size).hi for x, (_, slope) in zip(along, close, strict=True))
-    graphs = [c["graph"] for c in m["constraints"]]
-    used = {"steps": [["in", names.index(g["inputs"][k])] for g in graphs for op, k, *_ in g.get("steps", ()) if op == "in"]}
-    need(len(graphs) <= 1 or cover(s["proof"]["cover"], box_of(names, s, used), leaf), "gamma fails on a part")
-def velocity(m, s):
-    f, atoms, own, value = m["f"], Atoms(), list(range(1, len(m["f"]["inputs"]))), numbers(s["value"])
-    found, K, L = [affine(p, own, atoms) for p in atoms.read(f)], value["K_f"], value["L_f"]
-    def small(j, far=Q(0)):
-        rate = length([x.g[0] for x in j]).hi
-        return length([x.v for x in j]).hi <= L * (1 + far) and rate <= value.get("L_t", rate)
-    if all(found):
-        need(norm_below([[VerifierInterval(x) for x in row] for row, _ in found], K) and L >= K, "K_f")
-        time = box_of(["t"], s) if atoms.inputs(*(rest for _, rest in found)) else [VerifierInterval(0)]
-        part = lambda box, _: small(jets(f, box + [VerifierInterval(0)] * len(own), 1, [0]))  # noqa: E731
-        return need(cover(s["proof"].get("time"), time, part), "L_f or L_t")
-    part = lambda box, _: small(j := jets(f, box, 1), length(box[1:]).lo) and norm_below([x.g[1:] for x in j], K)  # noqa: E731
-    need(cover(s["proof"]["cover"], box_of(f["inputs"], s, f), part), "K_f, L_f or L_t")
-def start(m, s):
-    q0 = dict(zip(m["f"]["inputs"][1:], numbers(m["q0"]), strict=True))
-    for c in m["constraints"]:
-        (g,) = jets(c["graph"], [VerifierInterval(0), *(VerifierInterval(q0[name]) for name in c["graph"]["inputs"][1:])], 0)
-        need(g.v.lo >= 0, "g < 0 at the start, or too near to 0")
-def law(m):  # (lower, upper) of each multiplier of a Lur'e system
-    need(m["law"] and all(block["kind"] == "box" for block in m["law"]), "a law that is no box", NotCheckable)
-    return [ends for block in m["law"] for ends in zip(numbers(block["lower"]), numbers(block["upper"]), strict=True)]
-def bounded(m): return all(b["kind"] == "ball" or (b["kind"] == "box" and max(map(abs, numbers(b["lower"] + b["upper"]))) < INF)
-                           for b in m["law"])
-def storage(m, s):
-    P, B, C = (numbers(part) for part in (s["proof"]["P"], m["B"], m["C"]))
-    need(P == transpose(P) and psd(P, True), "P is not symmetric and positive definite")
-    need(times(P, B) == transpose(C), "P B = C' fails")
-    return P
-def growth(m, s):
-    P, atoms, omega = storage(m, s), Atoms(), Q(s["value"]["omega"])
-    if "cover" in s["proof"]:
-        return on_cover(m["A"], s, s["proof"]["cover"], 1, lambda j: form_below([x.g for x in j], P, omega))
-    one_sided(atoms.read(m["A"]), P, omega, atoms)
-def everything(m):
-    """Whether the range of D + dXi is the whole space: D + D' > 0, K bounded, or a convex potential that is finite."""
-    if m["phi"]:
-        convex_phi = convex(*(atoms := Atoms()).read(m["phi"]), range(len(m["D"])), atoms)
-        return convex_phi and jets(m["phi"], [VerifierInterval(-INF, INF)] * len(m["D"]), 0)
-    return psd(numbers(m["D"]), True) or bounded(m)
-def convex_ranges(m, s):  # 5.4b; of a potential of one variable the domain of dXi is an interval
-    polyhedral = m["law"] and all(block["kind"] in ("box", "polyhedron") for block in m["law"])
-    need((everything(m) and (m["law"] or len(m["D"]) == 1)) or (polyhedral and psd(numbers(m["D"]))), "a range", NotCheckable)
-def in_range(m, s, x=None):
-    """C x + e = D'k + y + (D + D')v, k and y inside: y > 0 where l has no upper end, an end where l is bounded is no limit."""
-    if everything(m): return
-    C, D, p, column = numbers(m["C"]), numbers(m["D"]), numbers(s["proof"]), lambda v: [[entry] for entry in v]
-    right = plus(plus(times(transpose(D), column(p["k"])), column(p["y"])), times(plus(D, transpose(D)), column(p["v"])))
-    left = plus(times(C, column(p["x"] if x is None else x)), column(numbers(m.get("e", ["0"] * len(D)))))
-    need(psd(D) and left == right, "C x + e = D'k + y + S v fails")
-    for (low, high), k, y in zip(law(m), p["k"], p["y"], strict=True):
-        free = (low > -math.inf) + 2 * (high < math.inf)
-        need(low < k < high and (free == 3 or (free == 1 and y > 0) or (free == 2 and y < 0)), "k or y is not inside")
-def at_rest(m, s):
-    in_range(m, s, [Q(0)] * len(m["x0"]))
-    zero = all(x.v.lo == 0 == x.v.hi for x in jets(m["A"], [VerifierInterval(0)] * len(m["x0"]), 0)) and not any(
-        Atoms().read(m["f"]))
-    need(zero and "e" not in m and all(a <= 0 <= b for a, b in law(m)), "A(0), f or e is not 0, or 0 is not in K")
-def form_below(J, P, L):
-    """P J + J'P <= 2 L P for an interval matrix J."""
-    n = range(len(P))
-    PJ = [[sum((J[k][b].scaled(P[a][k]) for k in n), VerifierInterval(0)) for b in n] for a in n]
-    return interval_psd([[VerifierInterval(2 * L * P[a][b]) + -PJ[a][b] + -PJ[b][a] for b in n] for a in n])
-def one_sided(V, P, L, atoms):
-    """<V(x) - V(y), P (x - y)> <= L <x - y, P (x - y)> of an affine V."""
-    rows = [affine(p, list(range(len(P))), atoms) for p in V]
-    need(all(row and row[1].number() is not None for row in rows), "a function that is not affine", NotCheckable)
-    need(psd(plus([[L * x for x in row] for row in P], times(P, [row for row, _ in rows]), -1)), "the bound")
-def pieces(graph, atoms):
-    """p and (w, a, c), of a function p + sum w |a'z + c|: fmax(u, v) is (u + v)/2 + |u - v|/2."""
-    n, (p,), switches = list(range(len(graph["inputs"]))), atoms.read(graph), []
-    for key, a in list(p.items()):
-        op, u, *more = atoms.meaning.get(key[0][0] if len(key) == 1 and key[0][1] == 1 else None, (None, None))
-        if op == "fmax" and a > 0:
-            row, c = affine(u + -more[0], n, atoms) or need(False, "a kink where no affine function is 0", NotCheckable)
-            switches.append((a / 2, row, c.number()))
-            p = p + Poly({key: -a}) + (u + more[0]).scaled(a / 2)
-    return p, switches
-def selection(m, atoms):
-    """F - S = V - sum w l a, l in Sgn(a'x + c): the polynomials V, and (w, a, c), of S or of the gradient of phi."""
-    n, V, switches = list(range(len(m["x0"]))), atoms.read(m["F"]), []
-    if m["S"]:
-        V = [v + -p for v, p in zip(V, atoms.read(m["S"]), strict=True)]
-    for weights, graph in m["switches"]:
-        weights, (row, c) = numbers(weights), affine(*atoms.read(graph), n, atoms) or need(False, "a switch", NotCheckable)
-        w = dot(weights, row) / dot(row, row)
-        need(w >= 0 and weights == [w * x for x in row], "a switch that is no subdifferential", NotCheckable)
-        switches.append((w, row, c.number()))
-    if m["phi"]:
-        p, switches = pieces(m["phi"], atoms)
-        V = [v + -slope(p, i, atoms) for i, v in zip(n, V, strict=True)]
-    return V, switches
-def curved(graph, s, hint, own, atoms, wrt=None):
-    """A function is convex: its Hessian is psd on a cover, or by the rules and squares."""
+
+
+def defined(program: VerifierProgram, box: Box) -> bool:
+    """True where each step is defined on the whole box; raises else. The polynomials alone do not see a 0/0 that cancels."""
+    return len(jets(program, box, 0)) == len(program.outputs)
+
+
+class VerifierModel:
+    """The data of a model. ``inputs`` are those of the function that is named first; states are among them."""
+
+    name, first = "", ""
+
+    def __init__(self, data: Any) -> None:
+        need(field(data, "class") == self.name, "a hypothesis of another class of models")
+        self.data, self.inputs = data, names_of(field(field(data, self.first), "inputs"))
+        self.n = len(self.inputs)
+
+    def program(self, name: str, outputs: int | None = None) -> VerifierProgram:
+        """A function of these inputs."""
+        return VerifierProgram(field(self.data, name), self.inputs, outputs)
+
+
+class VerifierStatement:
+    """A statement of a certificate: its id, its numbers, the box that it speaks of, and the hints of its proof.
+    The numbers are those that the hypothesis has, no others, all finite. The box gives intervals for names of inputs, and for t;
+    all other inputs may have any value.
+    """
+
+    def __init__(self, data: Any, id: str) -> None:
+        self.id, value, names = id, record(field(data, "value")), NUMBERS.get(id, ())
+        need(set(names) <= set(value) <= {*names, *OPTIONAL.get(id, ())}, "a number is missing, or one has no place here")
+        self.value = {name: number(value[name]) for name in value}
+        scope = record({} if field(data, "scope") is None else data["scope"])
+        need(set(scope) <= {"states", "time"}, "a scope of parameters", UNCHECKED)
+        states = record({} if scope.get("states") is None else scope["states"])
+        need("t" not in states, "a state is called t")
+        ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
+        self.box = {name: VerifierInterval(*vector(entries(pair, 2), 2, infinite=True)) for name, pair in ends.items()}
+        self.proof = record(field(data, "proof"))
+
+    def intervals(self, names: Sequence[str], *programs: VerifierProgram) -> Box:
+        """The box of some inputs; 0 for those at which no step of the programs looks."""
+        used = {program.inputs[k] for program in programs for k in program.used}
+        return [self.box.get(name, ALL) if name in used else VerifierInterval(ZERO) for name in names]
+
+    def where(self, names: Sequence[str]) -> str:
+        """For all values of some inputs, in words."""
+        boxed = ", ".join(f"{escaped(name)} in {self.box[name]}" for name in names if name in self.box)
+        rest = [escaped(name) for name in names if name not in self.box]
+        every = f"for all {', '.join(rest) if len(rest) <= 6 else f'{rest[0]}, ..., {rest[-1]}'}" if rest else "for all values"
+        return f"{every} with {boxed}" if boxed else every
+
+
+def on_cover(
+    program: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Callable[..., bool], smooth: bool = False
+) -> bool:
+    """Whether ``leaf(jets)`` holds on each part of the scope's box."""
+    return cover(tree, s.intervals(program.inputs, program), lambda part, _: leaf(jets(program, part, order, None, smooth)))
+
+
+def inside(program: VerifierProgram, point: Sequence[Q], strictly: bool = True) -> bool:
+    """Whether all rows are > 0 (or >= 0) at a point."""
+    rows = jets(program, [VerifierInterval(x) for x in point], 0)
+    return all(row.v.lo > 0 or (not strictly and row.v.lo == 0) for row in rows)
+
+
+def concave_rows(program: VerifierProgram) -> bool:
+    """Whether all rows are defined and concave everywhere, by the rules: then {rows >= 0} is closed and convex."""
+    n, atoms = list(range(len(program.inputs))), Atoms()
+    return defined(program, [ALL] * len(n)) and all(convex(-p, n, atoms) for p in atoms.read(program))
+
+
+def curved(program: VerifierProgram, s: VerifierStatement, hint: dict[str, Any]) -> bool:
+    """Whether a function is defined and convex: its Hessian is psd on a cover of the box; or everywhere, by rules and squares."""
+    n, atoms = list(range(len(program.inputs))), Atoms()
     if "cover" in hint:
-        return on_cover(graph, s, hint["cover"], 2, lambda found: interval_psd(found[0].H), wrt)
-    need(convex(*atoms.read(graph), own, atoms, hint.get("squares")), "not convex by the rules")
-def monotone(m, s):
-    atoms, n = Atoms(), range(len(m["x0"]))
-    if m["phi"]:
-        return curved(m["phi"], s, s["proof"], n, atoms)
-    selection({**m, "S": None}, atoms)  # the switches are subdifferentials
-    if "cover" in s["proof"]:
-        return on_cover(m["S"], s, s["proof"]["cover"], 1, lambda j: form_below([[-x for x in y.g] for y in j], eye(len(n)), 0))
-    one_sided([-p for p in atoms.read(m["S"])] if m["S"] else [Poly()] * len(n), eye(len(n)), 0, atoms)
-def set_with_interior(m, s, origin=False):
-    """C is convex, and a point is inside; or 0 is in C."""
-    atoms, n = Atoms(), list(range(len(m["C"]["inputs"])))
-    need(all(convex(-p, n, atoms) for p in atoms.read(m["C"])), "a row is not concave by the rules")
-    point = [VerifierInterval(x) for x in ([0] * len(n) if origin else numbers(s["proof"]["interior"]))]
-    need(all(g.v.lo > 0 or (origin and g.v.lo == 0) for g in jets(m["C"], point, 0)), "the point is not inside")
-def smooth(m, s, names="F", order=0):
-    """Operations that are continuous (or twice differentiable) everywhere, else values (or Hessians) on a cover."""
-    for graph in (m[name] for name in names):
-        if not all(op in ("in", "const", "add", "mul", "exp", "sin", "cos", "tanh", "atan") or (op == "fmax" and not order)
-                   or (op == "pow" and Q(rest[1]) >= 0 and Q(rest[1]).denominator == 1) for op, *rest in graph.get("steps", "?")):
-            on_cover(graph, s, s["proof"].get("cover"), order, lambda found: True)
-def linear_growth(m, s):
-    """F - S is A x + b less switches: |A| <= a_2, |b - sum w l a| <= a_1."""
-    V, switches = selection(m, atoms := Atoms())
-    rows = [affine(p, list(range(len(V))), atoms) for p in V]
-    need(all(row and row[1].number() is not None for row in rows) and len(switches) <= 12, "F or S is not affine", NotCheckable)
-    need(norm_below([[VerifierInterval(x) for x in row] for row, _ in rows], Q(s["value"]["a_2"])), "a_2")
-    for signs in product((-1, 1), repeat=len(switches)):
-        lw = [(e * w, a) for e, (w, a, _) in zip(signs, switches, strict=True)]
-        v = [b.number() + sum(w * a[i] for w, a in lw) for i, (_, b) in enumerate(rows)]
-        need(dot(v, v) <= Q(s["value"]["a_1"]) ** 2, "a_1")
-def on_differences(m, s):
-    """M-24: of an affine F - S, or by its Jacobians on the parts that C may meet; sgn is monotone."""
-    L, unit, atoms = Q(s["value"]["L"]), eye(len(m["x0"])), Atoms()
-    if "cover" not in s["proof"]:
-        return one_sided(selection(m, atoms)[0], unit, L, atoms)
-    selection({**m, "S": None, "phi": None}, atoms)  # the switches are subdifferentials
-    def part(box, _):
-        J = [j.g for j in jets(m["F"], box, 1)]
-        minus = [j.g for j in jets(m["S"], box, 1)] if m["S"] else jets(m["phi"], box)[0].H if m["phi"] else []
-        J = [[a + -b for a, b in zip(u, w, strict=True)] for u, w in zip(J, minus, strict=True)] if minus else J
-        return (m["C"]["outputs"] and any(g.v.hi < 0 for g in jets(m["C"], box, 0))) or form_below(J, unit, L)
-    need(cover(s["proof"]["cover"], box_of(m["F"]["inputs"], s), part), "L")
-def dissipation(m, s, atoms):
-    """beta - alpha |x|^2 - <x, F - S>, as -l a'x <= |c|."""
-    (V, switches), alpha = selection(m, atoms), Q(s["value"]["alpha"])
-    p = constant(Q(s["value"]["beta"]) - sum(w * abs(c) for w, _, c in switches))
-    return sum((-(variable(i) * (v + variable(i, alpha))) for i, v in enumerate(V)), p)
-def dissipative(m, s):
-    """0 in C, and the dissipation >= 0; projections on T_C do no harm."""
-    set_with_interior(m, s, origin=True)
-    need(positive(dissipation(m, s, atoms := Atoms()) + -squares(s["proof"]), atoms) and Q(s["value"]["alpha"]) > 0, "beta")
-def leftover(p, atoms):  # without the terms that are no polynomials and convex by the rules
-    return Poly({k: a for k, a in p.items() if a < 0 or len(k) != 1 or k[0][0] == 0 or not bends(*k[0], [0], atoms)})
-def friction(m, s):
-    """theta'(0) >= 0, theta is C1 and theta'' >= 0 for s >= 0: by its Hessian on a cover, or but for convex terms as squares."""
-    for graph, hint in zip(m["theta"], s["proof"]["theta"], strict=True):
-        atoms, line = Atoms(), [VerifierInterval(0, INF)]
-        (p,), atoms.nonnegative = atoms.read(graph), {0}
-        need(all(op != "fmax" for op, *_ in graph["steps"]), "a kink of theta", NotCheckable)
-        need(cover(hint["slope"], line, lambda box, _, g=graph: jets(g, box, 1)), "theta is not C1")
-        need(jets(graph, [VerifierInterval(0)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")
-        if "cover" in hint:
-            need(cover(hint["cover"], line, lambda box, _, g=graph: jets(g, box)[0].H[0][0].lo >= 0), "theta'' < 0")
+        return on_cover(program, s, hint["cover"], 2, lambda found: interval_psd(found[0].H))
+    return defined(program, [ALL] * len(n)) and convex(atoms.read(program)[0], n, atoms, hint.get("squares"))
+
+
+def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q, factor: int = 1) -> bool:
+    """Whether P J + J'P <= 2 L P, J ``factor`` times any (limit of) derivatives: of an affine function, else on a cover.
+    Then factor <P(V(x) - V(y)), x - y> <= L <P(x - y), x - y> for the continuous V that is defined on the convex box.
+    """
+    n, atoms = range(len(P)), Atoms()
+    found = None if "cover" in s.proof else affine(atoms.read(program), n, atoms)
+    if found is not None:
+        return defined(program, [ALL] * len(n)) and symmetric_below([[factor * x for x in row] for row in found[0]], P, L)
+    leaf = lambda j: form_below([[x.scaled(Q(factor)) for x in y.g] for y in j], P, L)  # noqa: E731
+    return on_cover(program, s, field(s.proof, "cover"), 1, leaf)
+
+
+class SweepingData(VerifierModel):
+    """The model q' + N(Q(t), q) ∋ f(t, q), Q(t) = {q : g_i(t, q) >= 0 for all i}; g_i looks at t and some of the states.
+    U_i is {g_i > -delta_i}, and the whole space where no delta is given.
+    """
+
+    name, first = "SweepingProcess", "f"
+
+    def __init__(self, data: Any) -> None:
+        super().__init__(data)
+        rows = entries(field(data, "constraints"))
+        self.gaps = [VerifierProgram(field(row, "graph"), outputs=1) for row in rows]
+        self.deltas = [number(row["delta"]) if "delta" in row else None for row in rows]
+        self.n -= 1
+        need(all(p[:1] == ["t"] and set(p) <= set(self.inputs) for p in [self.inputs, *(g.inputs for g in self.gaps)]), "no t")
+
+    def where(self, s: VerifierStatement, local: bool = True) -> str:
+        """For which t, q and i, and what the U_i are, in words."""
+        finite = [f"{written(delta)} (i = {i + 1})" for i, delta in enumerate(self.deltas) if delta is not None and local]
+        deltas = f"; delta_i = {', '.join(finite[:8])}{', ...' * (len(finite) > 8)}" if finite else ""
+        return f"{s.where(self.inputs)}, for each of {len(self.gaps)} i{deltas}"
+
+
+class NormForm:
+    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = A q + c(t); or rows of u are q_k - min(max(q_k, low), high).
+    Then w |u| is the distance to a product of intervals and points, and the gradient w A'n, n = u/|u|.
+    """
+
+    def __init__(self, g: VerifierProgram, hint: dict[str, Any]) -> None:
+        own, atoms = list(range(1, len(g.inputs))), Atoms()
+        self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"))
+        self.A, self.units = matrix(field(hint, "A"), None, len(own)), eye(len(own))
+        self.centre = [VerifierProgram(part, ["t"], 1) for part in entries(field(hint, "c"), len(self.A))]
+        self.offset = VerifierProgram(field(hint, "offset"), ["t"], 1)
+        self.b, self.reach = (number(hint.get(name, "0")) for name in ("b", "reach"))
+        need(self.w > 0, "w is not > 0")
+        *c, offset = (atoms.read(part)[0] for part in [*self.centre, self.offset])
+        u = [sum(map(variable, own, row), entry) for row, entry in zip(self.A, c, strict=True)]
+        for k, clip in enumerate(entries(hint.get("clips", [None] * len(u)), len(u))):
+            if clip is not None:
+                low, high = vector(clip, 2)
+                need(all(row in self.units and self.A.count(row) == 1 for row in self.A), "q has other coordinates")
+                need(not c[k], "a distance to an interval that moves")
+                u[k] = u[k] + atoms.of("fmax", -atoms.of("fmax", u[k], constant(low)), constant(-high))
+        norm = atoms.of("pow", sum((x * x for x in u), Poly({})), HALF)
+        need(atoms.read(g)[0] == norm.scaled(self.w) + offset, "g is not w |u| + offset")
+
+    def between(self, a: Q, b: Q) -> bool:
+        """Whether a <= |w A'n| <= b for all n with |n| = 1, 0 <= a, 0 <= b."""
+        AA, w = times(self.A, transpose(self.A)), self.w
+        return b >= 0 and psd(plus(AA, eye(len(AA), (a / w) ** 2), -1)) and psd(plus(eye(len(AA), (b / w) ** 2), AA, -1))
+
+    def in_time(self, s: VerifierStatement, leaf: Callable[..., bool]) -> bool:
+        """Whether g is defined for all q, and ``leaf(|c'|, offset', offset)`` holds, at all times of the scope."""
+
+        def part(box: Box, _: Any) -> bool:
+            *c, offset = (jets(p, box, 1)[0] for p in [*self.centre, self.offset])
+            whole = defined(self.g, [*box, *[ALL] * (len(self.g.inputs) - 1)])
+            return whole and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
+
+        return cover(self.time, s.intervals(["t"], self.g), part)
+
+
+def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
+    """S-convex: each g_i(t, .) is convex on the box.
+    Theorems: a norm of an affine function is convex, and the distance to a convex set; so is what ``convex`` says; and a C2
+    function on a convex set with a psd Hessian. Premises: 1. g is defined; 2. it has the form (``NormForm`` compares polynomials,
+    w > 0), or is convex by the rules; 3. or the Hessian is psd on parts that cover the box.
+    """
+    for g, hint in zip(m.gaps, entries(field(s.proof, "constraints"), len(m.gaps)), strict=True):
+        own, atoms, kind = list(range(1, len(g.inputs))), Atoms(), field(hint, "form")
+        if kind == "norm":
+            need(NormForm(g, hint).in_time(s, lambda *_: True), "g is not defined")  # 1, 2
+        elif kind == "rules":
+            whole = cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g, own=own: defined(g, [*t, *[ALL] * len(own)]))
+            need(whole, "g is not defined")  # 1
+            need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
+        else:
+            whole = on_cover(g, s, hint.get("cover"), 2, lambda j: interval_psd([row[1:] for row in j[0].H[1:]]))
+            need(whole, "a Hessian is not psd")  # 1, 3
+    return f"g_i(t, .) is convex {m.where(s, local=False)}"
+
+
+def regular(m: SweepingData, s: VerifierStatement) -> str:
+    """A0 to A4, of each g_i on U_i = {g_i > -delta_i}.
+    A0: all points nearer than c to {g_i >= 0} are in U_i: along the segment from a point with g_i >= 0 to such a point, g_i falls
+    by less than b c, where |grad g_i| <= b on U_i. A1: a <= |grad g_i| <= b. A2: |d_t g_i| <= speed. A3: |d_t grad g_i| <= turn.
+    A4: |D^2 g_i| <= M, and <= M_contact where g_i >= 0, wherever the gradient, which is continuous, has a derivative. Theorems:
+    of the form "norm", with |w A| <= b and w |u| = g - offset > reach - delta on U, >= reach where g >= 0: grad g = w A'n, d_t g
+    = w n.c' + offset', d_t grad g = w A'(1 - nn')c'/|u|, D^2 g = w A'(1 - nn')A/|u|, |n| = 1. Of the form "box": bounds on each
+    part that U may meet, g having continuous derivatives of the order that is asked for there. Premises: 1. all numbers are >= 0,
+    a > 0; 2. delta > 0 where it is given (else U is the whole space). Norms: 3. u is not 0 on U: offset <= -reach < -delta at all
+    times; 4. b is a bound; 5. A0: c > 0, c b <= delta; A1: a^2 <= w^2 A A' <= b^2; A2: w |c'| + |offset'| <= speed; A3: w b |c'|
+    <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the same on the part.
+    """
+    a, b, c, speed, turn, M, near = (s.value.get(name, ZERO) for name in ("a", "b", "c", "speed", "turn", "M", "M_contact"))
+    need((s.id != "A1" or a > 0) and min(a, b, c, speed, turn, M, near) >= 0, "a number is not > 0, or < 0")  # 1
+
+    def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
+        w, left = form.w, form.reach - delta
+        return {
+            "A0": lambda: 0 < c and c * form.b <= delta,
+            "A1": lambda: form.between(a, b),
+            "A2": lambda: form.in_time(s, lambda u, drift, _: end_product(w, u.hi) + max(-drift.lo, drift.hi) <= speed),
+            "A3": lambda: form.in_time(s, lambda u, *_: end_product(w * form.b, u.hi) <= turn * left),
+            "A4": lambda: form.b**2 <= M * left and form.b**2 <= near * form.reach,
+        }[s.id]()
+
+    def box_bound(g: VerifierJet, delta: Q | None, hint: dict[str, Any]) -> bool:  # 6
+        size, H = length(g.g[1:]), [row[1:] for row in g.H[1:]]
+        return {
+            "A0": lambda: delta is None or (0 < c and c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
+            "A1": lambda: a <= size.lo and size.hi <= b,
+            "A2": lambda: g.g[0].within(speed),
+            "A3": lambda: length(g.H[0][1:]).hi <= turn,
+            "A4": lambda: norm_below(H, M) and (g.v.hi < 0 or norm_below(H, near)),
+        }[s.id]()
+
+    for g, delta, hint in zip(m.gaps, m.deltas, entries(field(s.proof, "constraints"), len(m.gaps)), strict=True):
+        need(delta is None or delta > 0, "delta is not > 0")  # 2
+        if field(hint, "form") == "norm":
+            form = NormForm(g, hint)
+            need(delta is not None and delta < form.reach, "delta is missing, or not < reach")  # 3
+            need(form.in_time(s, lambda rate, drift, offset, r=form.reach: offset.hi <= -r), "the offset is above -reach")  # 3
+            need(form.between(ZERO, form.b), "b is no bound of the gradient")  # 4
+            need(norm_bound(form, delta or ZERO), "the bound fails")  # 5
             continue
-        first, second = map(squares, hint["squares"])
-        need(slope(slope(leftover(p, atoms), 0, atoms), 0, atoms) == first + variable(0) * second, "theta'' is another")
-    need(psd(numbers(m["damping"])), "the damping is not psd")
-def potential(m, s):
-    """g is convex, and g >= bound: by squares, or as g - mu |x|^2/2 is convex and grad g small at a point."""
-    atoms, n, bound = Atoms(), list(range(len(m["g"]["inputs"]))), Q(s["value"]["lower bound of g"])
-    (p,), hint = atoms.read(m["g"]), s["proof"]
-    set_with_interior(m, s)
-    curved(m["g"], s, hint, n, atoms)
-    if "mu" not in hint:
-        return need(positive(p + constant(-bound) + -squares(hint["bound"]), atoms), "inf g")
-    mu, (g,) = Q(hint["mu"]), jets(m["g"], [VerifierInterval(x) for x in numbers(hint["least"])], 1)
-    need(mu > 0 and convex(sum((variable(i) * variable(i, -mu / 2) for i in n), p), n, atoms), "g - mu |x|^2/2 is not convex")
-    need(g.v.lo - length(g.g).hi ** 2 / (2 * mu) >= bound, "inf g")
-def dry(m, s):
-    total = eye(len(m["g"]["inputs"]), -(Q(s["value"]["radius of A(0)"]) ** 2))
-    for graph, H in zip(m["theta"], numbers(m["H"]), strict=True):
-        total = plus(total, times(transpose(H), H), max(jets(graph, [VerifierInterval(0)], 1)[0].g[0].lo, Q(0)) ** 2)
-    need(psd(total) and Q(s["value"]["radius of A(0)"]) > 0, "the radius")
-def step(m, s):
-    """1 - s X is regular for 0 <= s <= h, X = M^-1 (theta f_x + gamma g_x), as <v, X v> < |v|^2 / h."""
-    n, h, atoms, inverse = len(m["x0"]), Q(s["value"]["h"]), Atoms(), numbers(s["proof"]["inverse"])
-    rows = [[affine(p, list(range(1, n + 1)), atoms) for p in atoms.read(m[name])] for name in "fg"]
-    need(times(numbers(m["M"]), inverse) == eye(n) and h >= max(numbers(m["steps"])), "M^-1 is another, or h not the step")
-    theta, gamma = Q(m["theta"]), Q(m["gamma"])
-    def part(box, _):
-        F, G = ([[VerifierInterval(x) for x in row] for row, _ in found] if all(found) else
-                [j.g for j in jets(m[name], box, 1, range(1, n + 1))] for name, found in zip("fg", rows, strict=True))
-        X = [[sum((F[l][k].scaled(theta * row[l]) + G[l][k].scaled(gamma * row[l]) for l in range(n)), VerifierInterval(0))
-              for k in range(n)] for row in inverse]
-        return form_below(X, eye(n), (1 - Q(1, 2**30)) / h)
-    need(cover(s["proof"]["cover"], box_of(m["f"]["inputs"], s, m["f"], m["g"]), part), "the bound fails on a part")
-def complementarity(m, s):
-    """W_mlcp = h gamma C W^-1 B + D is psd at each step; F-unique: definite, or K is bounded and B = T (W_mlcp + W_mlcp')."""
-    n, atoms, theta, gamma = len(m["x0"]), Atoms(), Q(m["theta"]), Q(m["gamma"])
-    f, g, y = ([affine(p, range(1, len(m["f"]["inputs"])), atoms) for p in atoms.read(m[name])] for name in "fgh")
-    need(all(f + g + y), "f, g or h is not affine", NotCheckable)
-    (A, _), (K, B), (C, D) = (([row[:n] for row, _ in part], [row[n:] for row, _ in part]) for part in (f, g, y))
-    for h, inverse, T in zip(numbers(m["steps"]), *(numbers(s["proof"][name]) for name in ("inverses", "T")), strict=True):
-        need(times(plus(plus(numbers(m["M"]), A, -h * theta), K, -h * gamma), inverse) == eye(n), "W has another inverse")
-        W = plus(D, times(times(C, inverse), B), h * gamma)
-        need(psd(W), "W_mlcp is not psd", NotCheckable)
-        if s["id"] == "F-unique" and not psd(W, True):
-            need(bounded(m) and T and times(T, plus(W, transpose(W))) == B, "W_mlcp lets x vary", NotCheckable)
-STATEMENTS = {
-    "S-convex": s_convex, **dict.fromkeys(NEEDED, regular), "A5": qualified, "A5'": qualified, "S-f": velocity, "S-start": start,
-    "3.1": lambda m, s: need(all(a < b for a, b in law(m)), "K has no interior"), "5.1": storage, "5.2": growth,
-    "4.1": lambda m, s: need((x := Q(s["value"]["least"])) >= 0 and psd(plus(numbers(m["D"]), eye(len(m["D"]), -x))), "D"),
-    "5.4a": in_range, "5.4b": convex_ranges, "5.4c": in_range, "5.x0": lambda m, s: in_range(m, s, numbers(m["x0"])),
-    "7.1": at_rest, "M-T": monotone, "M-C": set_with_interior, "M-A1": smooth, "M-A2": linear_growth, "M-A3": dissipative,
-    "M-24": on_differences, "O-theta": friction, "O-g": potential, "O-dry": dry,
-    "O-steps": lambda m, s: need(all(0 < x <= y for x, y in pairwise(numbers([m["steps"][0], *m["steps"]]))), "a step shrinks"),
-    "F-jacobians": lambda m, s: smooth(m, s, "fgh", 2), "F-step": step, "F-W": step, "F-mlcp": complementarity,
-    "F-unique": complementarity}
-def digest(model): return hashlib.sha256(json.dumps(model, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-def verdict(model, s):
-    """"yes", "no: reason" or "not checkable: reason"."""
-    if s["id"] not in STATEMENTS or s.get("proof") is None:
-        return f"not checkable: {s.get('why') or 'no proof of this kind is known here'}"
+
+        order = 2 if s.id in ("A3", "A4") else 1
+        leaf = lambda j, d=delta, h=hint: (d is not None and j[0].v.hi <= -d) or box_bound(j[0], d, h)  # noqa: E731
+        need(on_cover(g, s, hint.get("cover"), order, leaf, smooth=True), "the bound fails on a part")  # 6
+    said = {
+        "A0": f"every point nearer than {written(c, DOWN)} to one with g_i >= 0 is in" if c else "all points are in",
+        "A1": f"{written(a, DOWN)} <= |grad_q g_i| <= {written(b, UP)} on",
+        "A2": f"|d_t g_i| <= {written(speed, UP)} on",
+        "A3": f"|d_t grad_q g_i| <= {written(turn, UP)} on",
+        "A4": f"|D_q^2 g_i| <= {written(M, UP)}, and <= {written(near, UP)} where g_i >= 0, on",
+    }[s.id]
+    return f"{said} U_i = {{g_i > -delta_i}} (without a delta_i the whole space) {m.where(s)}"
+
+
+def qualified(m: SweepingData, s: VerifierStatement) -> str:
+    """A5, A5': sum l_i |grad g_i| <= gamma |sum l_i grad g_i| for all l >= 0 and q in Q(t), over the i with g_i <= rho.
+    Theorem: it is so where a d, not 0, has <grad g_i, d> >= |grad g_i| |d| / gamma for these i: multiply by l_i, add, and divide
+    by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, or at most one constraint; A5'
+    is with rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
+    """
+    gamma, rho, gaps = s.value["gamma"], s.value.get("rho", ZERO), m.gaps
+    need(gamma >= 1, "gamma < 1")  # 1
+    need(s.id == "A5'" or len(gaps) < 2 or rho > 0, "rho is missing, or not > 0")  # 2
+
+    def escapes(d: dict[str, Q], names: list[str], gradient: Box) -> bool:
+        along = sum((x.scaled(d[v]) for v, x in zip(names, gradient, strict=True)), VerifierInterval(ZERO))
+        return end_product(gamma, along.lo) >= (length(gradient) * length(map(VerifierInterval, d.values()))).hi
+
+    def leaf(box: Box, hint: Any) -> bool:
+        own = dict(zip(m.inputs, box, strict=True))
+        found = [(g.inputs[1:], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
+        near = [(names, g.g[1:]) for names, g in found if g.v.lo <= rho]
+        if len(near) <= 1 or any(g.v.hi < 0 for _, g in found):
+            return True
+        d = dict(zip(m.inputs[1:], vector(hint, m.n), strict=True))
+        return any(d.values()) and all(escapes(d, *pair) for pair in near)  # 3, 4
+
+    if len(gaps) > 1:
+        need(cover(field(s.proof, "cover"), s.intervals(m.inputs, *gaps), leaf), "gamma fails on a part")
+    near = f"sum l_i |grad_q g_i| <= {written(gamma, UP)} |sum l_i grad_q g_i| for all l_i >= 0, over the i with g_i"
+    bound = "<= 0" if s.id == "A5'" else f"<= {written(rho, DOWN)}" if "rho" in s.value else "<= rho, for any rho,"
+    return f"{near} {bound}, at every point with all g_j >= 0, {s.where(m.inputs)}"
+
+
+def velocity(m: SweepingData, s: VerifierStatement) -> str:
+    """S-f: |f(t, q) - f(t, r)| <= K_f |q - r|, |f| <= L_f (1 + |q|); and, where L_t is given, |f(t, q) - f(s, q)| <= L_t |t - s|.
+    Theorems: a continuous f is Lipschitz on a convex box with a bound of its (limits of) derivatives; f = A q + b(t) has |f| <=
+    |b| + |A| |q|. Premises: 1. f is defined for all t, q of the box; 2. |A| or |D_q f| <= K_f; 3. |b| <= L_f and |A| <= L_f, or
+    |f| <= L_f (1 + |q|) on each part; 4. |d_t f| <= L_t.
+    """
+    f, K, L, atoms, own = m.program("f", m.n), s.value["K_f"], s.value["L_f"], Atoms(), list(range(1, m.n + 1))
+    found = affine(atoms.read(f), own, atoms)
+
+    def small(j: list[VerifierJet], far: Any) -> bool:
+        rate = length(x.g[0] for x in j).hi
+        return length(x.v for x in j).hi <= end_product(L, 1 + far) and rate <= s.value.get("L_t", rate)  # 3, 4
+
+    def part(box: Box, _: Any) -> bool:
+        j = jets(f, box, 1)  # 1
+        return small(j, length(box[1:]).lo) and norm_below([x.g[1:] for x in j], K)  # 2
+
+    if found is not None:
+        A = [[VerifierInterval(x) for x in row] for row in found[0]]
+        need(norm_below(A, K), "K_f")  # 2
+        need(norm_below(A, L), "L_f")  # 3
+        zero = [VerifierInterval(ZERO)] * m.n
+        leaf = lambda t, _: defined(f, [*t, *[ALL] * m.n]) and small(jets(f, [*t, *zero], 1, [0]), ZERO)  # noqa: E731
+        need(cover(s.proof.get("time"), s.intervals(["t"], f), leaf), "f, L_f or L_t")  # 1
+    else:
+        need(cover(field(s.proof, "cover"), s.intervals(m.inputs, f), part), "K_f, L_f or L_t")
+    rate = f", |f(t, q) - f(s, q)| <= {written(s.value['L_t'], UP)} |t - s|" if "L_t" in s.value else ""
+    bounds = f"|f(t, q) - f(t, r)| <= {written(K, UP)} |q - r|, |f(t, q)| <= {written(L, UP)} (1 + |q|){rate}"
+    return f"{bounds}, f being defined, {s.where(m.inputs)}, the same of s and r"
+
+
+def start(m: SweepingData, s: VerifierStatement) -> str:
+    """S-start: g_i(0, q_0) >= 0. Premise: 1. each value, in intervals."""
+    point = dict(zip(m.inputs, [ZERO, *vector(field(m.data, "q0"), m.n)], strict=True))
+    for g in m.gaps:
+        need(inside(g, [point[name] for name in g.inputs], strictly=False), "g < 0 at the start, or too near to 0")  # 1
+    return f"g_i(0, q_0) >= 0 for each of {len(m.gaps)} i, q_0 = ({', '.join(written(point[name]) for name in m.inputs[1:])})"
+
+
+class OscillatorData(VerifierModel):
+    """The model x'' + dPhi(x') + damping x' + dg(x) ∋ 0, Phi(v) = sum theta_j(|H_j v|), g infinite but where all C_i(x) >= 0."""
+
+    name, first = "FrictionOscillator", "g"
+
+    def frictions(self) -> list[VerifierProgram]:
+        """The friction of each element, of the speed."""
+        found = [VerifierProgram(part, outputs=1) for part in entries(field(self.data, "theta"))]
+        need(all(len(part.inputs) == 1 for part in found), "theta has other inputs than the speed")
+        return found
+
+
+def leftover(p: Poly, atoms: Atoms) -> Poly:
+    """A function of the input 0 without the terms that are no polynomials and convex by the rules."""
+    return Poly({k: a for k, a in p.items() if a < 0 or len(k) != 1 or k[0][0] == 0 or not bends(*k[0], [0], atoms)})
+
+
+def friction(m: OscillatorData, s: VerifierStatement) -> str:
+    """O-theta: each theta is C1, convex and nondecreasing on [0, inf), and the symmetric part of the damping is psd.
+    Theorem: a convex C1 function with theta'(0) >= 0 is nondecreasing. Premises: 1. theta is defined and C1 for s >= 0; 2.
+    theta'(0) >= 0; 3. it is convex for s >= 0: theta'' >= 0 on a cover, or it is a sum of convex terms and of a polynomial whose
+    second derivative is a + s b with sums of squares a, b; 4. the damping is psd.
+    """
+    line, frictions = [VerifierInterval(ZERO, INF)], m.frictions()
+    for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
+        need(
+            cover(record(hint).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1), "theta'"
+        )  # 1
+        need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
+        if "cover" in hint:
+            need(cover(hint["cover"], line, lambda box, _, p=theta: jets(p, box)[0].H[0][0].lo >= 0), "theta'' < 0")  # 3
+            continue
+        atoms = Atoms(nonnegative=[0])
+        first, second = (squares(part) for part in entries(field(hint, "squares"), 2))
+        rest = leftover(atoms.read(theta)[0], atoms)
+        need(slope(slope(rest, 0, atoms), 0, atoms) == first + variable(0) * second, "theta'' is another")  # 3
+    damping = field(m.data, "damping")
+    if damping != []:
+        need(psd(matrix(damping, m.n, m.n)), "the damping is not psd")  # 4
+    drag = "; the symmetric part of the damping is positive semidefinite" if damping != [] else ""
+    return f"theta_j is C1, convex and nondecreasing on [0, inf), for each of {len(frictions)} j{drag}"
+
+
+def potential(m: OscillatorData, s: VerifierStatement) -> str:
+    """O-g: g is convex, g >= bound, and {C >= 0} is closed and convex with interior points.
+    Theorems: concave finite rows are continuous, and where all are > 0 there is an interior point; g - bound is a sum of squares
+    and of terms >= 0; or, where g - mu |x|^2/2 is convex, g(x) >= g(z) - |p|^2/(2 mu) for a subgradient p at any z. Premises: 1.
+    the rows are concave; 2. one point is inside; 3. g is convex; 4. g is defined everywhere, 5. and g - bound >= 0 by its terms;
+    6. or mu > 0, and g - mu |x|^2/2 is convex; 7. and g(z) - |p|^2/(2 mu) >= bound for all p that gradients near z may be.
+    """
+    g, C, hint, bound, atoms = m.program("g", 1), m.program("C"), s.proof, s.value["lower bound of g"], Atoms()
+    need(concave_rows(C), "a row is not concave by the rules")  # 1
+    need(inside(C, vector(field(hint, "interior"), m.n)), "the point is not inside")  # 2
+    need(curved(g, s, hint), "g is not convex")  # 3
+    need(defined(g, [ALL] * m.n), "g is not defined")  # 4
+    (p,) = atoms.read(g)
+    if "mu" in hint:
+        mu, half = number(hint["mu"]), sum((variable(i) * variable(i, HALF) for i in range(m.n)), constant(ZERO))
+        need(mu > 0, "mu is not > 0")  # 6
+        need(convex(p + half.scaled(-mu), range(m.n), atoms), "g - mu |x|^2/2 is not convex")  # 6
+        (at,) = jets(g, [VerifierInterval(x) for x in vector(field(hint, "least"), m.n)], 1)
+        need(at.v.lo - end_product(1 / (2 * mu), length(at.g).power(2).hi) >= bound, "inf g")  # 7
+    else:
+        need(positive(p + constant(-bound) + -squares(field(hint, "bound")), atoms), "inf g")  # 5
+    whole = f"g is convex {s.where(m.inputs)}" if "cover" in hint else "g is convex"
+    domain = "{x : C_i(x) >= 0} is closed and convex, and has interior points"
+    return f"{whole}; g >= {written(bound, DOWN)} everywhere; {domain}"
+
+
+def dry(m: OscillatorData, s: VerifierStatement) -> str:
+    """O-dry: sum theta_j'(0) |H_j d| >= r |d| for all d.
+    Theorem: a sum of numbers >= 0 is not below the root of the sum of their squares. Premises: 1. r > 0; 2. theta_j'(0) >= 0; 3.
+    sum theta_j'(0)^2 H_j'H_j - r^2 is psd.
+    """
+    r, frictions = s.value["radius of A(0)"], m.frictions()
+    need(r > 0, "r is not > 0")  # 1
+    gram = eye(m.n, -r * r)
+    for theta, entry in zip(frictions, entries(field(m.data, "H"), len(frictions)), strict=True):
+        H, least = matrix(entry, None, m.n), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
+        need(least >= 0, "theta'(0) < 0")  # 2
+        gram = plus(gram, times(transpose(H), H), least * least)
+    need(psd(gram), "the radius")  # 3
+    return f"sum_j theta_j'(0) |H_j d| >= {written(r, DOWN)} |d| for all d"
+
+
+def steps_grow(m: OscillatorData, s: VerifierStatement) -> str:
+    """O-steps: the steps are > 0 and do not shrink. Premises: 1. the first is > 0; 2. each is >= the one before."""
+    steps = vector(field(m.data, "steps"))
+    need(steps[0] > 0, "a step is not > 0")  # 1
+    need(all(a <= b for a, b in pairwise(steps)), "a step shrinks")  # 2
+    return f"0 < h_1 <= h_2 <= ... of all {len(steps)} steps, from {written(steps[0])} to {written(steps[-1])}"
+
+
+class VerifierLaw:
+    """A product K of closed convex sets in R^count; ``ends`` of its intervals.
+    ``bounded`` and ``nonempty`` are True where that is known: of boxes, of balls and second-order cones, and of polyhedra {H l >=
+    K} and ellipsoids that hold 0.
+    """
+
+    def __init__(self, data: Any, count: int) -> None:
+        blocks = entries(data)
+        self.kinds, self.ends = {field(block, "kind") for block in blocks}, []
+        need(self.kinds <= {"box", "ball", "second-order cone", "polyhedron", "ellipsoid"}, "another law", UNCHECKED)
+        need(sum(index(field(block, "size"), count + 1) for block in blocks) == count, "the law has another size")
+        for block in blocks:
+            if block["kind"] == "box":
+                lower, upper = (vector(field(block, name), block["size"], infinite=True) for name in ("lower", "upper"))
+                self.ends += zip(lower, upper, strict=True)
+        need(all(low <= high and low < INF and high > -INF for low, high in self.ends), "an interval of the law is empty")
+        need(all(number(field(block, "radius")) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
+        self.nonempty = all(x <= 0 for block in blocks if block["kind"] == "polyhedron" for x in vector(field(block, "K")))
+        self.bounded = self.kinds <= {"box", "ball"} and all(abs(x) < INF for pair in self.ends for x in pair)
+
+
+class FirstOrderData(VerifierModel):
+    """The model M x' = f(t, x) + r, y = h(t, x, l), r = g(t, x, l), -y ∈ N_K(l); W = M - h (theta f_x + gamma g_x) of a step."""
+
+    name, first = "FirstOrderSystem", "f"
+
+    def __init__(self, data: Any) -> None:
+        super().__init__(data)
+        self.n = len(entries(field(data, "x0")))
+        self.m = len(self.inputs) - 1 - self.n
+        need(self.inputs[:1] == ["t"] and self.m >= 0, "f has other inputs than t, states and multipliers")
+        self.M, self.steps = matrix(field(data, "M"), self.n, self.n), vector(field(data, "steps"))
+        self.theta, self.gamma = number(field(data, "theta")), number(field(data, "gamma"))
+        need(all(step > 0 for step in self.steps), "a step is not > 0")
+
+    def programs(self) -> list[VerifierProgram]:
+        """The functions f, which looks at no multiplier, g and h."""
+        f, g, h = self.program("f", self.n), self.program("g", self.n), self.program("h", self.m)
+        need(all(k <= self.n for k in f.used), "f looks at a multiplier")
+        return [f, g, h]
+
+
+def smooth_system(m: FirstOrderData, s: VerifierStatement) -> str:
+    """F-jacobians: f, g and h are defined and C1, so that their Jacobians are those of the linearisation.
+    Premise: 1. on parts that cover the box all operations have continuous derivatives, and no max may have a kink.
+    """
+    programs = m.programs()
+    leaf = lambda box, _: all(len(jets(p, box, 1, smooth=True)) == len(p.outputs) for p in programs)  # noqa: E731
+    need(cover(s.proof.get("cover"), s.intervals(m.inputs, *programs), leaf), "a derivative may jump")  # 1
+    return f"f, g and h have continuous first derivatives {s.where(m.inputs)}"
+
+
+def step_bound(m: FirstOrderData, s: VerifierStatement) -> str:
+    """F-step, F-W: M - s(theta f_x + gamma g_x) is regular for all 0 <= s <= h, and h is not below any step.
+    Theorem: with X = M^-1 (theta f_x + gamma g_x), <v, X v> < |v|^2 / s for v not 0 leaves no v with v = s X v. Premises: 1. the
+    inverse of M; 2. h > 0 is not below a step; 3. <v, X v> <= |v|^2 (1 - 2^-30)/h on parts that cover the box.
+    """
+    n, h, programs, inverse = m.n, s.value["h"], m.programs()[:2], matrix(field(s.proof, "inverse"), m.n, m.n)
+    need(times(m.M, inverse) == eye(n), "M has another inverse")  # 1
+    need(h >= max(m.steps), "h is below a step")  # 2
+
+    def part(box: Box, _: Any) -> bool:
+        F, G = ([j.g for j in jets(p, box, 1, range(1, n + 1))] for p in programs)
+        J = [[F[i][k].scaled(m.theta) + G[i][k].scaled(m.gamma) for k in range(n)] for i in range(n)]
+        X = [[sum((J[i][k].scaled(row[i]) for i in range(n)), VerifierInterval(ZERO)) for k in range(n)] for row in inverse]
+        return form_below(X, eye(n), (1 - Q(1, 2**30)) / h)  # 3
+
+    need(cover(field(s.proof, "cover"), s.intervals(m.inputs, *programs), part), "the bound fails on a part")
+    matrices = f"M - s({written(m.theta)} f_x + {written(m.gamma)} g_x) is regular for 0 <= s <= {written(h, DOWN)}"
+    return f"{matrices} {s.where(m.inputs)}; no step is longer than {written(max(m.steps), UP)}"
+
+
+def complementarity(m: FirstOrderData, s: VerifierStatement) -> str:
+    """F-mlcp, F-unique: W_mlcp = h gamma C W^-1 B + D is psd at each step; a step has one and only one next state.
+    Theorems: -y in N_K(l), y = W_mlcp l + q, has one solution for every q where W_mlcp is definite and K closed, convex and not
+    empty. It has one where K is bounded too; two differ by a d with <d, W_mlcp d> <= 0; where W_mlcp is psd (W_mlcp + W_mlcp')d =
+    0, and then B d = T (W_mlcp + W_mlcp')d = 0: x is the same. Premises: 1. f = A x + ..., g = K x + B l + ..., h = C x + D l +
+    ..., the rest in t alone; 2. they are defined at all times; 3. W has this inverse; 4. W_mlcp is psd; F-unique: 5. K is not
+    empty; 6. W_mlcp is definite, 7. or K is bounded, 8. and B = T (W_mlcp + W_mlcp').
+    """
+    n, both, programs, law, atoms = m.n, range(1, m.n + m.m + 1), m.programs(), VerifierLaw(field(m.data, "law"), m.m), Atoms()
+    found = [affine(atoms.read(p), both, atoms) for p in programs]
+    need(None not in found, "f, g or h is not affine", UNCHECKED)  # 1
+    (A, _), (K, B), (C, D) = ([[row[:n] for row in pair[0]], [row[n:] for row in pair[0]]] for pair in found if pair)
+    leaf = lambda t, _: all(defined(p, [*t, *[ALL] * len(both)]) for p in programs)  # noqa: E731
+    need(cover(s.proof.get("time"), s.intervals(["t"], *programs), leaf), "f, g or h is not defined")  # 2
+    hints = (entries(field(s.proof, name), len(m.steps)) for name in ("inverses", "T"))
+    for step, entry, T in zip(m.steps, *hints, strict=True):
+        inverse = matrix(entry, n, n)
+        need(times(plus(plus(m.M, A, -step * m.theta), K, -step * m.gamma), inverse) == eye(n), "W has another inverse")  # 3
+        W_mlcp = plus(D, times(times(C, inverse), B), step * m.gamma) if m.m else []
+        need(psd(W_mlcp), "W_mlcp is not psd", UNCHECKED)  # 4
+        if s.id == "F-unique":
+            need(law.nonempty, "a K that may be empty", UNCHECKED)  # 5
+            if not psd(W_mlcp, definite=True):  # 6
+                need(law.bounded, "W_mlcp is not definite, and K may be unbounded", UNCHECKED)  # 7
+                need(T is not None, "W_mlcp lets x vary", UNCHECKED)
+                need(times(matrix(T, n, m.m), plus(W_mlcp, transpose(W_mlcp))) == B, "B is not T (W + W')")  # 8
+    steps = f"a step h of each of {len(m.steps)} lengths from {written(min(m.steps))} to {written(max(m.steps))}"
+    if s.id == "F-mlcp":
+        return f"W = M - h (theta f_x + gamma g_x) is regular, and h gamma C W^-1 B + D positive semidefinite, for {steps}"
+    return f"from every state, at each time, {s.where(['t'])}, there is a solution with one next x only of {steps}"
+
+
+class LureData(VerifierModel):
+    """The model x' = A(x) + B l + f(t), y = C x + D l + e(t), l ∈ -dPhi(y) or -y ∈ N_K(l).
+    Xi(z) = Phi*(-z), of a law the indicator of K. Y(z) = <D z, z> + the recession function of Xi.
+    """
+
+    name, first = "LureSystem", "A"
+
+    def __init__(self, data: Any) -> None:
+        super().__init__(data)
+        self.m = len(entries(field(data, "D")))
+        self.B, self.C = matrix(field(data, "B"), self.n, self.m), matrix(field(data, "C"), self.m, self.n)
+        self.D = matrix(data["D"], self.m, self.m)
+        self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], outputs=1)
+        need(self.phi is None or len(self.phi.inputs) == self.m, "phi has another number of inputs")
+        self.law = None if self.phi else VerifierLaw(field(data, "law"), self.m)
+
+    def intervals(self) -> list[tuple[Any, Any]]:
+        """The ends of K, which is a box."""
+        need(self.law is not None and self.law.kinds <= {"box"}, "a law that is no box", UNCHECKED)
+        return self.law.ends if self.law else []
+
+    def offset(self) -> list[Q]:
+        """The e of y, where it does not move."""
+        e = self.data.get("e", ["0"] * self.m)
+        need(type(e) is list, "an offset e that moves with time", UNCHECKED)
+        return vector(e, self.m)
+
+    def is_wide(self) -> bool:
+        """Whether dom Y* is the whole space, and there is a K.
+        So it is where Xi grows faster than linear functions, as K is bounded, or Phi is finite and convex; and where D + D' > 0.
+        """
+        if self.phi is not None:
+            return defined(self.phi, [ALL] * self.m) and convex((atoms := Atoms()).read(self.phi)[0], range(self.m), atoms)
+        return self.law is not None and self.law.nonempty and (self.law.bounded or psd(self.D, definite=True))
+
+    def is_onto(self) -> bool:
+        """Whether R(D + dXi) is all: K is bounded (a continuous map on it solves its variational inequality), D + D' > 0 (D + N_K
+        is strongly monotone), or Phi is finite and convex and D psd (D + dXi is maximal monotone and coercive).
+        """
+        return self.is_wide() and (self.law is not None or psd(self.D))
+
+
+def interior_of_law(m: LureData, s: VerifierStatement) -> str:
+    """3.1: K has an interior point. Premise: 1. it is a box whose intervals have a length."""
+    need(all(a < b for a, b in m.intervals()), "K has no interior")  # 1
+    return f"K, a product of {m.m} intervals, has interior points: Xi is continuous at one"
+
+
+def feedthrough(m: LureData, s: VerifierStatement) -> str:
+    """4.1: <D z, z> >= least |z|^2, least >= 0. Premises: 1. least >= 0; 2. D - least is psd."""
+    least = s.value["least"]
+    need(least >= 0, "least < 0")  # 1
+    need(psd(plus(m.D, eye(m.m, -least))), "D - least is not psd")  # 2
+    return f"<D z, z> >= {written(least, DOWN)} |z|^2 for all z"
+
+
+def storage(m: LureData, s: VerifierStatement) -> str:
+    """5.1: there is P = P' > 0 with P B = C'. Premises: 1. P = P'; 2. P > 0; 3. P B = C'."""
+    P = matrix(field(s.proof, "P"), m.n, m.n)
+    need(P == transpose(P), "P is not symmetric")  # 1
+    need(psd(P, definite=True), "P is not positive definite")  # 2
+    need(m.m == 0 or times(P, m.B) == transpose(m.C), "P B = C' fails")  # 3
+    return "there is P = P' > 0 with P B = C'"
+
+
+def growth(m: LureData, s: VerifierStatement) -> str:
+    """5.2: <P(A(x) - A(y)), x - y> <= omega <P(x - y), x - y>, with P = P' > 0 and P B = C'.
+    Theorem: where it is so everywhere, R A(-R^-1 .) + omega, R^2 = P, is maximal monotone, as A is continuous. Premises: 1. those
+    of ``storage``; 2. the inequality, and that A is defined (``slopes_below``).
+    """
+    known, omega, local = storage(m, s), s.value["omega"], "cover" in s.proof  # 1
+    need(slopes_below(m.program("A", m.n), s, matrix(s.proof["P"], m.n, m.n), omega), "omega")  # 2
+    place = s.where(m.inputs) + ", the same of y" if local else "for all x, y"
+    return f"{known}, and <P(A(x) - A(y)), x - y> <= {written(omega, UP)} <P(x - y), x - y> {place}"
+
+
+def domain_point(m: LureData, s: VerifierStatement, x: Sequence[Q]) -> None:
+    """Show that C x + e is in D'(int K) - int dom Y*. Premises, of a box K: 1. D is psd; 2. C x + e = D'k + y + (D + D')v;
+    3. k is inside K; 4. y > 0 where only the lower end of l is finite, < 0 where only the upper one is, any number where both
+    are: -y is in the interior of the polar of K's recession cone. Where neither is, that has no interior, and nothing is known.
+    """
+    k, y, v = (vector(field(s.proof, name), m.m) for name in ("k", "y", "v"))
+    need(psd(m.D), "D is not psd")  # 1
+    parts = [[dot(row, z) for row in A] for A, z in ((transpose(m.D), k), (m.D, v), (transpose(m.D), v))]
+    left = [dot(row, x) + e for row, e in zip(m.C, m.offset(), strict=True)]
+    need(left == [sum(part, ZERO) for part in zip(y, *parts, strict=True)], "C x + e = D'k + y + (D + D')v fails")  # 2
+    for (low, high), inner, push in zip(m.intervals(), k, y, strict=True):
+        need(low < inner < high, "k is not inside K")  # 3
+        need((low > -INF and (high < INF or push > 0)) or (high < INF and push < 0), "y is not inside")  # 4
+
+
+def range_meets_domain(m: LureData, s: VerifierStatement) -> str:
+    """5.4a, 5.x0, 5.4c: R(C) + e, or C x_0 + e, meets the set S = D'(rint dom dXi) - int dom Y*; R(D + dXi) and S have one hull.
+    Theorems: where dom Y* is the whole space so is S; where R(D + dXi) is too, so are both affine hulls. Else, where D is psd,
+    -S, which is open, is in R(D + dXi): both hulls are the whole space as soon as S has a point. Premises: 1. what is the whole
+    space; 2. or a point of S (``domain_point``), of 5.4a one in R(C) + e, of 5.x0 C x_0 + e.
+    """
+    if not (m.is_onto() if s.id == "5.4c" else m.is_wide()):  # 1
+        domain_point(m, s, vector(m.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), m.n))  # 2
+    if s.id == "5.4c":
+        return "D'(rint dom dXi) - int dom Y* and R(D + dXi) have the same affine hull, the whole space"
+    return f"{'R(C) + e meets' if s.id == '5.4a' else 'C x_0 + e is in'} D'(rint dom dXi) - int dom Y*"
+
+
+def convex_ranges(m: LureData, s: VerifierStatement) -> str:
+    """5.4b: dom dXi and R(D + dXi) are convex.
+    Theorems: dom dXi is K, or an interval where Phi has one variable. The range is the whole space (``is_onto``); or K is a
+    polyhedron and D psd: D + N_K is maximal monotone and its graph a union of finitely many polyhedra, so that its range is
+    closed, and convex but for its relative boundary. Premises: 1. a law, or one variable; 2. one of the two ranges.
+    """
+    need(m.law is not None or m.m == 1, "a potential of several variables", UNCHECKED)  # 1
+    polyhedral = m.law is not None and m.law.kinds <= {"box", "polyhedron"} and m.law.nonempty
+    need(m.is_onto() or (polyhedral and psd(m.D)), "a range", UNCHECKED)  # 2
+    return "dom dXi and R(D + dXi) are convex"
+
+
+def at_rest(m: LureData, s: VerifierStatement) -> str:
+    """7.1: x = 0, l = 0, y = 0 is at rest, and 0 is an admissible start.
+    Premises: 1. A(0) = 0, exactly; 2. f = 0 at all times; 3. e = 0; 4. 0 is in K, a box; 5. as of 5.x0, with x_0 = 0.
+    """
+    A, f = m.program("A", m.n), VerifierProgram(field(m.data, "f"), ["t"], m.n)
+    need(all(x.v.lo == 0 == x.v.hi for x in jets(A, [VerifierInterval(ZERO)] * m.n, 0)), "A(0) is not 0")  # 1
+    need(not any(Atoms().read(f)) and defined(f, s.intervals(["t"], f)), "f is not 0")  # 2
+    need(not any(m.offset()), "e is not 0")  # 3
+    need(all(a <= 0 <= b for a, b in m.intervals()), "0 is not in K")  # 4
+    if not m.is_wide():
+        domain_point(m, s, [ZERO] * m.n)  # 5
+    return f"A(0) = 0, f(t) = 0 {s.where(['t'])}, e = 0, 0 is in K, and 0 is in D'(dom dXi) - int dom Y*"
+
+
+class InclusionData(VerifierModel):
+    """The model x' ∈ F(x) - S(x) - sum weights_k Sgn(argument_k(x)) - N_C(x), or - dphi(x) in place of S and the switches.
+    C is {x : all its rows are >= 0}.
+    """
+
+    name, first = "MonotoneInclusion", "F"
+
+    def __init__(self, data: Any) -> None:
+        super().__init__(data)
+        self.S = None if field(data, "S") is None else self.program("S", self.n)
+        self.phi = None if field(data, "phi") is None else self.program("phi", 1)
+        need(self.phi is None or (self.S is None and field(data, "switches") == []), "phi is given, and S or switches too")
+
+    def switches(self, atoms: Atoms) -> list[Switch]:
+        """The switches. Premises: 1. the argument is a'x + c everywhere, a not 0; 2. the weights are w a, w >= 0."""
+        found = []
+        for entry in entries(field(self.data, "switches")):
+            weights, program = vector(entries(entry, 2)[0], self.n), VerifierProgram(entry[1], self.inputs, 1)
+            (a,), (c,) = self.affine(atoms.read(program), atoms)
+            w = dot(weights, a) / dot(a, a)
+            need(w >= 0 and weights == [w * x for x in a] and defined(program, [ALL] * self.n), "no subdifferential")  # 1, 2
+            found.append((w, a, c))
+        return found
+
+    def affine(self, V: Sequence[Poly], atoms: Atoms) -> tuple[Matrix, list[Q]]:
+        """A and b of V = A x + b."""
+        found = affine(V, range(self.n), atoms)
+        A, b = found[0] if found else [], [p.number() for p in found[1]] if found else [None]
+        need(None not in b, "a function that is not affine", UNCHECKED)
+        return A, [x for x in b if x is not None]
+
+    def selection(self, atoms: Atoms) -> tuple[list[Poly], list[Switch]]:
+        """V and the switches, F - S = V - sum w l a; of phi V has its gradient, max(u, v) being (u + v)/2 + |u - v|/2.
+        Premises: 1. all functions are defined everywhere; 2. each max has a weight > 0, and u - v is affine.
+        """
+        V, switches = atoms.read(F := self.program("F", self.n)), self.switches(atoms)
+        need(all(defined(p, [ALL] * self.n) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
+        if self.S is not None:
+            V = [v + -p for v, p in zip(V, atoms.read(self.S), strict=True)]
+        if self.phi is None:
+            return V, switches
+        (p,) = atoms.read(self.phi)
+        for key, a in list(p.items()):
+            op, u, *more = atoms.meaning.get(key[0][0] if len(key) == 1 and key[0][1] == 1 else -1, (None, None))
+            if op == "fmax" and a > 0:
+                (row,), (c,) = self.affine([u + -more[0]], atoms)  # 2
+                switches.append((a / 2, row, c))
+                p = p + Poly({key: -a}) + (u + more[0]).scaled(a / 2)
+        return [v + -slope(p, i, atoms) for i, v in enumerate(V)], switches
+
+
+def monotone(m: InclusionData, s: VerifierStatement) -> str:
+    """M-T: S, with the jumps of its switches filled in, is monotone; where no box is needed, maximal monotone.
+    Theorems: so is the subdifferential of a finite convex function; a continuous S that is monotone everywhere is maximal; sums
+    of maximal monotone operators that are defined everywhere are. Premises: 1. phi is convex and defined; 2. or the switches are
+    subdifferentials (``switches``), 3. S is defined and monotone (``slopes_below``).
+    """
+    local = "cover" in s.proof and bool(s.box)
+    place = s.where(m.inputs) if local else "for all x"
+    if m.phi is not None:
+        need(curved(m.phi, s, s.proof), "phi is not convex")  # 1
+        return f"S is the subdifferential of phi, which is finite and convex {place}"
+    m.switches(Atoms())  # 2
+    if m.S is not None:
+        need(slopes_below(m.S, s, eye(m.n), ZERO, -1), "S is not monotone")  # 3
+    return f"S + sum weights_k Sgn(argument_k), jumps filled in, is {'' if local else 'maximal '}monotone {place}"
+
+
+def set_with_interior(m: InclusionData, s: VerifierStatement) -> str:
+    """M-C: C is closed and convex, and has an interior point. Premises: 1. its rows are concave; 2. all are > 0 at a point."""
+    C, point = m.program("C"), vector(field(s.proof, "interior"), m.n)
+    need(concave_rows(C), "a row is not concave by the rules")  # 1
+    need(inside(C, point), "the point is not inside")  # 2
+    return f"C, of {len(C.outputs)} rows, is closed and convex, and has interior points"
+
+
+def continuous(m: InclusionData, s: VerifierStatement) -> str:
+    """M-A1: F is continuous. Premise: 1. it is defined on parts that cover the box, as all operations are continuous there."""
+    need(on_cover(m.program("F", m.n), s, s.proof.get("cover"), 0, lambda found: True), "F is not defined")  # 1
+    return f"F is defined and continuous {s.where(m.inputs)}"
+
+
+def linear_growth(m: InclusionData, s: VerifierStatement) -> str:
+    """M-A2: |v| <= a_1 + a_2 |x| for all x and v ∈ F(x) - S(x).
+    Theorem: v = A x + b - sum w l a, |l| <= 1, and |b - sum w l a| is largest at l = +-1. Premises: 1. F - S has this form, with
+    at most 12 switches; 2. |A| <= a_2; 3. |b - sum w l a| <= a_1 at all corners, a_1 >= 0.
+    """
+    V, switches = m.selection(atoms := Atoms())
+    A, b = m.affine(V, atoms)  # 1
+    a_1, a_2 = s.value["a_1"], s.value["a_2"]
+    need(len(switches) <= 12, "more than 12 switches", UNCHECKED)
+    need(norm_below([[VerifierInterval(x) for x in row] for row in A], a_2), "a_2")  # 2
+    for signs in product((-1, 1), repeat=len(switches)):
+        v = [x + sum(e * w * a[i] for e, (w, a, _) in zip(signs, switches, strict=True)) for i, x in enumerate(b)]
+        need(a_1 >= 0 and dot(v, v) <= a_1 * a_1, "a_1")  # 3
+    return f"|v| <= {written(a_1, UP)} + {written(a_2, UP)} |x| for all x and all v in F(x) - S(x)"
+
+
+def on_differences(m: InclusionData, s: VerifierStatement) -> str:
+    """M-24: <v - w, x - y> <= L |x - y|^2 for all x, y in C, v ∈ F(x) - S(x), w ∈ F(y) - S(y).
+    Theorems: what switches add is monotone, so that they only help; of the rest it is J + J' <= 2 L, of the matrix of an affine
+    function, or of all (limits of) derivatives J on a convex set. Premises: 1. switches are subdifferentials, the rest is
+    defined; 2. the inequality for the matrix; 3. or on each part that C may meet, phi being C2 there; 4. C is convex.
+    """
+    L, atoms, F, C = s.value["L"], Atoms(), m.program("F", m.n), m.program("C")
+    tail = f"{written(L, UP)} |x - y|^2 for v in F(x) - S(x), w in F(y) - S(y)"
+    if "cover" not in s.proof:
+        need(symmetric_below(m.affine(m.selection(atoms)[0], atoms)[0], eye(m.n), L), "L")  # 1, 2
+        return f"<v - w, x - y> <= {tail}, for all x, y"
+    m.switches(atoms)  # 1
+    need(concave_rows(C), "a row of C is not concave by the rules")  # 4
+
+    def part(box: Box, _: Any) -> bool:
+        if any(g.v.hi < 0 for g in jets(C, box, 0)):
+            return True
+        minus = jets(m.phi, box)[0].H if m.phi is not None else [j.g for j in jets(m.S, box, 1)] if m.S is not None else []
+        J = [j.g for j in jets(F, box, 1)]
+        J = [[a + -b for a, b in zip(u, w, strict=True)] for u, w in zip(J, minus, strict=True)] if minus else J
+        return form_below(J, eye(m.n), L)  # 3
+
+    programs = [p for p in (F, m.S, m.phi, C) if p is not None]
+    need(cover(s.proof["cover"], s.intervals(m.inputs, *programs), part), "L")
+    return f"<v - w, x - y> <= {tail}, for x and y in C, {s.where(m.inputs)}, the same of y"
+
+
+def dissipation(m: InclusionData, value: dict[str, Q], atoms: Atoms) -> Poly:
+    """What beta - alpha |x|^2 - <x, v>, v ∈ F(x) - S(x), is not below: -l a'x <= |c| for l ∈ Sgn(a'x + c)."""
+    V, switches = m.selection(atoms)
+    p = constant(value["beta"] - sum(w * abs(c) for w, _, c in switches))
+    return sum((-(variable(i) * (v + variable(i, value["alpha"]))) for i, v in enumerate(V)), p)
+
+
+def dissipative(m: InclusionData, s: VerifierStatement) -> str:
+    """M-A3: <x, w> <= -alpha |x|^2 + beta for all x in C and the projections w of v ∈ F(x) - S(x) on the tangent cone of C.
+    Theorem: w = v - n with n normal to C at x, and <n, x> >= 0 as 0 is in C; it is left to show it of v. Premises: 1. C is closed
+    and convex; 2. 0 is in C; 3. alpha > 0; 4. beta - alpha |x|^2 - <x, v> is a sum of squares and of terms >= 0.
+    """
+    C, alpha, beta = m.program("C"), s.value["alpha"], s.value["beta"]
+    need(concave_rows(C), "a row is not concave by the rules")  # 1
+    need(inside(C, [ZERO] * m.n, strictly=False), "0 is not in C")  # 2
+    need(alpha > 0, "alpha is not > 0")  # 3
+    need(positive(dissipation(m, s.value, atoms := Atoms()) + -squares(s.proof), atoms), "beta")  # 4
+    bound = f"<x, w> <= -{written(alpha, DOWN)} |x|^2 + {written(beta, UP)} for all x in C"
+    return f"{bound}, w the projection of any v in F(x) - S(x) on the tangent cone of C"
+
+
+STATEMENTS: dict[str, tuple[type[VerifierModel], Callable[[Any, VerifierStatement], str]]] = {
+    **dict.fromkeys(("A0", "A1", "A2", "A3", "A4"), (SweepingData, regular)), "S-convex": (SweepingData, sweeping_convex),
+    **dict.fromkeys(("A5", "A5'"), (SweepingData, qualified)), "S-f": (SweepingData, velocity), "S-start": (SweepingData, start),
+    "O-theta": (OscillatorData, friction), "O-g": (OscillatorData, potential), "O-dry": (OscillatorData, dry),
+    "O-steps": (OscillatorData, steps_grow), "F-jacobians": (FirstOrderData, smooth_system),
+    **dict.fromkeys(("F-step", "F-W"), (FirstOrderData, step_bound)),
+    **dict.fromkeys(("F-mlcp", "F-unique"), (FirstOrderData, complementarity)),
+    "3.1": (LureData, interior_of_law), "4.1": (LureData, feedthrough), "5.1": (LureData, storage), "5.2": (LureData, growth),
+    **dict.fromkeys(("5.4a", "5.4c", "5.x0"), (LureData, range_meets_domain)), "5.4b": (LureData, convex_ranges),
+    "7.1": (LureData, at_rest), "M-T": (InclusionData, monotone), "M-C": (InclusionData, set_with_interior),
+    "M-A1": (InclusionData, continuous), "M-A2": (InclusionData, linear_growth), "M-A3": (InclusionData, dissipative),
+    "M-24": (InclusionData, on_differences),
+}  # fmt: skip
+NUMBERS = {  # Those that a statement has; all others have none.
+    "A1": ("a", "b"), "A2": ("speed",), "A3": ("turn",), "A4": ("M", "M_contact"), "A5": ("gamma",), "A5'": ("gamma",),
+    "S-f": ("K_f", "L_f"), "O-g": ("lower bound of g",), "O-dry": ("radius of A(0)",), "F-step": ("h",), "F-W": ("h",),
+    "4.1": ("least",), "5.2": ("omega",), "M-A2": ("a_1", "a_2"), "M-A3": ("alpha", "beta"), "M-24": ("L",),
+}  # fmt: skip
+OPTIONAL = {"A0": ("c",), "A5": ("rho",), "S-f": ("L_t",)}
+
+
+def answer(model: Any, statement: Any) -> tuple[str, str]:
+    """Prove a statement of a model anew: "yes" and the sentence that was proved, "no" or "not checkable" and a reason."""
     try:
-        STATEMENTS[s["id"]](model, s)
-    except NotCheckable as reason:
-        return f"not checkable: {reason}"
-    except Exception as reason:  # whatever is wrong with a certificate
-        return f"no: {reason or 'it is not well formed'}"
-    return "yes"
-def main(path):
+        id = field(statement, "id")
+        need(type(id) is str and id in STATEMENTS, "no proof of this kind is known here", UNCHECKED)
+        need(statement.get("proof") is not None, f"there is no proof: {escaped(statement.get('why'))}", UNCHECKED)
+        reader, rule = STATEMENTS[id]
+        return YES, rule(reader(model), VerifierStatement(statement, id))
+    except Unproved as reason:
+        return reason.args[1], reason.args[0]
+    except Exception as reason:  # Whatever else is wrong with a certificate.
+        return NO, f"it is not well formed ({type(reason).__name__})"
+
+
+def digest(model: Any) -> str:
+    """The hash of a model's data."""
+    return hashlib.sha256(json.dumps(model, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def read_certificate(path: str) -> dict[str, Any]:
+    """The certificate of a file; no name may stand twice in an object."""
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        need(len({name for name, _ in pairs}) == len(pairs), "a name stands twice in an object")
+        return dict(pairs)
+
+    with open(path, encoding="utf-8") as file:
+        certificate = json.load(file, object_pairs_hook=unique)
+    need(field(certificate, "format") == FORMAT, f"its format is not {FORMAT}")
+    return {**certificate, "model": record(field(certificate, "model")), "statements": entries(field(certificate, "statements"))}
+
+
+def formulas(data: Any) -> str:
+    """A function as formulas of its inputs; parts that are long are left out."""
+    program, nodes = VerifierProgram(data), []
+    for op, i, w in program.steps:
+        u, v = nodes[i] if op not in ("in", "const") else "", nodes[w] if op in ("add", "mul", "fmax") else w
+        forms = {"add": f"{u} + {v}", "mul": f"({u}) ({v})", "fmax": f"max({u}, {v})", "pow": f"({u})^({v})"}
+        node = escaped(program.inputs[i]) if op == "in" else written(i) if op == "const" else forms.get(op, f"{op}({u})")
+        nodes.append(node if len(node) <= 200 else "(...)")
+    return f"({', '.join(map(escaped, program.inputs))}) = ({', '.join(nodes[k] for k in program.outputs)})"
+
+
+def describe(name: str, data: Any) -> list[str]:
+    """A function of the model as this file reads it; nothing where there is none, or none that is written down."""
     try:
-        with open(path, encoding="utf-8") as file: certificate = json.load(file)
-        model, statements, ids = certificate["model"], certificate["statements"], [s["id"] for s in certificate["statements"]]
-        same = digest(model) == certificate["hash"]
-    except (OSError, ValueError, LookupError, TypeError) as reason:
-        return f"{path} is no certificate: {type(reason).__name__}: {reason}"
-    answers = [verdict(model, s) if same else "no: the data do not have this hash" for s in statements]
-    print("\n".join(f"{id:<12} {answer}" for id, answer in zip(ids, answers, strict=True)))
-    kinds = [answer.partition(":")[0] for answer in answers]
-    print(", ".join(f"{kinds.count(kind)} {kind}" for kind in ("yes", "no", "not checkable")))
-    return int("no" in kinds)
+        line = f"  {escaped(name)}{formulas(data.get('graph', data))}"
+    except Exception:
+        return []
+    return [line if len(line) <= 300 else line[:297] + "..."]
+
+
+def main(path: str) -> int | str:
+    """Print the model and the answer to each statement; 1 where one is "no", and a text where the file is no certificate."""
+    try:
+        certificate = read_certificate(path)
+        own = digest(certificate["model"])
+    except (OSError, ValueError, TypeError, RecursionError, Unproved) as reason:
+        return f"{path} is no certificate: {reason.args[0] if type(reason) is Unproved else reason}"
+    answers = [answer(certificate["model"], s) for s in certificate["statements"]]
+    if own != certificate.get("hash"):
+        answers = [(NO, "the data of the model do not have the hash of the certificate")] * len(answers)
+    print(f"A {escaped(certificate['model'].get('class'))} that calls itself {escaped(certificate.get('title'))}; SHA-256 {own}")
+    parts = [(name, data) for name, part in certificate["model"].items() for data in (part if type(part) is list else [part])]
+    print(*[line for part in parts for line in describe(*part)][:40], sep="\n")
+    for s, (kind, sentence) in zip(certificate["statements"], answers, strict=True):
+        id = s.get("id") if type(s) is dict else None
+        print(f"{id if type(id) is str and id in STATEMENTS else escaped(id):<12} {kind}: {sentence}")
+    kinds = [kind for kind, _ in answers]
+    print(", ".join(f"{kinds.count(kind)} {kind}" for kind in (YES, NO, UNCHECKED)))
+    return int(NO in kinds)
+
+
 if __name__ == "__main__":
     sys.exit(main(*sys.argv[1:]) if len(sys.argv) == 2 else "usage: python verify.py certificate.json")

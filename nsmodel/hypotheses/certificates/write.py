@@ -9,6 +9,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -21,7 +22,6 @@ from nsmodel.files.storage import replace_atomically
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import (
     ROUNDING_ALLOWANCES,
-    CoverTooLarge,
     StatedNumber,
     UnprovedFinding,
     UnsupportedOperation,
@@ -118,9 +118,6 @@ def step_sizes_text(model: Model) -> list[str]:
     return [exact_number_text(step) for step in steps if step is not None]
 
 
-CERTIFICATE_FORMAT = 2
-
-
 def certificate_of(report: Report) -> dict[str, Any]:
     """The certificate of a report: the model's data and their hash, a statement for each hypothesis that holds.
 
@@ -128,18 +125,20 @@ def certificate_of(report: Report) -> dict[str, Any]:
     no statement.
 
     Raises:
-        UsageError: a model with inputs, or with a law that moves.
+        UsageError: a model with inputs, or with a law that moves, or with parameters that are no numbers.
     """
     report.model.check_allowed("certificate")
+    if open_ones := [name for name, value in report.parameters.items() if not isinstance(value, int | float)]:
+        raise UsageError(f"certificate: certificates are of numbers; give a value to {', '.join(open_ones)}")
     if freeze_law(report.model) is not report.model:
         raise UsageError("certificate: the law moves with time; a certificate says nothing of laws that move")
-    found: dict[str, Any] = {"format": CERTIFICATE_FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
+    found: dict[str, Any] = {"format": verify.FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason, subject = "", CertificateSubject(report.model, {})
     try:
         subject = certificate_subject(report.model, findings)
     except UnprovedFinding as why:
-        reason = str(why)
+        reason = why.args[0]
     found["model"] = subject.data
     found["hash"] = verify.digest(found["model"])
     for finding in report.findings:
@@ -155,23 +154,19 @@ def _prove_statement(subject: CertificateSubject, finding: Finding, findings: di
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": stated_values(finding, stated),
         "scope": None if finding.scope is None else _scope_data(finding.scope, subject.box), "proof": None,
     }  # fmt: skip
+    scopes = [statement["scope"], *_scope_of_run(subject.model, statement["scope"])]
     for room in ROUNDING_ALLOWANCES if not reason else ():
         value = stated_values(finding, stated, room)
         try:
             proofs = part.proofs(subject.model, subject.data, finding, findings, value, room)
-        except (UnprovedFinding, UnsupportedOperation, verify.NotCheckable) as why:
-            reason = str(why)
+        except (verify.Unproved, UnsupportedOperation) as why:
+            reason = why.args[0]
             break
-        for proof in proofs:
-            proved = statement | {"value": value, "proof": proof}
-            try:
-                answer = verify_with_covers(subject.data, proved)
-            except CoverTooLarge as why:
-                reason = str(why)
-                continue
-            if answer == "yes":
+        for proof, scope in product(proofs, scopes):
+            proved = statement | {"value": value, "scope": scope, "proof": proof}
+            kind, reason = verify_with_covers(subject.data, proved)
+            if kind == verify.YES:
                 return proved
-            reason = answer.partition(": ")[2]
     return statement | {"why": reason}
 
 
@@ -182,6 +177,13 @@ def _scope_data(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, A
         "states": {name: [exact_number_text(end) for end in ends] for name, ends in states.items()} or None,
         "time": None if scope.time is None else [exact_number_text(end) for end in scope.time],
     }
+
+
+def _scope_of_run(model: Model, scope: Data | None) -> list[Data]:
+    """The scope restricted to the times of the run, where it holds all times: a function may be undefined at others."""
+    if model.t_end is None or (scope is not None and scope["time"] is not None):
+        return []
+    return [{"states": None, **(scope or {}), "time": [exact_number_text(0.0), exact_number_text(float(model.t_end))]}]
 
 
 def write_certificate(report: Report, folder: str | Path) -> tuple[Path, int, int]:

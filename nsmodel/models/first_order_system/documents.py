@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import (
     KEEP_EXACT,
     AdaptiveCover,
@@ -64,14 +65,14 @@ def proofs(
     model: FirstOrderSystem, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: the inverse of M or of W, covers."""
-    return [_inverse_hint(model, finding, value)]
+    return [_inverse_hint(model, data, finding, value)]
 
 
-def _inverse_hint(model: FirstOrderSystem, finding: Finding, value: dict[str, str]) -> Any:
+def _inverse_hint(model: FirstOrderSystem, data: Data, finding: Finding, value: dict[str, str]) -> Any:
     if finding.id == "F-jacobians":
         return {"cover": AdaptiveCover()}
     if finding.id in ("F-mlcp", "F-unique"):
-        return _mlcp_hint(model)
+        return _mlcp_hint(data)
     steps = model.steps if model.steps is not None else [model.step]
     value["h"] = exact_number_text(np.max(np.asarray(steps, float)))
     inverse = exact.inverse_matrix(exact.rational(np.array(ca.DM(ca.densify(model.M)))))
@@ -80,24 +81,24 @@ def _inverse_hint(model: FirstOrderSystem, finding: Finding, value: dict[str, st
     return {"inverse": exact_matrix_text(inverse), "cover": AdaptiveCover()}
 
 
-def _mlcp_hint(model: FirstOrderSystem) -> Any:
+def _mlcp_hint(data: Data) -> Any:
     """W^-1 at each step, and T with T (W_mlcp + W_mlcp') = B where there is one."""
-    z = ca.vertcat(model.t, model.x, model.lam)
-    J = [ca.jacobian(getattr(model, name), u) for name in "fgh" for u in (model.x, model.lam)]
-    if any(ca.depends_on(part, z) for part in J):
+    m, atoms = verify.FirstOrderData(data), verify.Atoms()
+    found = [verify.affine(atoms.read(program), range(1, m.n + m.m + 1), atoms) for program in m.programs()]
+    if None in found:
         raise UnprovedFinding("f, g or h is not affine")
-    A, _, K, B, C, D = (exact.rational(np.array(ca.DM(ca.densify(part))).reshape(part.shape)) for part in J)
-    M, theta, gamma = exact.rational(np.array(ca.DM(ca.densify(model.M)))), Fraction(model.theta), Fraction(model.gamma)
-    found: dict[str, list[Any]] = {"inverses": [], "T": []}
-    for h in np.unique(np.asarray(model.step if model.steps is None else model.steps, float)):
-        inverse = exact.inverse_matrix(M - Fraction(h) * (theta * A + gamma * K))
+    rows = (np.array(pair[0], dtype=object).reshape(-1, m.n + m.m) for pair in found if pair)
+    (A, _), (K, B), (C, D) = ((part[:, : m.n], part[:, m.n :]) for part in rows)
+    hints: dict[str, list[Any]] = {"inverses": [], "T": []}
+    for h in m.steps:
+        inverse = exact.inverse_matrix(np.array(m.M, dtype=object).reshape(m.n, m.n) - h * (m.theta * A + m.gamma * K))
         if inverse is None:
             raise UnprovedFinding("W is singular")
-        W = D + Fraction(h) * gamma * exact.matrix_product(C, inverse, B)
+        W = D + h * m.gamma * exact.matrix_product(C, inverse, B)
         T = exact.solve_linear_system(W + W.T, B.T)
-        found["inverses"].append(exact_matrix_text(inverse))
-        found["T"].append(None if T is None else exact_matrix_text(T.T))
-    return found
+        hints["inverses"].append(exact_matrix_text(inverse))
+        hints["T"].append(None if T is None else exact_matrix_text(T.T))
+    return hints | {"time": AdaptiveCover()}
 
 
 def equations(model: FirstOrderSystem) -> list[str]:

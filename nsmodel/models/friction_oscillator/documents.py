@@ -83,7 +83,7 @@ def proofs(
     if finding.id != "O-g":
         return [{}]
     atoms, n = verify.Atoms(), list(range(model.x.numel()))
-    (p,) = atoms.read(data["g"])
+    (p,) = atoms.read(verify.VerifierProgram(data["g"]))
     hint = interior_point_hint(model, finding) | convexity_hint(p, n, atoms)
     proofs = []
     if "lower bound of g" in value:
@@ -112,8 +112,8 @@ def _potential_minimum(model: FrictionOscillator) -> tuple[np.ndarray, float]:
 
 def _friction_hint(program: Any) -> dict[str, Any]:
     """What shows that one theta is convex: squares of the second derivative of what the rules leave, else a cover."""
-    atoms = verify.Atoms()
-    (p,), atoms.nonnegative = atoms.read(program), {0}
+    atoms = verify.Atoms(nonnegative=[0])
+    (p,) = atoms.read(verify.VerifierProgram(program))
     rest = verify.leftover(p, atoms)
     polynomial = all(v == 0 for m in rest for v, _ in m)
     pair = _half_line_squares(verify.slope(verify.slope(rest, 0, atoms), 0, atoms)) if polynomial else None

@@ -72,16 +72,17 @@ def _proof_hint(model: LureSystem, data: Data, finding: Finding) -> Any:
             raise UnprovedFinding("too large a P to write down")
         P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
         return {"P": P} | cover_hint(model.A, model.x)
-    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(data):
+    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(data, finding.id):
         return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
     return {}
 
 
-def _verifier_range_is_whole(data: Data) -> bool:
-    with suppress(verify.Undefined):
-        return bool(verify.everything(data))
+def _verifier_range_is_whole(data: Data, id: str) -> bool:
+    with suppress(verify.Unproved):
+        read = verify.LureData(data)
+        return read.is_onto() if id == "5.4c" else read.is_wide()
     return False
 
 

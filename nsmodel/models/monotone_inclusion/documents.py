@@ -81,13 +81,13 @@ def proofs(
         if model.phi is None:
             return [cover_hint(model.operator, model.x)]
         atoms = verify.Atoms()
-        (phi,) = atoms.read(data["phi"])
+        (phi,) = atoms.read(verify.VerifierProgram(data["phi"]))
         return [convexity_hint(phi, range(model.x.numel()), atoms)]
     if finding.id == "M-A2":
         return [{}]
     if finding.id == "M-A3":
-        atoms = verify.Atoms()
-        found = nonnegativity_hint(verify.dissipation(data, {"value": value}, atoms), atoms)
+        atoms, numbers = verify.Atoms(), {name: Fraction(number) for name, number in value.items()}
+        found = nonnegativity_hint(verify.dissipation(verify.InclusionData(data), numbers, atoms), atoms)
         if found is None:
             raise UnprovedFinding("the dissipation is not shown to be >= 0 by squares")
         return [interior_point_hint(model, finding) | found]

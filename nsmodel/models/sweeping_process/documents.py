@@ -111,17 +111,18 @@ def _constraint_form_hint(
 ) -> dict[str, Any]:
     """The form of one constraint: affine, a norm or the distance to a segment, else bounds over the box."""
     if shape.kind == "plane":
-        return {"form": "affine", "time": AdaptiveCover()}
+        rules = finding.id == "S-convex"
+        return {"form": "rules", "time": AdaptiveCover()} if rules else {"form": "box", "cover": AdaptiveCover(only=[0])}
     if shape.kind == "distance":
         hint = _norm_form_hint(model, shape)
         if hint is not None:
             return hint
     local = finding.scope is not None and bool(finding.scope.states)
     if finding.id == "S-convex":
-        program, atoms = data["constraints"][k]["graph"], verify.Atoms()
+        program, atoms = verify.VerifierProgram(data["constraints"][k]["graph"]), verify.Atoms()
         (p,) = atoms.read(program)
-        hint = convexity_hint(p, range(1, len(program["inputs"])), atoms)
-        return hint | {"form": "box" if "cover" in hint else "rules"}
+        hint = convexity_hint(p, range(1, len(program.inputs)), atoms)
+        return hint | ({"form": "box"} if "cover" in hint else {"form": "rules", "time": AdaptiveCover()})
     if not local and finding.id not in ("A2", "A3", "A4"):
         raise UnprovedFinding(f"constraint '{model.multiplier_names[k]}': a form that is not written down here")
     b = finding.value.get("b") if finding.id == "A1" else findings["A1"].value.get("b") if "A1" in findings else None
@@ -129,8 +130,8 @@ def _constraint_form_hint(
         b = np.inf
     if b is None:
         raise UnprovedFinding("no bound of the gradients is known")
-    b = exact_number_text(Fraction(b) * (1 + room / 2)) if np.isfinite(b) else "inf"
-    return {"form": "box", "b": b, "cover": AdaptiveCover()}
+    bound = {"b": exact_number_text(Fraction(b) * (1 + room / 2))} if np.isfinite(b) else {}
+    return {"form": "box", "cover": AdaptiveCover(), **bound}
 
 
 def _norm_form_hint(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:
@@ -149,8 +150,10 @@ def _norm_form_hint(model: SweepingProcess, shape: Any) -> dict[str, Any] | None
     if shape.clips:
         if any(a.row.get(i) != -1 for _, a in squares for i in a.row if i < 0):
             raise UnprovedFinding("the distance to a segment that is aslant: its projection is one up to rounding only")
-        clips = [next(shape.clips[i] for i in a.row if i < 0) for _, a in squares]
-        hint["box"] = [[exact_number_text(clip.low), exact_number_text(clip.high)] for clip in clips]
+        clips = [next((shape.clips[i] for i in a.row if i < 0), None) for _, a in squares]
+        if any(clip is not None and None in (clip.low, clip.high) for clip in clips):
+            raise UnprovedFinding("the distance to a half-line")
+        hint["clips"] = [clip and [exact_number_text(clip.low), exact_number_text(clip.high)] for clip in clips]
     gram = exact.doubles(exact.matrix_product(A, A.T))
     b = Fraction(float(weight) * float(np.sqrt(np.linalg.eigvalsh(gram)[-1]))) * (1 + ROUNDING_ALLOWANCE / 4)
     return hint | {"reach": exact_number_text(radius_lower_bound(shape, model)), "b": exact_number_text(b)}
