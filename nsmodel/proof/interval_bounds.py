@@ -50,7 +50,7 @@ def _asks_for_numbers(code: Program) -> bool:
     return any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
 
 
-def _run(code: Program, lower: np.ndarray, upper: np.ndarray, asked: bool) -> tuple[list[IntervalPair], list[np.ndarray]]:
+def _run(code: Program, lower: np.ndarray, upper: np.ndarray, with_numbers: bool) -> tuple[list[IntervalPair], list[np.ndarray]]:
     values: list[IntervalPair] = []
     numbers: list[np.ndarray] = []
     for step in code.steps:
@@ -63,7 +63,7 @@ def _run(code: Program, lower: np.ndarray, upper: np.ndarray, asked: bool) -> tu
             values.append(OPERATIONS[step.op].bounds(*args))
         else:
             values.append(UNBOUNDED)
-        if not asked:
+        if not with_numbers:
             continue
         fine = [numbers[j] for j in step.sources]
         numbers.append(_is_number(step, values[-1], args, fine))
@@ -83,8 +83,8 @@ def _is_number(step: Instruction, result: IntervalPair, args: list[IntervalPair]
     if step.op == ca.OP_IF_ELSE_ZERO:
         off = (args[0][0] == 0) & (args[0][1] == 0)
         return off & sources[0] | sources[1]
-    asked = [] if loose and OPERATIONS[step.op].jumps else sources[:1] if step.op == ca.OP_COPYSIGN else sources
-    for part in asked:
+    needed = [] if loose and OPERATIONS[step.op].jumps else sources[:1] if step.op == ca.OP_COPYSIGN else sources
+    for part in needed:
         fine = fine & part
     return fine
 
