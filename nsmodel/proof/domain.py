@@ -142,6 +142,8 @@ def is_defined_on_box(
         where: rows that are >= 0 where a value is asked for; None: everywhere in the box.
         bounded: an expression that is bounded on the box, a derivative: what it asks for too is not looked at.
     """
+    if ca.OP_CALL in operation_codes(expr):  # nothing is known of what cannot be looked into
+        return False
     own, known = symbol_hashes(x), [] if bounded is None else [one.u for one in domain_conditions(ca.densify(ca.vec(bounded)))]
     conditions = [condition for condition in domain_conditions(ca.densify(ca.vec(expr))) if symbol_hashes(condition.u) & own]
     conditions = [condition for condition in conditions if not any(is_same_expression(condition.u, u) for u in known)]

@@ -243,7 +243,8 @@ def _has_no_cancellation(
     """Whether the terms of S'W are no more than TERMS times what they add up to: far from what the room of the form leaves."""
     _, terms = interval_bounds.enclose(parts.terms, at.z, lower, upper)
     low, high = interval_bounds.enclose(ca.densify(W), at.z, lower, upper)
-    middle = ca.Function("middle", [at.z], [S.T @ W])((np.where(np.isfinite(lower + upper), lower + upper, 0.0)) / 2)
+    ends = np.where(np.isfinite(lower) & np.isfinite(upper), [lower, upper], 0.0)
+    middle = ca.Function("middle", [at.z], [S.T @ W])(ends.sum(axis=0) / 2)
     size = np.abs(np.array(middle)).max()
     if not all(np.isfinite(end).all() for end in (terms, low, high)):
         return False
