@@ -311,3 +311,49 @@ def test_a_report_over_a_box_of_parameters_has_no_certificate(tmp_path):
     with pytest.raises(UsageError, match="give a value to p"):
         write_certificate(check(model, parameters={"p": (0.5, 2)}, quick=True), tmp_path)
     assert certificate_of(check(model, quick=True))["statements"]
+
+
+# -- a search at random, and the checker with a premise dropped --------------------------------------------------------------
+
+
+def test_no_forgery_is_found_at_random():
+    from search import forgeries
+
+    found, accepted = [], 0
+    for rule in verify.STATEMENTS:
+        assert forgeries.originals()[rule], rule
+        more, yes = forgeries.search(rule, 10, seed=5, seconds=0.3)
+        found, accepted = found + more, accepted + yes
+    assert not found, found[0]
+    assert accepted > 30  # Many changes leave a statement true: the oracle has something to look at.
+
+
+def test_the_oracle_finds_no_fault_with_what_is_true():
+    from search import falsity, forgeries
+
+    for pairs in forgeries.originals().values():
+        assert not falsity.find(*pairs[0], seed=1)
+    assert not any(falsity.find(*pair) for pair in TRUE.values())
+
+
+SEEN = "O-g; O-theta, squares; M-A3, squares; M-T of -|x|; O-dry, two opposed; 5.4c, D = -1; A5, d = 0; M-T, phi and S"
+SEEN += "; M-24, C not convex; M-A2 of x/x - 1; 4.1, least < 0; 7.1 of 0 log t; F-unique, K empty"
+
+
+def test_the_oracle_sees_that_forgeries_are_false():
+    from search import falsity
+
+    assert [name for name in SEEN.split("; ") if not any(falsity.find(*FORGERIES[name], seed=k) for k in range(4))] == []
+
+
+def test_the_search_finds_what_a_checker_without_a_premise_lets_pass():
+    from search import forgeries
+
+    tried = list(forgeries.mutants(("dry", "steps_grow", "feedthrough")))
+    assert len(tried) >= 6
+    missed = []
+    for where, module in tried:
+        rules = forgeries.rules_of(where.split()[0])
+        if not any(forgeries.search(rule, 1000, 0, module)[0] for rule in rules):
+            missed.append(where)
+    assert not missed

@@ -663,7 +663,6 @@ class VerifierStatement:
         scope = record({} if field(data, "scope") is None else data["scope"])
         need(set(scope) <= {"states", "time"}, "a scope of parameters", UNCHECKED)
         states = record({} if scope.get("states") is None else scope["states"])
-        need("t" not in states, "a state is called t")
         ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
         self.box = {name: VerifierInterval(*vector(entries(pair, 2), 2, infinite=True)) for name, pair in ends.items()}
         self.proof = record(field(data, "proof"))
@@ -815,7 +814,7 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
     <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the same on the part.
     """
     a, b, c, speed, turn, M, near = (s.value.get(name, ZERO) for name in ("a", "b", "c", "speed", "turn", "M", "M_contact"))
-    need((s.id != "A1" or a > 0) and min(a, b, c, speed, turn, M, near) >= 0, "a number is not > 0, or < 0")  # 1
+    need(all(x > 0 or (x == 0 and name not in ("a", "c")) for name, x in s.value.items()), "a number is not > 0, or < 0")  # 1
 
     def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
         w, left = form.w, form.reach - delta
@@ -886,7 +885,7 @@ def qualified(m: SweepingData, s: VerifierStatement) -> str:
     if len(gaps) > 1:
         need(cover(field(s.proof, "cover"), s.intervals(m.inputs, *gaps), leaf), "gamma fails on a part")
     near = f"sum l_i |grad_q g_i| <= {written(gamma, UP)} |sum l_i grad_q g_i| for all l_i >= 0, over the i with g_i"
-    bound = "<= 0" if s.id == "A5'" else f"<= {written(rho, DOWN)}" if "rho" in s.value else "<= rho, for any rho,"
+    bound = "<= 0" if s.id == "A5'" else f"<= {written(rho, DOWN)}" if "rho" in s.value else "<= any rho"
     return f"{near} {bound}, at every point with all g_j >= 0, {s.where(m.inputs)}"
 
 

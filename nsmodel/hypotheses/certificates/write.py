@@ -9,6 +9,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -154,7 +155,7 @@ def _prove_statement(subject: CertificateSubject, finding: Finding, findings: di
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": stated_values(finding, stated),
         "scope": None if finding.scope is None else _scope_data(finding.scope, subject.box), "proof": None,
     }  # fmt: skip
-    scopes = [statement["scope"], *_scope_of_run(subject.model, statement["scope"])]
+    scopes = [statement["scope"], *_scope_of_run(subject, statement["scope"])]
     for room in ROUNDING_ALLOWANCES if not reason else ():
         value = stated_values(finding, stated, room)
         try:
@@ -179,11 +180,22 @@ def _scope_data(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, A
     }
 
 
-def _scope_of_run(model: Model, scope: Data | None) -> list[Data]:
-    """The scope restricted to the times of the run, where it holds all times: a function may be undefined at others."""
-    if model.t_end is None or (scope is not None and scope["time"] is not None):
+def _scope_of_run(subject: CertificateSubject, scope: Data | None) -> list[Data]:
+    """The scope restricted to the times of the run, where it holds all times and a function may be undefined at some."""
+    end = subject.model.t_end
+    if end is None or (scope is not None and scope["time"] is not None) or not _has_partial_function_of_time(subject.data):
         return []
-    return [{"states": None, **(scope or {}), "time": [exact_number_text(0.0), exact_number_text(float(model.t_end))]}]
+    return [{"states": None, **(scope or {}), "time": [exact_number_text(0.0), exact_number_text(float(end))]}]
+
+
+def _has_partial_function_of_time(item: Any) -> bool:
+    """Whether a program of t has a logarithm or a power that is not defined everywhere."""
+    if isinstance(item, dict) and {"steps", "outputs"} <= set(item) and item["inputs"][:1] == ["t"]:
+        powers = [Fraction(rest[1]) for op, *rest in item["steps"] if op == "pow"]
+        partial = any(n < 0 or n.denominator > 1 for n in powers) or any(op == "log" for op, *_ in item["steps"])
+        return partial and ["in", 0] in item["steps"]
+    parts = item.values() if isinstance(item, dict) else item if isinstance(item, list) else ()
+    return any(_has_partial_function_of_time(part) for part in parts)
 
 
 def write_certificate(report: Report, folder: str | Path) -> tuple[Path, int, int]:

@@ -1,0 +1,518 @@
+"""False statements that the program of certificates answers with yes: a random search, and how well it finds dropped premises.
+
+    python -m tests.search.forgeries --attempts 100000          # every rule
+    python -m tests.search.forgeries --rule A5 --seed 7
+    python -m tests.search.forgeries --mutants --attempts 4000  # the checker with one premise dropped at a time
+
+Certificates of small models are changed at random: statements strengthened, premises weakened, proofs and models changed, numbers
+replaced by 0, negative, huge, empty, repeated, infinite ones and by other types. What is then answered "yes" is looked at by
+``falsity``, which shares no code with the checker. The status is 1 where a forgery is found, or too few mutants are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import functools
+import json
+import random
+import sys
+import time
+import types
+import warnings
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    LureSystem,
+    MonotoneInclusion,
+    SweepingProcess,
+    check,
+    complementarity,
+    polyhedron,
+    relay,
+)
+from nsmodel.hypotheses.certificates import verify
+from nsmodel.hypotheses.certificates.write import certificate_of
+
+from . import falsity
+
+Statement = dict[str, Any]
+Pair = tuple[Any, Statement]
+
+
+class Forgery(NamedTuple):
+    """A statement that is answered yes and is false, and the counterexample."""
+
+    rule: str
+    model: Any
+    statement: Statement
+    sentence: str
+    counterexample: str
+
+
+# -- certificates to begin with
+
+
+def models() -> Iterator[Any]:
+    """Small models that have all hypotheses that can be proved, in each of the ways that the rules know."""
+    t, s, y = (ca.SX.sym(name) for name in "tsy")
+    x, q, l = (ca.SX.sym(name, 2) for name in "xql")
+    one, z = ca.SX.sym("z"), ca.SX.sym("w")
+    step: dict[str, Any] = {"t_end": 1.0, "step": 0.1}
+
+    def sweeping(constraints: Any, f: Any, q0: Any, **more: Any) -> SweepingProcess:
+        return SweepingProcess(t=t, q=q, constraints=constraints, f=ca.vertcat(*f), q0=q0, **step, **more)
+
+    disc = {"disc": ca.norm_2(q - ca.vertcat(ca.sin(t), 0)) - 1}
+    yield sweeping(disc | {"wall": 3 - q[0] + t / 4}, (-q[0] + ca.cos(t), -q[1]), (2, 1)), None
+    yield sweeping({"a": q[0], "b": q[1] + q[0] / 2}, (1, -1), (1, 1)), None
+    yield (
+        sweeping({"bowl": q[0] ** 2 + q[1] ** 2 - 1, "flat": q[0] + 3}, (ca.sin(q[1]), q[0] / 3), (2, 0)),
+        {"q_0": (-2, 2), "q_1": (-2, 2)},
+    )
+    yield sweeping({"bowl": ca.exp(q[0]) + q[1] ** 4 - 1 + t / 8}, (-(q[0] ** 3), 0), (1, 1)), {"q_0": (-1, 1), "q_1": (-1, 1)}
+    segment = ca.vertcat(q[0] - ca.fmin(ca.fmax(q[0], -1), 1), q[1])
+    yield sweeping({"segment": ca.norm_2(segment) - 0.5}, (0, 0), (0, 2)), None
+
+    def oscillator(theta: Any, g: Any, **more: Any) -> FrictionOscillator:
+        return FrictionOscillator(x=x, s=s, friction=theta, potential=g, x0=[0.5, 0.25], **step, **more)
+
+    yield oscillator(s + s**4 / 12 - s**3 / 6 + s**2 / 4, x[0] ** 2 + x[1] ** 2 - x[0] + ca.fabs(x[1])), None
+    yield (
+        oscillator(
+            2 * s + ca.exp(-s),
+            x[0] ** 4 + x[0] ** 2 * x[1] ** 2 + x[1] ** 4 + x[0] * x[1] + x[0] ** 2 + x[1] ** 2,
+            constraints={"wall": 2 - x[0], "ball": 4 - x[0] ** 2 - x[1] ** 2},
+            damping=[[1, 1], [-1, 1]],
+        ),
+        None,
+    )
+    yield oscillator(ca.sqrt(1 + s**2) + s, ca.exp(x[0]) + x[0] ** 2 + x[1] ** 2), {"x_0": (-1, 1), "x_1": (-1, 1)}
+    yield FrictionOscillator(x=one, s=s, friction=s, potential=one**2, x0=[1], t_end=1.0, steps=[0.1, 0.2, 0.3, 0.4]), None
+    elements = {"a": (ca.DM([[1, 0]]), s), "b": (ca.DM([[0, 1]]), 2 * s)}
+    yield oscillator(elements, x[0] ** 2 + x[1] ** 2), None
+
+    def first(f: Any, g: Any, h: Any, law: Any, **more: Any) -> FirstOrderSystem:
+        return FirstOrderSystem(
+            t=t, x=x, lam=l, f=ca.vertcat(*f), g=ca.vertcat(*g), h=ca.vertcat(*h), law=law, x0=[1, 1], **step, **more
+        )
+
+    yield first((-x[0] + x[1], x[1] / 2), (l[0], l[0] + l[1]), (x[0] + x[1] + l[0], x[1] + l[1]), relay(2)), None
+    yield first((x[1], -x[0]), (0, l[0] + l[1]), (x[1], x[1]), relay(2)), None
+    yield first((ca.tanh(x[1]), ca.sin(x[0])), (l[0], l[1]), (x[0], x[1]), relay(2)), {"x_0": (-1, 1), "x_1": (-1, 1)}
+    yield FirstOrderSystem(x=one, lam=z, f=[3 * one], g=[z], h=[one + z], law=complementarity(1), x0=[1], **step), None
+
+    def lure(A: Any, B: Any, C: Any, law: Any = None, **more: Any) -> LureSystem:
+        return LureSystem(x=x, A=A, B=B, C=C, law=law, x0=[1, 0.5], **step, **more) if law else LureSystem(
+            x=x, A=A, B=B, C=C, x0=[1, 0.5], **step, **more)  # fmt: skip
+
+    linear = ca.vertcat(-x[0] + x[1], -x[0] - 2 * x[1])
+    yield lure(linear, [[1], [1]], [[1, 1]], relay(1), D=[[0.5]]), None
+    yield lure(linear, [[1], [0]], [[1, 0]], complementarity(1)), None
+    yield lure(ca.vertcat(x[1] - ca.tanh(x[0]), -x[0] - ca.atan(x[1])), [[0], [1]], [[0, 1]], relay(1)), None
+    yield lure(linear, [[1, 0], [0, 1]], [[1, 0], [0, 1]], complementarity(2), D=[[0, 1], [-1, 0]]), None
+    yield LureSystem(x=x, y=y, A=linear, B=[[1], [1]], C=[[1, 1]], phi=y**2 / 2 + ca.fabs(y), x0=[1, 0], **step), None
+
+    slab = polyhedron([[1], [-1]], [-1, -1])
+    yield LureSystem(x=x, A=linear, B=[[1], [1]], C=[[1, 1]], D=[[1]], law=slab, x0=[1, 0], **step), None
+    yield FirstOrderSystem(x=one, lam=z, f=[-one], g=[z], h=[one + z], law=slab, x0=[1], **step), None
+
+    def inclusion(F: Any, **more: Any) -> MonotoneInclusion:
+        return MonotoneInclusion(x=x, field=ca.vertcat(*F), x0=[0.5, 0.5], **step, **more)
+
+    ball = {"ball": 4 - x[0] ** 2 - x[1] ** 2}
+    yield inclusion((-x[0] + x[1], -x[1]), operator=ca.vertcat(ca.sign(x[0] - 1) + x[0], x[1]), constraints=ball), None
+    yield inclusion((-x[0], 1 - x[1]), phi=ca.fabs(x[0]) + x[1] ** 2, lower=[-1, -1], upper=[2, 3]), None
+    yield (
+        inclusion((x[1] - x[0] ** 3, -x[0]), operator=ca.vertcat(x[0] ** 3 + x[0], ca.atan(x[1])), constraints=ball),
+        {"x_0": (-3, 3), "x_1": (-3, 3)},
+    )
+    yield inclusion((x[1] - x[0], -x[0] - x[1]), phi=(x[0] - 2 * x[1]) ** 4 + x[1] ** 4), None
+    yield (
+        inclusion((ca.sqrt(1 + x[0] ** 2), ca.log(3 + x[1])), phi=ca.exp(x[0]) + x[1] ** 2, constraints=ball),
+        {"x_0": (-2, 2), "x_1": (-2, 2)},
+    )
+
+
+@functools.cache
+def originals() -> dict[str, list[Pair]]:
+    """Statements that are proved, by rule; the smallest certificates first."""
+    found: dict[str, list[Pair]] = {rule: [] for rule in verify.STATEMENTS}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for model, region in models():
+            certificate = json.loads(json.dumps(certificate_of(check(model, [], quick=True, region=region))))
+            for s in certificate["statements"]:
+                if s["proof"] is not None and len(json.dumps(s)) < 6000:
+                    found[s["id"]].append((certificate["model"], s))
+    return {rule: sorted(pairs, key=lambda pair: len(json.dumps(pair))) for rule, pairs in found.items()}
+
+
+# -- changes
+
+NUMBERS = ("0", "1", "-1", "2", "1/2", "-1/2", "3", "-2", "1/1000", "1000000", "-1000000", "123/97", "inf", "-inf")
+JUNK = (None, True, 0, -1, 0.5, float("nan"), "", "nan", [], {}, ["0"], "x")
+ROUND = 40  # Attempts at one rule before another that has the same premise is tried.
+OPERATIONS = ("exp", "log", "sin", "cos", "tanh", "atan")
+
+
+def places(item: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of all parts of a nest of lists and dictionaries."""
+    yield path
+    if isinstance(item, dict | list):
+        for key, part in item.items() if isinstance(item, dict) else enumerate(item):
+            yield from places(part, (*path, key))
+
+
+def at(item: Any, path: Sequence[Any]) -> Any:
+    """The part at a path."""
+    for key in path:
+        item = item[key]
+    return item
+
+
+def is_number(item: Any) -> bool:
+    """Whether it is a fraction in text."""
+    try:
+        return isinstance(item, str) and Fraction(item) is not None
+    except (ValueError, ZeroDivisionError):
+        return False
+
+
+def other_number(old: str, rng: random.Random) -> str:
+    """A number to put in the place of one: a little or much more or less, another sign, or any."""
+    if rng.random() < 0.4 or not is_number(old):
+        return rng.choice(NUMBERS)
+    factor = rng.choice(
+        [Fraction(-1), Fraction(1, 2), Fraction(9, 10), Fraction(11, 10), Fraction(2), Fraction(10), Fraction(1, 10)]
+    )
+    return str(Fraction(old) * factor)
+
+
+def change_number(part: Any, rng: random.Random) -> None:
+    """One number, or all in one list, become others."""
+    found = [path for path in places(part) if is_number(at(part, path))]
+    if not found:
+        return
+    path = rng.choice(found)
+    inner = at(part, path[:-1])
+    if isinstance(inner, list) and rng.random() < 0.2:
+        new = rng.choice(["0", None])
+        inner[:] = [new or other_number(x, rng) if is_number(x) else x for x in inner]
+    else:
+        inner[path[-1]] = other_number(inner[path[-1]], rng)
+
+
+def scale(part: Any, factor: Fraction, rng: random.Random) -> None:
+    """All numbers of a named part are multiplied by one."""
+    found = [path for path in places(part) if path and isinstance(path[-1], str) and path[-1] not in ("steps", "graph", "inputs")]
+    if not found:
+        return
+    root = rng.choice(found)
+    for path in list(places(at(part, root))):
+        whole = root + path
+        if is_number(at(part, whole)):
+            at(part, whole[:-1])[whole[-1]] = str(factor * Fraction(at(part, whole)))
+
+
+def change_step(part: Any, rng: random.Random) -> None:
+    """A step of a program becomes another, or the first value passes through one more."""
+    found = [path for path in places(part) if path and path[-1] == "steps"]
+    if not found:
+        return
+    program = at(part, rng.choice(found)[:-1])
+    steps, k = program["steps"], rng.randrange(len(program["steps"]) or 1)
+    if not steps:
+        return
+    last, kind = program["outputs"][0] if program["outputs"] else 0, rng.random()
+    if kind < 0.35 and program["outputs"]:
+        new = rng.choice([["exp", last], ["log", last], ["pow", last, rng.choice(["-1", "1/2", "1/3", "2", "3", "-2"])],
+                          ["sin", last], ["fmax", last, k], ["mul", last, k], ["add", last, k]])  # fmt: skip
+        steps.append(new)
+        place = rng.randrange(len(program["outputs"]))
+        program["outputs"][place] = len(steps) - 1
+        if rng.random() < 0.5:  # The old value, and 0 times the new one.
+            steps += [["const", "0"], ["mul", len(steps) - 1, len(steps)], ["add", last, len(steps) + 1]]
+            program["outputs"][place] = len(steps) - 1
+    elif kind < 0.5 and program["outputs"]:
+        steps += [["const", other_number("1", rng)], [rng.choice(["mul", "add", "fmax"]), last, len(steps)]]
+        program["outputs"][0] = len(steps) - 1
+    elif steps[k][0] in OPERATIONS:
+        steps[k][0] = rng.choice(OPERATIONS)
+    elif steps[k][0] in ("add", "mul", "fmax"):
+        steps[k][0] = rng.choice(["add", "mul", "fmax"])
+    elif steps[k][0] == "in":
+        steps[k][1] = rng.randrange(len(program["inputs"]))
+    elif steps[k][0] == "pow":
+        steps[k][2] = rng.choice(["-2", "-1", "-1/2", "1/3", "1/2", "2/3", "1", "3/2", "2", "3", "4"])
+    else:
+        steps[k][1] = rng.choice(NUMBERS)
+
+
+def change_shape(part: Any, rng: random.Random) -> None:
+    """Something is left out, repeated, swapped with its neighbour, or replaced by another type."""
+    found = [path for path in places(part) if path]
+    if not found:
+        return
+    path = rng.choice(found)
+    inner, key, kind = at(part, path[:-1]), path[-1], rng.random()
+    if kind < 0.3:
+        del inner[key]
+    elif isinstance(inner, list) and kind < 0.6:
+        inner.insert(key, copy.deepcopy(inner[key]))
+    elif isinstance(inner, list) and kind < 0.8:
+        other = rng.randrange(len(inner))
+        inner[key], inner[other] = inner[other], inner[key]
+    else:
+        inner[key] = copy.deepcopy(rng.choice(JUNK))
+
+
+def change_cover(proof: Any, rng: random.Random) -> None:
+    """A cover is cut once more, or replaced by one part, or left out or made up."""
+    names = ("cover", "time", "slope")
+    found = [path for path in places(proof) if path and path[-1] in names]
+    if not found or rng.random() < 0.2:
+        proof["cover"] = rng.choice([None, [0, None, None], [1, None, None], [0, [1, None, None], [1, None, None]]])
+        return
+    path = rng.choice(found)
+    tree = at(proof, path)
+    at(proof, path[:-1])[path[-1]] = rng.choice([None, [0, tree, tree], [1, tree, tree], [0, [0, tree, tree], [0, tree, tree]]])
+
+
+def change_scope(s: Statement, rng: random.Random) -> None:
+    """The box becomes wider, everything, a point, empty, or another."""
+    kind = rng.random()
+    if kind < 0.3 or not s["scope"]:
+        names = ["x_0", "x_1", "q_0", "q_1", "z"]
+        s["scope"] = (
+            None if kind < 0.2 else {"states": {name: [rng.choice(NUMBERS), rng.choice(NUMBERS)] for name in names}, "time": None}
+        )
+    else:
+        change_number(s["scope"], rng)
+
+
+def change_part(model: Any, other: Any, rng: random.Random) -> None:
+    """A part of the model becomes that of another of its class, or the opposite."""
+    common = [name for name in model if name in other and name != "class"]
+    name = rng.choice(common)
+    model[name] = copy.deepcopy(other[name])
+
+
+def change_law(model: Any, rng: random.Random) -> None:
+    """An interval of the law becomes another."""
+    for block in model.get("law") or ():
+        if block.get("kind") == "polyhedron":
+            block["K"] = [rng.choice([x, "1", "-1"]) for x in block["K"]]
+        if block.get("kind") == "box":
+            for name in ("lower", "upper"):
+                block[name] = [rng.choice([x, x, "0", "1", "-1", "inf", "-inf"]) for x in block[name]]
+
+
+def forged(rule: str, rng: random.Random) -> Pair:
+    """A statement of a rule with one to four changes."""
+    pairs = originals()[rule]
+    model, s = (copy.deepcopy(part) for part in pairs[int(len(pairs) * rng.random() ** 2)])
+    for _ in range(rng.choice([1, 1, 1, 2, 2, 3, 4])):
+        kind = rng.random()
+        if kind < 0.2 and s["value"]:
+            change_number(s["value"], rng)
+        elif kind < 0.25:
+            names = [*verify.NUMBERS.get(rule, ()), *verify.OPTIONAL.get(rule, ())]
+            if names:
+                name = rng.choice(names)
+                s["value"].pop(name, None) if rng.random() < 0.5 else s["value"].update({name: rng.choice(NUMBERS)})
+        elif kind < 0.4:
+            change_number(s["proof"], rng)
+        elif kind < 0.48:
+            change_cover(s["proof"], rng)
+        elif kind < 0.55:
+            change_scope(s, rng)
+        elif kind < 0.65:
+            change_number(model, rng)
+        elif kind < 0.8:
+            change_step(model, rng)
+        elif kind < 0.85:
+            change_law(model, rng)
+        elif kind < 0.89:
+            change_part(model, rng.choice(pairs)[0], rng)
+        elif kind < 0.92:
+            change_shape(rng.choice([model, s["proof"], s]), rng)
+        elif kind < 0.93:
+            s["proof"] = copy.deepcopy(rng.choice(pairs)[1]["proof"])
+        else:  # The proof and the statement, or the model, by the same factor.
+            factor = rng.choice([Fraction(-1), Fraction(0), Fraction(2), Fraction(1, 2)])
+            scale(s["proof"], factor, rng)
+            scale(rng.choice([model, s]), factor, rng)
+        if not isinstance(s.get("value"), dict) or not isinstance(s.get("proof"), dict) or "scope" not in s:
+            break
+    return model, s
+
+
+# -- the search
+
+
+def search(rule: str, attempts: int, seed: int = 0, checker: Any = verify, seconds: float = 1e9) -> tuple[list[Forgery], int]:
+    """Forgeries of a rule, and how many changed statements were answered yes; stops at the first forgery of a mutant."""
+    rng, found, accepted, seen, until = random.Random(f"{rule} {seed}"), [], 0, set(), time.monotonic() + seconds
+    for attempt in range(attempts):
+        if time.monotonic() > until:
+            break
+        try:
+            model, s = forged(rule, rng)
+        except (KeyError, IndexError, TypeError, AttributeError, ValueError):
+            continue  # A change that does not fit what another has left.
+        kind, sentence = checker.answer(model, s)
+        if kind != "yes":
+            continue
+        accepted += 1
+        key = json.dumps([model, s["value"], s["scope"]], sort_keys=True)
+        if key in seen:
+            continue
+        seen.add(key)
+        try:
+            counterexample = falsity.find(model, s, attempt)
+        except Exception:  # Data of another form, where the rule does not look.
+            continue
+        if counterexample:
+            found.append(Forgery(rule, model, s, sentence, counterexample))
+            if checker is not verify:
+                break
+    return found, accepted
+
+
+# -- mutants of the checker
+
+
+class Dropped(ast.NodeTransformer):
+    """Makes the n-th premise true: the condition of a ``need``, one side of an ``and`` in one, or in what a leaf returns."""
+
+    def __init__(self, n: int) -> None:
+        self.left, self.where = n, ""
+
+    def _drop(self, node: ast.expr) -> ast.expr:
+        self.left -= 1
+        if self.left == -1:
+            self.where = f"{node.lineno}: {ast.unparse(node)}"
+            return ast.copy_location(ast.Constant(True), node)
+        return node
+
+    def _premise(self, node: ast.expr) -> ast.expr:
+        if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.And):
+            node.values = [self._drop(part) for part in node.values]
+            return node
+        return self._drop(node)
+
+    def visit_Call(self, node: ast.Call) -> Any:
+        self.generic_visit(node)
+        if isinstance(node.func, ast.Name) and node.func.id == "need":
+            node.args[0] = self._premise(node.args[0])
+        return node
+
+    def visit_Lambda(self, node: ast.Lambda) -> Any:
+        self.generic_visit(node)
+        if isinstance(node.body, ast.BoolOp) and isinstance(node.body.op, ast.And):
+            node.body = self._premise(node.body)
+        return node
+
+    def visit_Return(self, node: ast.Return) -> Any:
+        self.generic_visit(node)
+        if isinstance(node.value, ast.BoolOp) and isinstance(node.value.op, ast.And):
+            node.value = self._premise(node.value)
+        return node
+
+
+def rule_source() -> ast.Module:
+    """The checker's source."""
+    with open(verify.__file__, encoding="utf-8") as file:
+        return ast.parse(file.read())
+
+
+def mutants(only: Sequence[str] = ()) -> Iterator[tuple[str, types.ModuleType]]:
+    """The checker with one premise of its rules dropped, each once; ``only`` in these functions and classes."""
+    tree = rule_source()
+    first = next(node.lineno for node in tree.body if getattr(node, "name", "") == "VerifierStatement")
+    for k, node in enumerate(tree.body):
+        name = getattr(node, "name", "")
+        if node.lineno < first or name in ("", "answer", "read_certificate", "main") or (only and name not in only):
+            continue
+        for n in range(10**3):
+            dropped = Dropped(n)
+            changed = dropped.visit(copy.deepcopy(node))
+            if not dropped.where:
+                break
+            module, body = types.ModuleType("mutant"), [*tree.body[:k], changed, *tree.body[k + 1 :]]
+            exec(compile(ast.fix_missing_locations(ast.Module(body, [])), "mutant", "exec"), module.__dict__)
+            yield f"{name} {dropped.where}", module
+
+
+def rules_of(name: str) -> list[str]:
+    """The rules whose code may reach a function or a class of the checker."""
+    parts = {node.name: node for node in rule_source().body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    uses = {part: {one.id for one in ast.walk(node) if isinstance(one, ast.Name)} & set(parts) for part, node in parts.items()}
+    found = []
+    for rule, (reader, prove) in verify.STATEMENTS.items():
+        reached, left = {"VerifierStatement"}, [prove.__name__, reader.__name__]
+        while left:
+            part = left.pop()
+            left += uses[part] - reached
+            reached.add(part)
+        found += [rule] if name in reached else []
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Search, print what was found, and count."""
+    parser = argparse.ArgumentParser(prog="python -m tests.search.forgeries", description=__doc__,
+                                     formatter_class=argparse.RawTextHelpFormatter)  # fmt: skip
+    parser.add_argument("--rule", action="append", choices=list(verify.STATEMENTS), help="one rule; may be repeated")
+    parser.add_argument("--attempts", type=int, default=1000, help="changed statements of each rule")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=1e9, help="at most so long for a rule, or for a mutant")
+    parser.add_argument("--mutants", action="store_true", help="drop one premise of the checker at a time")
+    given = parser.parse_args(arguments)
+    warnings.simplefilter("ignore")
+    if given.mutants:
+        return count_mutants(given)
+    total = 0
+    for rule in given.rule or list(verify.STATEMENTS):
+        if not originals()[rule]:
+            print(f"{rule:12} no certificate to begin with")
+            continue
+        started = time.monotonic()
+        found, yes = search(rule, given.attempts, given.seed, seconds=given.seconds)
+        print(
+            f"{rule:12} {given.attempts} attempts, {yes} answered yes, {len(found)} forgeries, {time.monotonic() - started:.0f} s"
+        )
+        for one in found[:3]:
+            print("   ", one.sentence, "|", one.counterexample, "|", json.dumps([one.model, one.statement]))
+        total += len(found)
+    return int(total > 0)
+
+
+def count_mutants(given: argparse.Namespace) -> int:
+    """For each premise whether the search finds a forgery without it."""
+    killed, alive = 0, []
+    for where, module in mutants():
+        rules = [rule for rule in rules_of(where.split()[0]) if originals()[rule] and (not given.rule or rule in given.rule)]
+        if not rules:
+            continue
+        until = time.monotonic() + given.seconds
+        rounds = ((rule, n) for n in range(given.attempts // ROUND + 1) for rule in rules if time.monotonic() < until)
+        if any(search(rule, ROUND, given.seed + n, module, until - time.monotonic())[0] for rule, n in rounds):
+            killed += 1
+        else:
+            alive.append(where)
+            print("not found:", where, flush=True)
+    print(f"{killed} of {killed + len(alive)} dropped premises are found")
+    return int(killed < 0.9 * (killed + len(alive)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
