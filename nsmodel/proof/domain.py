@@ -129,7 +129,7 @@ def _satisfies_relation(value: float, relation: str) -> bool:
 
 def is_defined_on_box(
     expr: ca.SX, x: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, *, where: ca.SX | None = None,
-    beside: ca.SX | None = None,
+    derivative: ca.SX | None = None,
 ) -> bool:  # fmt: skip
     """Whether an expression is proved to have a value at each x of a box of z, as far as that is for x to decide.
 
@@ -140,12 +140,15 @@ def is_defined_on_box(
         expr: of any shape, in the symbols z.
         x: some of z; lower, upper: the box of z, with ends that may be infinite.
         where: rows that are >= 0 where a value is asked for; None: everywhere in the box.
-        beside: an expression that is bounded on the box, a derivative: what it asks for too is not looked at.
+        derivative: of it, bounded on the box: what it asks for too is not looked at.
     """
-    own, known = symbol_hashes(x), [] if beside is None else [one.u for one in domain_conditions(ca.densify(ca.vec(beside)))]
-    asked = [condition for condition in domain_conditions(ca.densify(ca.vec(expr))) if symbol_hashes(condition.u) & own]
-    asked = [condition for condition in asked if not any(is_same_expression(condition.u, u) for u in known)]
-    return all(_is_met_on_box(condition, z, lower, upper, where) for condition in asked)
+    other = ca.SX(0, 1) if derivative is None else ca.densify(ca.vec(derivative))
+    if ca.OP_CALL in operation_codes(ca.veccat(expr, other)):
+        return False  # nothing is known of what cannot be looked into
+    own, known = symbol_hashes(x), [condition.u for condition in domain_conditions(other)]
+    required = [condition for condition in domain_conditions(ca.densify(ca.vec(expr))) if symbol_hashes(condition.u) & own]
+    required = [condition for condition in required if not any(is_same_expression(condition.u, u) for u in known)]
+    return all(_is_met_on_box(condition, z, lower, upper, where) for condition in required)
 
 
 def _is_met_on_box(condition: DomainCondition, z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None) -> bool:

@@ -46,11 +46,21 @@ def run_with_numbers(code: Program, lower: np.ndarray, upper: np.ndarray) -> tup
 
 
 def _asks_for_numbers(code: Program) -> bool:
-    """Whether an operation has a value also where an argument is no number."""
-    return any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
+    """Whether an operation has a value also where an argument is no number, and one may have none."""
+    loose = any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
+    return loose and any(_may_be_undefined(step, code) for step in code.steps)
 
 
-def _run(code: Program, lower: np.ndarray, upper: np.ndarray, asked: bool) -> tuple[list[IntervalPair], list[np.ndarray]]:
+def _may_be_undefined(step: Instruction, code: Program) -> bool:
+    """Whether the operation may have no value, as far as its code tells."""
+    if step.op == ca.OP_DIV and (bottom := code.steps[step.sources[1]]).op == ca.OP_CONST:
+        return not np.isfinite(bottom.number) or bottom.number == 0
+    if step.op in OPERATIONS:
+        return not OPERATIONS[step.op].total
+    return step.op not in (ca.OP_INPUT, ca.OP_CONST) or not np.isfinite(step.number)
+
+
+def _run(code: Program, lower: np.ndarray, upper: np.ndarray, wanted: bool) -> tuple[list[IntervalPair], list[np.ndarray]]:
     values: list[IntervalPair] = []
     numbers: list[np.ndarray] = []
     for step in code.steps:
@@ -63,7 +73,7 @@ def _run(code: Program, lower: np.ndarray, upper: np.ndarray, asked: bool) -> tu
             values.append(OPERATIONS[step.op].bounds(*args))
         else:
             values.append(UNBOUNDED)
-        if not asked:
+        if not wanted:
             continue
         fine = [numbers[j] for j in step.sources]
         numbers.append(_is_number(step, values[-1], args, fine))
@@ -83,8 +93,8 @@ def _is_number(step: Instruction, result: IntervalPair, args: list[IntervalPair]
     if step.op == ca.OP_IF_ELSE_ZERO:
         off = (args[0][0] == 0) & (args[0][1] == 0)
         return off & sources[0] | sources[1]
-    asked = [] if loose and OPERATIONS[step.op].jumps else sources[:1] if step.op == ca.OP_COPYSIGN else sources
-    for part in asked:
+    wanted = [] if loose and OPERATIONS[step.op].jumps else sources[:1] if step.op == ca.OP_COPYSIGN else sources
+    for part in wanted:
         fine = fine & part
     return fine
 

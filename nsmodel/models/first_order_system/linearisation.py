@@ -93,7 +93,7 @@ class SystemLinearisation:
     def _is_defined(self, lower: np.ndarray, upper: np.ndarray) -> bool:
         stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
         ends = np.append(self.lower[:1], lower), np.append(self.upper[:1], upper)
-        return is_defined_on_box(stacked, self.z[1:], self.z, *ends, beside=ca.veccat(*self.jacobians))
+        return is_defined_on_box(stacked, self.z[1:], self.z, *ends, derivative=ca.veccat(*self.jacobians))
 
     @cached_property
     def defined(self) -> DefinednessResult:

@@ -304,7 +304,7 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
         return bent
     both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
     smooth = not jump_nodes(both, c.q) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper)
-    if top.bound <= 0 and smooth and is_defined_on_box(c.g, c.q, c.z, c.lower, c.upper, beside=H):
+    if top.bound <= 0 and smooth and is_defined_on_box(c.g, c.q, c.z, c.lower, c.upper, derivative=H):
         return HypothesisAnswer(
             HOLDS, {"least": -top.bound}, ON_THE_BOX, "the least eigenvalue of the Hessian is bounded below by 0"
         )

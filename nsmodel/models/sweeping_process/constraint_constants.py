@@ -188,7 +188,7 @@ def _is_defined_everywhere(c: Constraint) -> bool:
 
 def _has_no_hole(c: Constraint) -> bool:
     """Whether no point of the box leaves g without a value that the bounds of its gradient do not show."""
-    return is_defined_on_box(c.g, c.q, c.z, c.lower, c.upper, beside=ca.gradient(c.g, c.q))
+    return is_defined_on_box(c.g, c.q, c.z, c.lower, c.upper, derivative=ca.gradient(c.g, c.q))
 
 
 # -- distances ---------------------------------------------------------------------------------------------------------
