@@ -46,8 +46,18 @@ def run_with_numbers(code: Program, lower: np.ndarray, upper: np.ndarray) -> tup
 
 
 def _asks_for_numbers(code: Program) -> bool:
-    """Whether an operation has a value also where an argument is no number."""
-    return any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
+    """Whether an operation has a value also where an argument is no number, and one may have none."""
+    loose = any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
+    return loose and any(_may_be_undefined(step, code) for step in code.steps)
+
+
+def _may_be_undefined(step: Instruction, code: Program) -> bool:
+    """Whether the operation may have no value, as far as its code tells."""
+    if step.op == ca.OP_DIV and (bottom := code.steps[step.sources[1]]).op == ca.OP_CONST:
+        return not np.isfinite(bottom.number) or bottom.number == 0
+    if step.op in OPERATIONS:
+        return not OPERATIONS[step.op].total
+    return step.op not in (ca.OP_INPUT, ca.OP_CONST) or not np.isfinite(step.number)
 
 
 def _run(code: Program, lower: np.ndarray, upper: np.ndarray, with_numbers: bool) -> tuple[list[IntervalPair], list[np.ndarray]]:

@@ -84,10 +84,14 @@ class IntervalOperation(NamedTuple):
     jumps: bool = False
     loose: Callable[..., IntervalPair] | None = None
 
+    @property
+    def total(self) -> bool:
+        """Whether f has a value for all numbers; the angle, copysign and cases jump, and have one."""
+        return self.continuous is None or self.jumps or self.bounds in _TOTAL_BOUNDS
+
     def defined(self, result: IntervalPair, *args: IntervalPair) -> Array:
-        """Whether f is proved to have a value on the arguments; the angle and copysign jump, and have one everywhere."""
-        total = self.continuous is None or self.jumps or self.bounds in _TOTAL_BOUNDS
-        return np.ones(1, bool) if total or self.continuous is None else self.continuous(result, *args)
+        """Whether f is proved to have a value on the arguments."""
+        return np.ones(1, bool) if self.total or self.continuous is None else self.continuous(result, *args)
 
 
 # -- powers ------------------------------------------------------------------------------------------------------------

@@ -151,7 +151,8 @@ def set_motion_finding(model: MonotoneInclusion, region: Region, motion: InputBo
     if part.verdict in (HOLDS, UNKNOWN):
         crossing = _crossing_sides(model, C)
         never_empty = has_interior_for_all(C.C, _a_start(model, C)) is not None if model.constraints else not crossing
-        part = _empty_set(model, C, crossing) or (part if never_empty or part.verdict == UNKNOWN else MAY_BE_EMPTY)
+        empty = None if never_empty else _empty_set(model, C, crossing)
+        part = empty or (part if never_empty or part.verdict == UNKNOWN else MAY_BE_EMPTY)
     scope = region.scope(part.local)
     where = Scope(scope.states if scope is not None else {}, (region.t0, region.t1), region.parameters)
     return make_finding(SET_MOTION, part.verdict, part.how, part.value, part.witness, where)
