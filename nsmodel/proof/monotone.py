@@ -94,7 +94,7 @@ class Monotonicity(NamedTuple):
     jumps: tuple[JumpPoint, ...] = ()
 
 
-def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float, *, signs_are_sets: bool) -> Monotonicity:
+def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float, *, signs_are_sets: bool = True) -> Monotonicity:
     """Decide whether h is nondecreasing on [low, high], ends may be infinite; a sign of 0 is 0, or [-1, 1]."""
     stairs = [(factor, term) for factor, term in additive_terms(h) if _is_rising_staircase(factor, term, s)]
     if stairs:  # floor and ceil of what rises

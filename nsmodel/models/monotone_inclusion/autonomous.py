@@ -135,7 +135,7 @@ def operator_monotonicity(
         if field.jumps and not _has_separate_switches(model):
             return _jump_monotonicity(field)
         full = signed_operator if field.jumps else S
-        split = monotone_part(full, C, signs_are_sets=True)
+        split = monotone_part(full, C)
         found = _remainder_monotonicity(split.rest, C, box, quick, aligned=aligned and not split.ridges)
         if found.verdict == HOLDS and split.open:
             return _unfilled_jump(model, C)

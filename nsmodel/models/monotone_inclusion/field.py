@@ -205,7 +205,7 @@ class MonotoneSplit(NamedTuple):
     open: tuple[JumpPoint, ...]
 
 
-def monotone_part(S: ca.SX, C: ConvexSet, *, signs_are_sets: bool) -> MonotoneSplit:
+def monotone_part(S: ca.SX, C: ConvexSet, *, signs_are_sets: bool = True) -> MonotoneSplit:
     """Set aside the nondecreasing functions of one direction; the sign of 0 is 0, or [-1, 1]."""
     x, n = C.x, C.n
     rest = [ca.SX(0) for _ in range(n)]
@@ -309,9 +309,9 @@ def boundary_jump(F: ca.SX, C: ConvexSet) -> jumps.ExpressionJump | None:
     low, high = (np.clip(end, -1e3, 1e3) for end in C.bounding_box)
     points = face_points(*C.bounding_box)
     inwards = points + EDGE_STEP * ((low + high) / 2 - points)
-    if not len(points):
+    kept = C.contains(points) & C.contains(inwards) if len(points) else []
+    if not np.any(kept):
         return None
-    kept = C.contains(points) & C.contains(inwards)
     points, inwards, f = points[kept], inwards[kept], ca.Function("F", [C.x], [ca.densify(F)])
     below, above = (np.array(f(part.T)).T.reshape(len(points), -1) for part in (points, inwards))
     for k in np.argsort(-np.linalg.norm(above - below, axis=1), kind="stable")[:EDGE_JUMPS]:
