@@ -175,6 +175,12 @@ def jump_lower_bound(
         return 0.0
     if where is not None and where.numel() and not (enclose(where, z, low, high)[0] >= 0).all():
         return 0.0
+    return gap_between(expr, z, x, y)
+
+
+def gap_between(expr: ca.SX, z: ca.SX, x: np.ndarray, y: np.ndarray) -> float:
+    """Return a lower bound of the jump of ``expr`` (m, 1) on the segment between two points; 0 where none is proved."""
+    low, high = np.minimum(x, y), np.maximum(x, y)
     try:
         fixed, symbols, nodes = _replace_switches(expr, z)
     except OpaqueExpression:

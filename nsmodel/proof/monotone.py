@@ -1,7 +1,7 @@
 """Is a function of one variable nondecreasing: piece by piece between the points where its operations switch.
 
 Where every switching argument is affine these points are rational. Between two of them the function is continuous and its
-derivative is not negative, by exact polynomials or by bounds; across one it does not jump downwards.
+derivative is not negative, by exact polynomials or by bounds; its values at one lie between those beside it, also at the ends.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.convex.lower_bounds import additive_terms
-from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, rewrite_nodes
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, is_same_expression, rewrite_nodes
 
 SWITCHING_KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
@@ -62,12 +62,15 @@ def is_continuous_by_pieces(h: ca.SX, s: ca.SX, low: float, high: float) -> bool
     if found is None:
         return False
     ends, pieces, points = found
-    for point, left, right in zip(ends[1:-1], pieces, pieces[1:], strict=False):
-        if point is None or Fraction(float(point)) != point:
+    for k, point in enumerate(ends):
+        beside = pieces[max(k - 1, 0) : k + 1]
+        if point is None or (len(beside) == 1 and not points.get(point)):
+            continue
+        if Fraction(float(point)) != point:
             return False
         if points.get(point):
             at = np.array([float(point)])
-            sides = interval_bounds.enclose(ca.vertcat(left, right, ca.substitute(h, s, float(point))), s, at, at)
+            sides = interval_bounds.enclose(ca.vertcat(*beside, ca.substitute(h, s, float(point))), s, at, at)
             if len(set(np.concatenate([side.ravel() for side in sides]))) > 1:
                 return False
     for piece, (a, b) in zip(pieces, pairwise(ends), strict=True):
@@ -78,11 +81,9 @@ def is_continuous_by_pieces(h: ca.SX, s: ca.SX, low: float, high: float) -> bool
 
 
 class JumpPoint(NamedTuple):
-    """A point where the function jumps, by a number of [low, high]; ``filled``: its sign is a set there."""
+    """A point where the function jumps, at an end of the interval beside the value there; ``filled``: its sign is a set there."""
 
     at: Fraction
-    low: float
-    high: float
     filled: bool
 
 
@@ -93,8 +94,8 @@ class Monotonicity(NamedTuple):
     jumps: tuple[JumpPoint, ...] = ()
 
 
-def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotonicity:
-    """Decide whether h is nondecreasing on [low, high], ends may be infinite."""
+def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float, *, signs_are_sets: bool = True) -> Monotonicity:
+    """Decide whether h is nondecreasing on [low, high], ends may be infinite; a sign of 0 is 0, or [-1, 1]."""
     stairs = [(factor, term) for factor, term in additive_terms(h) if _is_rising_staircase(factor, term, s)]
     if stairs:  # floor and ceil of what rises
         h = _remove_terms(h, [term for _, term in stairs])
@@ -106,29 +107,37 @@ def decide_monotonicity(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotoni
     if found is None:
         return Monotonicity(None)
     ends, pieces, points = found
-    inside = ends[1:-1]
     jumps = []
-    for point, left, right in zip(inside, pieces, pieces[1:], strict=False):
-        if point is None:
-            return Monotonicity(None)
-        steps = points.get(point, ())
-        if not steps:
+    for k, point in enumerate(ends):
+        if point is None or not points.get(point):
             continue
-        at = np.array([float(point)])
         if Fraction(float(point)) != point:
             return Monotonicity(None)
-        gap = interval_bounds.enclose(right - left, s, at, at)
-        jump = JumpPoint(point, float(np.min(gap[0])), float(np.max(gap[1])), set(steps) == {ca.OP_SIGN})
-        if jump.high < 0:
-            return Monotonicity(False, (jump,))
-        if jump.low < 0:
+        left, right = (pieces[k - 1] if k else None), (pieces[k] if k < len(pieces) else None)
+        signs = (-1, 1) if signs_are_sets else (0,)
+        values = [_resolve_switches(h, s, point, point, {}, sign_of_zero=sign)[0] for sign in signs]
+        below = [_gap(left, value, s, point) for value in values if left is not None]
+        above = [_gap(value, right, s, point) for value in values if right is not None]
+        if any(gap[1] < 0 for gap in below + above):
+            return Monotonicity(False, (JumpPoint(point, filled=False),))
+        if any(gap[0] < 0 for gap in below + above):
             return Monotonicity(None)
-        if jump.high > 0:
-            jumps.append(jump)
+        reached = all((0.0, 0.0) in gaps for gaps in (below, above) if gaps)
+        if not reached or any(gap[1] > 0 for gap in below + above):
+            jumps.append(JumpPoint(point, filled=reached))
     if not all(_is_nondecreasing_between(piece, s, a, b) for piece, (a, b) in zip(pieces, pairwise(ends), strict=True)):
         return Monotonicity(None)
-    stair_jumps = (JumpPoint(Fraction(0), 0.0, 1.0, False),) if stairs else ()
+    stair_jumps = (JumpPoint(Fraction(0), filled=False),) if stairs else ()
     return Monotonicity(True, (*jumps, *stair_jumps))
+
+
+def _gap(low: ca.SX, high: ca.SX, s: ca.SX, point: Fraction) -> tuple[float, float]:
+    """Bounds of high - low at a point; 0 where they are one expression."""
+    if is_same_expression(low, high):
+        return 0.0, 0.0
+    at = np.array([float(point)])
+    gap = interval_bounds.enclose(high - low, s, at, at)
+    return float(np.min(gap[0])), float(np.max(gap[1]))
 
 
 def _is_rising_staircase(factor: Fraction, term: ca.SX, s: ca.SX) -> bool:
@@ -222,8 +231,9 @@ def _split_at_switches(
 
 
 def _resolve_switches(
-    h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None, points: dict[Fraction, tuple[int, ...]]
-) -> tuple[ca.SX, Fraction | None, bool]:
+    h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None, points: dict[Fraction, tuple[int, ...]],
+    *, sign_of_zero: int = 0,
+) -> tuple[ca.SX, Fraction | None, bool]:  # fmt: skip
     """h with the cases of (low, high) put in, or a place inside where one of them changes; whether that failed."""
     middle = (low + high) / 2 if low is not None and high is not None else low + 1 if low is not None else (
         high - 1 if high is not None else Fraction(0)
@@ -247,7 +257,7 @@ def _resolve_switches(
                 return None
         value = polynomial.evaluate_polynomial(p, {0: middle})
         if op == ca.OP_SIGN:
-            return ca.SX(float((value > 0) - (value < 0)))
+            return ca.SX(float((value > 0) - (value < 0)) if value else float(sign_of_zero))
         if op in SWITCHING_STEPS:
             return ca.SX(float(value < 0 or (op == ca.OP_LE and value == 0)))
         if op == ca.OP_FABS:

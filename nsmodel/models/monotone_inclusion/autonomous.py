@@ -27,6 +27,7 @@ from nsmodel.hypotheses.region import Region, potential_without_domain
 from nsmodel.models.monotone_inclusion.along_run import CATCHING_UP_PAPER, scheme_convergence
 from nsmodel.models.monotone_inclusion.field import (
     SelectedField,
+    boundary_jump,
     constraint_set,
     decompose_field,
     monotone_part,
@@ -179,10 +180,13 @@ def _has_separate_switches(model: MonotoneInclusion) -> bool:
 
 
 def _unfilled_jump(model: MonotoneInclusion, C: ConvexSet) -> HypothesisPart:
-    """S is monotone, but steps of if_else, floor or ceil are no sets: with one inside C it is not maximal."""
+    """S is monotone, but steps of if_else, floor or ceil are no sets: with one inside C, or on its boundary, it is not maximal.
+
+    On the boundary N_C fills in what points out of C, and a step upwards points into it.
+    """
     S = ca.substitute(model.operator, model.sign_symbols, ca.SX.zeros(model.sign_symbols.shape))
     low, high = (np.clip(end, -1e3, 1e3) for end in C.bounding_box)
-    jump = find_jump(S, C.x, low, high, lambda points: np.all(C.values(points) > 0, axis=1))
+    jump = find_jump(S, C.x, low, high, C.contains) or boundary_jump(S, C)
     if jump is None:
         return HypothesisPart(
             UNKNOWN, "S is monotone, but it may jump in C where it is not filled in; only sign stands for a set", {}, {}

@@ -192,6 +192,8 @@ def _align_multiplier(B: ca.SX, u: ca.SX, x: ca.SX, lower: float, upper: float, 
     return AlignedMultiplier(exact.doubles(matrix), c, float(beta), float(lower), float(upper), text)
 
 
+FACE_SAMPLES, MAX_FACE_STATES = 8, 4  # Points of each face of a box, and states of which faces are looked at.
+EDGE_STEP, EDGE_JUMPS = 2.0**-44, 8  # Of the way inwards from a boundary; jumps there that are tried.
 SEARCH_SIZE = 1e3  # Pairs of points are looked for up to this distance from 0 where C is not bounded.
 
 
@@ -203,8 +205,8 @@ class MonotoneSplit(NamedTuple):
     open: tuple[JumpPoint, ...]
 
 
-def monotone_part(S: ca.SX, C: ConvexSet) -> MonotoneSplit:
-    """Set aside the nondecreasing functions of one direction."""
+def monotone_part(S: ca.SX, C: ConvexSet, *, signs_are_sets: bool = True) -> MonotoneSplit:
+    """Set aside the nondecreasing functions of one direction; the sign of 0 is 0, or [-1, 1]."""
     x, n = C.x, C.n
     rest = [ca.SX(0) for _ in range(n)]
     groups: dict[tuple[Fraction, ...], list[tuple[ca.SX, list[Fraction]]]] = {}
@@ -231,8 +233,12 @@ def monotone_part(S: ca.SX, C: ConvexSet) -> MonotoneSplit:
     count, left_open = 0, []
     for direction, terms in groups.items():
         along = _combined_profile(np.array(direction, dtype=object), terms)
-        ends = Ridges(symbol, symbol, np.array([direction], dtype=object)).box(x, *C.bounding_box)
-        found = None if along is None else decide_monotonicity(along, symbol, float(ends[0][0]), float(ends[1][0]))
+        ends = Ridges(symbol, symbol, np.array([direction], dtype=object)).box(*C.bounding_box)
+        found = (
+            None
+            if along is None
+            else decide_monotonicity(along, symbol, float(ends[0][0]), float(ends[1][0]), signs_are_sets=signs_are_sets)
+        )
         if found is not None and found.nondecreasing:
             count += 1
             left_open += [jump for jump in found.jumps if not jump.filled]
@@ -261,7 +267,7 @@ def remove_continuous_terms(F: ca.SX, C: ConvexSet) -> ca.SX:
             )
             groups[tuple(split.a[0])] = own[0] + h, own[1] + scaled
         for direction, (h, whole) in groups.items():
-            ends = Ridges(symbol, symbol, np.array([direction], dtype=object)).box(C.x, *C.bounding_box)
+            ends = Ridges(symbol, symbol, np.array([direction], dtype=object)).box(*C.bounding_box)
             if not jumps.jump_nodes(h, symbol) or not is_continuous_by_pieces(h, symbol, float(ends[0][0]), float(ends[1][0])):
                 kept += whole
         rows.append(kept)
@@ -286,6 +292,35 @@ def _combined_profile(a: np.ndarray, terms: list[tuple[ca.SX, list[Fraction]]]) 
     return ca.SX(sum((float(b / size) * h for (h, _), b in zip(terms, factors, strict=True)), ca.SX(0)))
 
 
+def face_points(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Points (k, n) on all finite faces of a box, and on edges, down to corners."""
+    points, n = [extremum.samples(low, high, FACE_SAMPLES)], low.size
+    for j in range(min(n, MAX_FACE_STATES)):
+        for part in list(points):
+            for end in (low[j], high[j]):
+                moved = part.copy()
+                moved[:, j] = end
+                points += [moved] if np.isfinite(end) else []
+    return np.vstack(points[1:] or [np.zeros((0, n))])
+
+
+def boundary_jump(F: ca.SX, C: ConvexSet) -> jumps.ExpressionJump | None:
+    """A point of C on a face of the box around it from which an expression provably jumps on the way inwards."""
+    low, high = (np.clip(end, -1e3, 1e3) for end in C.bounding_box)
+    points = face_points(*C.bounding_box)
+    inwards = points + EDGE_STEP * ((low + high) / 2 - points)
+    kept = C.contains(points) & C.contains(inwards) if len(points) else []
+    if not np.any(kept):
+        return None
+    points, inwards, f = points[kept], inwards[kept], ca.Function("F", [C.x], [ca.densify(F)])
+    below, above = (np.array(f(part.T)).T.reshape(len(points), -1) for part in (points, inwards))
+    for k in np.argsort(-np.linalg.norm(above - below, axis=1), kind="stable")[:EDGE_JUMPS]:
+        size = jumps.gap_between(ca.densify(F), C.x, points[k], inwards[k])
+        if size > 0:
+            return jumps.ExpressionJump(points[k], size, below[k], above[k])
+    return None
+
+
 def nonmonotone_pair(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> dict[str, np.ndarray] | None:
     """Two points of C with <S(x) - S(y), x - y> < 0, rounding included; None where none were found."""
     low, high = (np.clip(end, -SEARCH_SIZE, SEARCH_SIZE) for end in box)
@@ -300,8 +335,10 @@ def nonmonotone_pair(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray])
         for d in np.vstack([np.eye(C.n), rng.normal(size=(8, C.n))]):
             step = 1e-4 * (1 + np.linalg.norm(middle, axis=1))[:, None] * d
             x, y = [*x, middle + step], [*y, middle - step]
+    on_faces = face_points(low, high)
+    x, y = [*x, on_faces], [*y, on_faces + 1e-4 * (points[0] - on_faces)]
     one, other = np.vstack(x), np.vstack(y)
-    inside = (C.values(one) > 0).all(axis=1) & (C.values(other) > 0).all(axis=1)
+    inside = C.contains(one) & C.contains(other)
     one, other = one[inside], other[inside]
     f = ca.Function("S", [C.x], [S])
     gap = (np.array(f(one.T)) - np.array(f(other.T))).T
@@ -311,8 +348,8 @@ def nonmonotone_pair(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray])
     second = ca.SX.sym("y", C.n)
     product = ca.dot(S - ca.substitute(S, C.x, second), C.x - second)
     for k in order:
-        if not rate[k] < 0 or C.interior_margin(one[k]) is None or C.interior_margin(other[k]) is None:
-            continue
+        if not rate[k] < 0:
+            break
         both = np.concatenate([one[k], other[k]])
         z = ca.vertcat(C.x, second)
         if (

@@ -385,7 +385,7 @@ def _sector_bound(term: ca.SX, field: SelectedField) -> tuple[polynomial.Polynom
     split = find_ridges(term, field.x)
     if split is None or split.s.numel() != 1:
         return None
-    low, high = split.box(field.x, *field.C.bounding_box)
+    low, high = split.box(*field.C.bounding_box)
     found = sector(split.h, split.s, low[0], high[0], SECTOR_START)
     if found is None or not found.bounded:
         return None

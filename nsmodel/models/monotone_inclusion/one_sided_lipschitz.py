@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
-from nsmodel.models.monotone_inclusion.field import SelectedField, monotone_part, remove_continuous_terms
+from nsmodel.models.monotone_inclusion.field import SelectedField, boundary_jump, monotone_part, remove_continuous_terms
 from nsmodel.models.monotone_inclusion.growth import affine_field
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.proof import exact, extremum, interval_bounds
@@ -45,7 +45,7 @@ def one_sided_lipschitz(
         (np.maximum(field.C.bounding_box[0], region[0]), np.minimum(field.C.bounding_box[1], region[1])),
     )
     whole = [] if field.jumps else [("", field.rest, hull, quick or not field.C.bounded), ("", field.rest, box, quick)]
-    falling = monotone_part(-(field.rest if alone is None else alone), field.C)
+    falling = monotone_part(-(field.rest if alone is None else alone), field.C, signs_are_sets=False)
     tries = whole[:1]
     if alone is not None:
         tries.append(("S being monotone, ", alone, hull, quick or not field.C.bounded))
@@ -159,6 +159,10 @@ def field_continuity(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarr
     jump = _find_field_jump(model.field, C, box, x0)
     if jump is not None:
         return jump
+    edge = boundary_jump(model.field, C)
+    if edge is not None:
+        how = "F, as it is written, jumps from the boundary of C inwards: bounds of the two sides do not meet"
+        return HypothesisPart(VIOLATED, how, {"jump": edge.size}, {"x": edge.at, "below": edge.below, "above": edge.above})
     return HypothesisPart(UNKNOWN, "an operation of F may jump or have a pole on the box; no jump was seen", {}, {})
 
 

@@ -176,7 +176,7 @@ def _ridge_sector_bound(
 ) -> tuple[polynomial.Polynomial, float, float] | None:
     """(p, r, b) with sum of (c'x) h(a'x) <= p(x) + r |x| + b |x|^2."""
     n = len(a)
-    ends = Ridges(s, s, a[None, :]).box(field.x, *field.C.bounding_box)
+    ends = Ridges(s, s, a[None, :]).box(*field.C.bounding_box)
     length = growth.rounded_norm(exact.doubles(a[None, :]))
     j = next(i for i, number in enumerate(a) if number)
     p: polynomial.Polynomial = {}

@@ -224,7 +224,7 @@ def _is_convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.
     """Whether the function of the directions is convex on the box that they range over."""
     if not split.s.numel() or split.s.numel() > MAX_DIRECTIONS:
         return not split.s.numel()
-    ends = split.box(x, *box)
+    ends = split.box(*box)
     if not interval_bounds.is_continuous(ca.vertcat(split.h, ca.gradient(split.h, split.s)), split.s, *ends):
         return False
     H = ca.densify(ca.hessian(split.h, split.s)[0])

@@ -380,7 +380,6 @@ def _symbol_hash(symbol: ca.SX) -> int:
     return symbol.element_hash()
 
 
-COEFFICIENT_ROUNDING = 1e-12  # Part of the terms of a'x by which its bounds are widened, for coefficients rounded to doubles.
 Direction = tuple[tuple[int, Fraction], ...]  # (variable, coefficient), the first coefficient 1
 _RidgeNode = tuple[ca.SX, polynomial.Polynomial | None]  # a node, and its polynomial where it is affine
 
@@ -392,15 +391,18 @@ class Ridges(NamedTuple):
     s: ca.SX
     a: np.ndarray
 
-    def box(self, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the symbols where x is in a box, wider than rounding of the directions."""
-        if not self.s.numel():
-            return np.zeros(0), np.zeros(0)
-        a = np.array([[float(number) for number in row] for row in self.a])
-        low, high = (np.asarray(end).ravel() for end in interval_bounds.enclose(ca.DM(a) @ x, x, lower, upper))
-        far = np.maximum(np.abs(lower), np.abs(upper))
-        reach = np.where(np.isfinite(far), np.abs(a) * np.where(np.isfinite(far), far, 0.0), 0.0).sum(axis=1)
-        return low - COEFFICIENT_ROUNDING * reach, high + COEFFICIENT_ROUNDING * reach
+    def box(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the symbols where x is in a box: the doubles nearest to them outside, themselves where they are doubles."""
+        low, high = (np.array([_least_product(sign * row, lower, upper) for row in self.a]) for sign in (1, -1))
+        return low, -high
+
+
+def _least_product(a: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    """The least a'x on a box, rounded down."""
+    ends = [(number, low if number > 0 else high) for number, low, high in zip(a, lower, upper, strict=True) if number]
+    if not all(np.isfinite(end) for _, end in ends):
+        return -np.inf
+    return exact.round_down(sum((number * Fraction(float(end)) for number, end in ends), Fraction(0)))
 
 
 def find_ridges(expr: ca.SX, x: ca.SX) -> Ridges | None:

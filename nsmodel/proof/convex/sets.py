@@ -128,6 +128,13 @@ class ConvexSet:
             return np.zeros((len(points), 0))
         return np.array(ca.Function("rows", [self.x], [ca.densify(self.rows)])(points.T)).T
 
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (k, n) are proved to lie in the set, rounding included."""
+        if self.equalities.numel() or not self.rows.numel():
+            return np.full(len(points), not self.equalities.numel())
+        low, _ = interval_bounds.enclose(self.rows, self.x, points, points)
+        return np.all(low.reshape(len(points), -1) >= 0, axis=1)
+
     def interior_margin(self, point: np.ndarray) -> float | None:
         """A lower bound > 0 of every row at the point, rounding included; None where there is none."""
         if self.equalities.numel():
