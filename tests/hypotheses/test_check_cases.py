@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import CASES, REPOSITORY
+from search.golden import BOUNDS
 
 import nsmodel
-from nsmodel import within
 from nsmodel.hypotheses import along_run
 from nsmodel.hypotheses.check import hypotheses_of
 from nsmodel.hypotheses.findings import VERDICTS
@@ -111,14 +111,6 @@ UNKNOWN = {
     "relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"},
     "toggle_switch": {"F-unique": "index sets"},
     "twisting": {"5.2": "no P > 0 with P B = C' exists"},
-}
-# Between which values what blocks set stays.
-BOUNDS = {
-    "sampled_pi": {"w": within(-10, 10)},
-    "schmitt_trigger": {"s": within(-1, 1)},
-    "sliding_mode": {"w": within(-1, 1)},
-    "thermostat": {"u": within(0, 1)},
-    "thyristor": {"q": within(0, 1)},
 }
 
 

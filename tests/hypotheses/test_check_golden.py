@@ -1,0 +1,100 @@
+"""What checks say of all cases and of random models is what the files in ``tests/fixtures/checks`` have.
+
+Where a change is meant, ``python -m tests.search.golden --write`` writes them anew, and the difference is looked at.
+"""
+
+from __future__ import annotations
+
+import pytest
+from conftest import CASES
+from search import golden
+from search.checked import MAKERS
+
+import nsmodel
+
+CLASS_NAMES = {kind: name for name, (kind, _) in MAKERS.items()}
+
+
+@pytest.fixture(scope="module")
+def kept():
+    """Return the files, read: {class: {check: document}}."""
+    return {name: golden.read(name) for name in MAKERS}
+
+
+def differing(kept, checks):
+    """Return what differs, line by line."""
+    return [f"{name}: {line}" for name, report in checks for line in golden.differences(kept[name], golden.document(report))]
+
+
+def test_the_files_have_every_check(kept):
+    cases = {name for file in kept.values() for name in file if not name.startswith("model ")}
+    stems = {path.stem for path in CASES}
+    assert cases == {f"{stem} quick" for stem in stems} | (stems - golden.DEAR)
+    assert {name: sum(check.startswith("model ") for check in file) for name, file in kept.items()} == dict.fromkeys(
+        MAKERS, golden.MODELS
+    )
+
+
+def test_a_quick_check_of_a_case_says_what_it_said(case_file, kept):
+    stem = case_file.stem
+    own = kept[CLASS_NAMES[type(nsmodel.load(stem))]]
+    assert not differing(own, golden.case_checks(stem, quick_alone=True))
+
+
+@pytest.mark.long
+def test_a_check_of_a_case_says_what_it_said(case_file, kept):
+    stem = case_file.stem
+    own = kept[CLASS_NAMES[type(nsmodel.load(stem))]]
+    assert not differing(own, golden.case_checks(stem))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("class_name", MAKERS)
+def test_checks_of_random_models_say_what_they_said(class_name, kept):
+    checks = ((f"model {seed}", golden.model_check(class_name, seed)) for seed in range(golden.MODELS))
+    assert not differing(kept[class_name], checks)
+
+
+# -- the comparison ----------------------------------------------------------------------------------------------------
+
+REPORT = {
+    "findings": {"A1": {"verdict": "holds", "value": {"a": 1.0, "b": 2.0}, "witness": {"x": [0.5, 0.25], "of": "wall"}}},
+    "consequences": {"well posed": {"verdict": "holds", "on": "A1"}},
+}
+
+
+def changed(**entries):
+    """Return the report with other entries in A1."""
+    return {**REPORT, "findings": {"A1": {**REPORT["findings"]["A1"], **entries}}}
+
+
+@pytest.mark.parametrize(
+    ("other", "seen"),
+    [
+        (changed(value={"a": 1.0 + 1e-9, "b": 2.0}), ""),
+        (changed(value={"a": 1.0 + 1e-5, "b": 2.0}), "value"),
+        (changed(value={"a": 1.0}), "value"),
+        (changed(value={"a": 1.0, "b": "inf"}), "value"),
+        (changed(verdict="sampled"), "verdict"),
+        (changed(scope={"states": {"x": [0, 1]}}), "scope"),
+        (changed(witness={"x": [0.5], "of": "wall"}), "witness"),
+        (changed(witness={"x": [0.5, 0.25], "of": "floor"}), "witness"),
+        ({**REPORT, "consequences": {}}, "gone"),
+        ({**REPORT, "consequences": {"well posed": {"verdict": "holds", "on": "A1 A2"}}}, "on"),
+    ],
+)
+def test_a_difference_is_seen(other, seen):
+    lines = golden.differences(REPORT, other)
+    assert bool(lines) == bool(seen)
+    assert all(seen in line for line in lines)
+
+
+def test_what_two_computations_do_not_agree_on_is_kept_by_its_kind():
+    other = changed(witness={"x": [0.5, 0.26], "of": "floor"})
+    both = golden.stable(REPORT, other)
+    assert both["findings"]["A1"]["witness"] == {"x": "~list of 2", "of": "~text"}
+    assert both["findings"]["A1"]["verdict"] == "holds"
+    assert not golden.differences(both, REPORT)
+    assert not golden.differences(both, other)
+    assert golden.differences(both, changed(witness={"x": [0.5], "of": "wall"}))
+    assert golden.differences(both, changed(witness={"x": [0.5, 0.25]}))
