@@ -4,9 +4,10 @@
     python -m tests.search.golden --class lure --write  # the file of a class anew; then see `git diff`
 
 A file a class, in ``tests/fixtures/checks``: of each finding verdict, scope, numbers and witness, of each consequence what it
-rests on, too. Each check that is written is made twice, the second time with other kernels of linear algebra. What then differs
-beyond 1e-6 comes from searches in floating point, and is kept and compared by its kind alone: "~number", "~text", "~list of 3".
-So are lists that are long.
+rests on, too. Of findings about a run, and of what is sampled, the verdict and the scope alone: the run of a crowd is another
+one with other kernels. Each check that is written is made twice, the second time with other kernels of linear algebra. What
+then differs beyond 1e-6 comes from searches in floating point, and is kept and compared by its kind alone: "~number", "~text",
+"~list of 3". So are lists that are long.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import Any
 
 import nsmodel
 from nsmodel import within
+from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, SAMPLED, Finding
 from nsmodel.hypotheses.report import Report
 from nsmodel.modeling.model_files import case_files
 
@@ -78,14 +80,19 @@ def model_check(class_name: str, seed: int) -> Report:
 def document(report: Report) -> Document:
     """What is kept of a report."""
     findings = {
-        finding.id: _kept(verdict=finding.verdict, scope=_scope(finding), value=finding.value, witness=finding.witness)
-        for finding in report.findings
+        finding.id: _kept(verdict=finding.verdict, scope=_scope(finding), **_numbers(finding)) for finding in report.findings
     }
     consequences = {
         item.name: _kept(verdict=item.verdict, on=" ".join(item.rests_on), scope=_scope(item), value=item.value, until=item.until)
         for item in report.consequences
     }
     return {"findings": findings, "consequences": consequences}
+
+
+def _numbers(finding: Finding) -> Document:
+    if finding.verdict == SAMPLED or finding.id.startswith(RUN_FINDING_PREFIX):
+        return {}
+    return {"value": finding.value, "witness": finding.witness}
 
 
 def _kept(**parts: Any) -> Document:
