@@ -43,6 +43,7 @@ nightly: $(STAMP) ## set up and run the search for refused steps and wrong answe
 	mkdir -p results
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),1,2000) --compiled 10 --json results/search.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.contacts --problems $(if $(NSMODEL_SHORT),2,1000)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.files $(if $(NSMODEL_SHORT),--kinds run --count 2,--count 2000) --json results/files.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.hidden --count $(if $(NSMODEL_SHORT),2,2000) --json results/hidden.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.events --models $(if $(NSMODEL_SHORT),1 --t-end 1,300) --json results/events.jsonl

@@ -22,8 +22,9 @@ from nsmodel.codegen.step_spec import BANDED, FIXED, INCLUSION, NEWTON, StepSpec
 from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.active_set import MAX_INDEX_SETS, PIVOTS_EACH, PIVOTS_MORE, PRIMAL_DUAL_SWEEPS
 from nsmodel.solvers.catching_up import CUT_ITERATIONS
+from nsmodel.solvers.friction_contacts import MAX_MODES, is_in_the_plane, mode_count
 from nsmodel.solvers.linearisation import NEWTON_ITERATIONS, REFINEMENTS
-from nsmodel.solvers.mlcp import GAUSS_SEIDEL_SWEEPS, SEMISMOOTH_ITERATIONS
+from nsmodel.solvers.mlcp import GAUSS_SEIDEL_SWEEPS, REGULARISATIONS, SEMISMOOTH_ITERATIONS
 from nsmodel.solvers.plan import MAX_ENUMERATED_ROWS
 from nsmodel.solvers.residuals import NumericLaw
 from nsmodel.solvers.rounding_errors import PROBES
@@ -102,6 +103,8 @@ def _implied_flags(spec: StepSpec, given: dict[str, bool]) -> dict[str, bool]:
     """The flags that follow: how the affine problems of the step are solved."""
     structure, law, stepped, few, has = spec.structure, spec.law, _uses_newton(spec), _enumerates_index_sets(spec), dict(given)
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
+    has["FRICTION"] = not law.is_normal_cone
+    has["CONTACTS_IN_PLANE"] = has["FRICTION"] and is_in_the_plane(law) and mode_count(law) <= MAX_MODES
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
     has["WORST_CASE"] = has["ENUMERATED"] and spec.worst_case
     has["KNOWN_LENGTHS"] = has["WORST_CASE"] and has["LENGTHS"]
@@ -233,6 +236,10 @@ def describe_used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
         lines.append(f"a primal-dual active set method{pivoting}{more}")
     if "CURVED" in flags or "SELECTION_CURVED" in flags:
         lines.append("semismooth Newton for curved sets, block Gauss-Seidel behind it")
+    if "FRICTION" in flags:
+        lines.append(
+            "contacts with friction: the last modes first" + (", all modes last" if "CONTACTS_IN_PLANE" in flags else "")
+        )
     if "NEARBY" in flags:
         lines.append("where Newton's method does not settle, the index sets around the last one")
     if "INCLUSION" in flags and "BOX_C" in flags:
@@ -308,4 +315,6 @@ def _affine_work(flags: Set[str], sizes: dict[str, int], sets: int) -> int:
         bound += min(sets, MAX_INDEX_SETS) if "ENUMERATION" in flags else 0
     if "CURVED" in flags or "SELECTION_CURVED" in flags:  # from two starts, each once more after Gauss-Seidel sweeps
         bound += 2 * (2 * (SEMISMOOTH_ITERATIONS + 1) + GAUSS_SEIDEL_SWEEPS)
+    if "FRICTION" in flags:  # the last modes, those that stick; all modes, each polished
+        bound += 3 + (2 + REGULARISATIONS) * (SEMISMOOTH_ITERATIONS + 1) + (2 * MAX_MODES if "CONTACTS_IN_PLANE" in flags else 0)
     return bound

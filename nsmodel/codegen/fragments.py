@@ -102,7 +102,7 @@ def _prune_definitions(text: str) -> str:
 STEP_CONSTANTS: Sequence[tuple[str, str]] = (
     ("modeling.time_grid", "SAME_STEP_TOLERANCE:SAME"),
     ("modeling.signals.base", "NEAR_TOLERANCE:NEAR"),
-    ("solvers.residuals", "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH CLEAR STRICTER"),
+    ("solvers.residuals", "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH UNSEEN CLEAR STRICTER"),
     ("solvers.rounding_errors", "PROBES FRAGILE WORTH INSIDE SUM_ERROR SPREAD MIXED STIRRED"),
     (
         "solvers.active_set",
@@ -110,7 +110,10 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
         "REGULARISED PIVOTS_EACH PIVOTS_MORE GONE PREFERRED PIVOT_ERROR MIN_PIVOT:LEAST_PIVOT TIED "
         "RANK POLISHED",
     ),
-    ("solvers.mlcp", "SEMISMOOTH_ITERATIONS GAUSS_SEIDEL_SWEEPS SWEPT CONVERGED ACCEPTED ARMIJO MIN_DAMPED_STEP:LEAST_STEP"),
+    (
+        "solvers.mlcp",
+        "SEMISMOOTH_ITERATIONS GAUSS_SEIDEL_SWEEPS SWEPT CONVERGED ACCEPTED ARMIJO MIN_DAMPED_STEP:LEAST_STEP REGULARISATIONS",
+    ),
     ("solvers.constant_matrices", "ILL_CONDITIONED"),
     ("solvers.linearisation", "NEWTON_ITERATIONS REFINEMENTS HALVINGS EARLY"),
     ("solvers.linearisation", "ENOUGH"),
@@ -121,6 +124,8 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
     ("solvers.structure", "MONOTONE_ERROR"),
     ("solvers.catching_up", "USED CUT_ITERATIONS CUT_TOLERANCE ACTS BISECTIONS"),
     ("modeling.laws.ellipsoid", "MULTIPLIER_ITERATIONS"),
+    ("modeling.laws.coulomb", "MIN_DRAG MAX_DRAG MAX_CANCELLATION DRAG_BISECTIONS"),
+    ("solvers.friction_contacts", "MAX_MODES"),
     ("codegen.features", "AFFINE_ITERATIONS FRAGILE_REFINEMENTS"),
     ("codegen.structs", "READY"),
 )

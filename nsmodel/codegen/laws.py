@@ -89,6 +89,25 @@ SET_OPERATIONS = {
     "selected": ("void", "const double *y, double *l", "the l in K with -y ∈ N_K(l), y not 0; 0 where K is not bounded"),
     "radius": ("double", "", "max |l| over K"),
     "valid": ("int", "", "whether the numbers are those of a set"),
+    "shift": ("void", "double *y", "y = ŷ(y)"),
+    "shift_jacobian": ("void", "const double *y, double *J", "J (m, m): an element of the generalised Jacobian of ŷ at y"),
+    "boundary_ray": (
+        "int",
+        "const double *l, const double *y, double *ray",
+        "whether l keeps to a ray of the boundary, where y_1 = 0 then; its first entry is 1",
+    ),
+    "block_solution": (
+        "int",
+        "const double *W, const double *b, double *l",
+        "whether there is a direct way to the l of y = W l + b of this block alone",
+    ),
+}
+# What a kind answers whose file does not have the question.
+DEFAULT_ANSWERS = {
+    "shift": "(void)y",
+    "shift_jacobian": "unit_matrix(k->size, J)",
+    "boundary_ray": "return 0",
+    "block_solution": "return 0",
 }
 
 
@@ -136,11 +155,16 @@ def _set_function(kinds: Sequence[str], name: str) -> str:
     """A function that asks the kind of a block."""
     returns, arguments, what = SET_OPERATIONS[name]
     given = "".join(", " + part.split()[-1].lstrip("*") for part in arguments.split(",") if part)
-    calls = [f"{kind}_{name}(k->size, numbers{given})" for kind in kinds]
     word = "" if returns == "void" else "return "
+    calls = [
+        f"{word}{kind}_{name}(k->size, numbers{given})"
+        if name not in DEFAULT_ANSWERS or f" {kind}_{name}(" in _set_source(kind)
+        else DEFAULT_ANSWERS[name]
+        for kind in kinds
+    ]
     body = "".join(
-        f"    if (k->kind == {i}) {{\n        {word}{call};\n" + ("        return;\n    }\n" if not word else "    }\n")
+        f"    if (k->kind == {i}) {{\n        {call};\n" + ("        return;\n    }\n" if not word else "    }\n")
         for i, call in enumerate(calls[:-1])
     )
     head = f"static {returns} set_{name}(const curved_block *k, const double *numbers{', ' * bool(arguments)}{arguments})"
-    return f"\n/* {what[0].upper()}{what[1:]}. */\n{head}\n{{\n{body}    {word}{calls[-1]};\n}}\n"
+    return f"\n/* {what[0].upper()}{what[1:]}. */\n{head}\n{{\n{body}    {calls[-1]};\n}}\n"

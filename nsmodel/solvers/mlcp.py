@@ -10,7 +10,7 @@ y = W l + b, -y ∈ N_K(l) where K has curved sets: semismooth Newton, with bloc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -20,7 +20,7 @@ import numpy as np
 
 from nsmodel.modeling.laws.base import CurvedSet, safe_norm
 from nsmodel.proof.verdict import suppress_output
-from nsmodel.solvers import active_set
+from nsmodel.solvers import active_set, friction_contacts
 from nsmodel.solvers.active_set import equilibrate_problem, row_scale, solve_or_least_squares
 from nsmodel.solvers.residuals import EPS, ROUNDING, NumericLaw, law_residual, output_scale
 from nsmodel.solvers.rounding_errors import SUM_ERROR, UNIT_ROUND_OFF, dense_solution_errors, row_maxima
@@ -86,6 +86,7 @@ GAUSS_SEIDEL_SWEEPS = 400  # Projected gradient sweeps that give Newton's method
 SWEPT = 1e-10  # Part of l: changes below this end the sweeps.
 CONVERGED = 1e-13  # The natural map, beside what it consists of, from which on an iteration that gains no factor 2 is the last.
 ACCEPTED = 1e-11  # The same up to which the last iteration is an answer.
+REGULARISATIONS = 14  # Decades through which a multiple of the identity, added to a singular W of contacts, falls.
 ARMIJO = 1e-4  # Part of the decrease that a step promises which it must bring; else it is halved.
 MIN_DAMPED_STEP = 1e-4  # Part of a step on curved sets below which it is not halved any more.
 
@@ -106,6 +107,26 @@ def project_on_law(law: NumericLaw, u: np.ndarray) -> np.ndarray:
     return l
 
 
+def shifted_output(law: NumericLaw, y: np.ndarray) -> np.ndarray:
+    """ŷ(y) (m,): y itself where the law is a normal cone."""
+    if law.is_normal_cone:
+        return y
+    y = y.copy()
+    for rows, K in law.curved:
+        y[rows] = K.shifted(y[rows])
+    return y
+
+
+def _times_shift_jacobian(law: NumericLaw, y: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """dŷ/dy W, (m, m)."""
+    if law.is_normal_cone:
+        return W
+    W = W.copy()
+    for rows, K in law.curved:
+        W[rows] = K.shift_jacobian(y[rows]) @ W[rows]
+    return W
+
+
 def law_projection_jacobian(law: NumericLaw, u: np.ndarray) -> np.ndarray:
     """An element of the generalised Jacobian of P_K at u, (m, m)."""
     J = np.diag(((u > law.lower) & (u < law.upper)).astype(float))
@@ -116,7 +137,7 @@ def law_projection_jacobian(law: NumericLaw, u: np.ndarray) -> np.ndarray:
 
 def curved_index_set(law: NumericLaw, l: np.ndarray, y: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Codes of (l, y): rows of a block share one; 0 where y = 0, -1 where l = 0 (cone), +1 on the curved boundary."""
-    u = l - c * y
+    u = l - c * shifted_output(law, y)
     code = np.where(u <= law.lower, -1, np.where(u >= law.upper, 1, 0)).astype(np.int8)
     for rows, K in law.curved:
         code[rows] = K.code(u[rows])
@@ -124,14 +145,14 @@ def curved_index_set(law: NumericLaw, l: np.ndarray, y: np.ndarray, c: np.ndarra
 
 
 def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray | None:
-    """Solve l = P_K(l - c (W l + b)) from ``l``; None if it does not converge."""
+    """Solve l = P_K(l - c ŷ(W l + b)) from ``l``; None if it does not converge."""
     c, eye = block_scale(W, law), np.eye(law.size)
     l = project_on_law(law, l)
     if not np.isfinite(l).all():
         return None
 
     def natural_map(l: np.ndarray) -> np.ndarray:
-        return l - project_on_law(law, l - c * (W @ l + b))
+        return l - project_on_law(law, l - c * shifted_output(law, W @ l + b))
 
     F, best = natural_map(l), np.inf
     for _ in range(SEMISMOOTH_ITERATIONS):
@@ -139,8 +160,9 @@ def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarr
         if relative <= SUM_ERROR * EPS or (relative <= CONVERGED and relative >= best / 2):
             return l
         best = min(best, relative)
-        P = law_projection_jacobian(law, l - c * (W @ l + b))
-        step = solve_or_least_squares(eye - P @ (eye - c[:, None] * W), -F)
+        y = W @ l + b
+        P = law_projection_jacobian(law, l - c * shifted_output(law, y))
+        step = solve_or_least_squares(eye - P @ (eye - c[:, None] * _times_shift_jacobian(law, y, W)), -F)
         if not np.isfinite(step).all():
             return None
         t = 1.0
@@ -183,27 +205,22 @@ def projected_gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.
             return start
         old = l.copy()
         for (rows, K), step in zip(blocks, steps, strict=True):
-            u = l[rows] - step * (W[rows] @ l + b[rows])
+            y = W[rows] @ l + b[rows]
+            if K is not None and (own := K.block_solution(W[rows, rows], y - W[rows, rows] @ l[rows])) is not None:
+                l[rows] = own
+                continue
+            u = l[rows] - step * y
             l[rows] = np.clip(u, law.lower[rows], law.upper[rows]) if K is None else K.project(u)
         if np.abs(l - old).max(initial=0.0) <= SWEPT * np.abs(l).max(initial=0.0):
             break
-    return l
+    return l if np.isfinite(l).all() else start
 
 
 def polish_curved_solution(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Polish: keep the curved rows' smooth branch, put l = 0 and l = bound exactly where the index set says so."""
-    c = block_scale(W, law)
-    code = curved_index_set(law, l, W @ l + b, c)
-    l = np.where(code < 0, np.where(np.isfinite(law.lower), law.lower, 0.0), l)
-    l = np.where((code > 0) & np.isfinite(law.upper), law.upper, l)
-    for rows, K in law.curved:
-        if code[rows][0] == 1:
-            l[rows] = K.onto_boundary(l[rows])
-    free, rest = code == 0, code != 0
-    if free.any():
-        l = l.copy()
-        l[free] = solve_or_least_squares(W[np.ix_(free, free)], -(b[free] + W[np.ix_(free, rest)] @ l[rest]))
-    return l, code
+    y = W @ l + b
+    code = curved_index_set(law, l, y, block_scale(W, law))
+    return friction_contacts.solve_on_modes(W, b, law, l, y, code), code
 
 
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
@@ -324,14 +341,18 @@ def _solver_candidates(name, W, b, law, warm, index, symmetric):
             if l is not None:
                 yield l, code
         return
-    if name == SEMISMOOTH:
+    if name == SEMISMOOTH and law.is_normal_cone:
         for start in (warm, np.zeros_like(warm)):
             l = semismooth_newton(W, b, law, start)
             if l is None:
                 l = semismooth_newton(W, b, law, projected_gauss_seidel(W, b, law, start))
             if l is not None:
-                yield polish_curved_solution(W, b, law, l)
-                yield l, curved_index_set(law, l, W @ l + b, block_scale(W, law))
+                yield from _curved_candidates(W, b, law, l)
+        return
+    if name == SEMISMOOTH:
+        for l, code in _friction_candidates(W, b, law, warm, index):
+            if (np.abs(W) @ np.abs(l)).max() <= active_set.CANCELLED * np.abs(b).max():  # else W l + b is lost in rounding
+                yield l, code
         return
     l = active_set.lemke(W, b, law) if name == LEMKE else solve_qp(name, W, b, law, symmetric)
     if l is None:
@@ -346,3 +367,41 @@ def _solver_candidates(name, W, b, law, warm, index, symmetric):
     near = active_set.primal_dual_active_set(W, b, law, code)  # rows that are small beside others may be on the wrong side
     if near is not None:
         yield near
+
+
+def _curved_candidates(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    yield polish_curved_solution(W, b, law, l)
+    yield l, curved_index_set(law, l, W @ l + b, block_scale(W, law))
+
+
+def _friction_candidates(
+    W: np.ndarray, b: np.ndarray, law: NumericLaw, warm: np.ndarray, index: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Of several answers the first in a fixed order: the last modes, from the last multiplier, all that close stuck, from 0."""
+    if friction_contacts.modes_of(law, index):
+        l = friction_contacts.solve_on_modes(W, b, law, warm, W @ warm + b, index)
+        yield l, index
+    stuck = friction_contacts.solve_on_modes(W, b, law, warm, b, friction_contacts.stick_first(law, b))
+    for start in (warm, stuck, np.zeros_like(warm)):
+        if (l := semismooth_newton(W, b, law, start)) is not None:
+            yield from _curved_candidates(W, b, law, l)
+    for start in (warm, np.zeros_like(warm)):
+        swept = projected_gauss_seidel(W, b, law, start)
+        if (l := semismooth_newton(W, b, law, swept)) is not None:
+            yield from _curved_candidates(W, b, law, l)
+        yield from _curved_candidates(W, b, law, swept)
+    if (l := _continued(W, b, law)) is not None:
+        yield from _curved_candidates(W, b, law, l)
+    if friction_contacts.is_in_the_plane(law):
+        yield from friction_contacts.solutions_on_all_modes(W, b, law)
+        if (l := friction_contacts.solve_by_lemke(W, b, law)) is not None:
+            yield from _curved_candidates(W, b, law, l)
+
+
+def _continued(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:
+    """The l of W + delta max |W_ij| I from 0, each from the last one, as delta falls from 1 by tens; then of W itself."""
+    l, size = np.zeros(law.size), np.abs(W).max(initial=0.0)
+    for decade in range(REGULARISATIONS):
+        found = semismooth_newton(W + 10.0**-decade * size * np.eye(law.size), b, law, l)
+        l = l if found is None else found
+    return semismooth_newton(W, b, law, l)

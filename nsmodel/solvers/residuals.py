@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -36,6 +37,7 @@ NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not re
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
 REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
+UNSEEN = 1e-12  # Part of c s_y from which on the rounding of l counts as a distance from the graph of a curved set.
 CLEAR = 1e-2  # Part of the tolerance up to which a residual is told as it is; above, rounding may be excused.
 STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this.
 
@@ -52,6 +54,11 @@ class NumericLaw:
     def size(self) -> int:
         """Number of rows m."""
         return self.lower.size
+
+    @cached_property
+    def is_normal_cone(self) -> bool:
+        """Whether the law is -y ∈ N_K(l); else some blocks are -ŷ(y) ∈ N_K(l) (see `CurvedSet`)."""
+        return all(K.is_normal_cone for _, K in self.curved)
 
     @property
     def is_complementarity(self) -> bool:
@@ -165,10 +172,11 @@ def multiplier_scale(law: NumericLaw, l: Any, s_y: Any, w_max: np.ndarray, op: R
 
 
 def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any) -> float:
-    """|l - P_K(l - c y)| / (c s_y): by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the graph.
+    """|l - P_K(l - c ŷ)| / (c s_y), ŷ = y where the law is a normal cone.
 
-    In units s_l and s_y (c = s_l / s_y, at most 1 / w) that is at most sqrt(2) from the nearest point, as P_K is firmly
-    nonexpansive. With c = 1 / w an l that is small beside s_y / w would be judged by the rounding of y / w.
+    By Minty (P_K(u), (P_K(u) - u)/c), u = l - c ŷ, is a point of the graph. In units s_l and s_y (c = s_l / s_y, at most 1 / w)
+    that is at most sqrt(2) from the nearest point, as P_K is firmly nonexpansive. With c = 1 / w an l that is small beside
+    s_y / w would be judged by the rounding of y / w.
     """
     rows, K = block
     l, y = l[rows], y[rows]
@@ -176,7 +184,12 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     of_l, of_y = s_l[rows].max(), safe_norm(s_y[rows])
     if of_l > UNRESOLVED * of_y:
         c = min(c, of_l / of_y)
-    distance = safe_norm(l - K.project(l - c * y))
+    moved = c * K.shifted(y)
+    u = l - moved
+    nearest = K.project(u)
+    distance = safe_norm(moved) if (nearest == u).all() else safe_norm(l - nearest)
+    if (unseen := EPS * safe_norm(l)) > UNSEEN * c * of_y:  # y is lost in the rounding of l
+        distance = max(distance, unseen)
     return float(distance / (c * of_y)) if distance else 0.0
 
 

@@ -32,10 +32,16 @@ import numpy as np
 
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law, LawFactor
+from nsmodel.modeling.laws.coulomb import excess_at_rows, rivals_at_rows, shifted_at_rows
 from nsmodel.modeling.parts import Part
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, stack_column
 from nsmodel.simulation.step_inputs import reinitialised_step_mask
 from nsmodel.simulation.trajectory import Trajectory
+
+
+def as_it_is(y: np.ndarray) -> np.ndarray:
+    """The output of a law that is a normal cone."""
+    return y
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class BoxAtRows:
     lower: np.ndarray
     upper: np.ndarray
     strict = False
+    shifted = staticmethod(as_it_is)
 
     @property
     def extent(self) -> np.ndarray:
@@ -73,6 +80,7 @@ class BallAtRows:
 
     radius: np.ndarray
     strict = True
+    shifted = staticmethod(as_it_is)
 
     @property
     def extent(self) -> np.ndarray:
@@ -89,6 +97,27 @@ class BallAtRows:
         return (-self.radius * y / np.where(size > 0, size, 1))[None]
 
 
+@dataclass(frozen=True)
+class CoulombAtRows:
+    """Coulomb friction, mu (N, 1)."""
+
+    mu: np.ndarray
+    strict = False
+    extent = np.zeros(1)
+
+    def excess(self, l: np.ndarray) -> np.ndarray:
+        """Beyond the cone; a negative mu makes no set."""
+        return np.where(self.mu >= 0, excess_at_rows(l, self.mu), np.inf)
+
+    def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Those of each row's cone."""
+        return rivals_at_rows(l, y, self.mu)
+
+    def shifted(self, y: np.ndarray) -> np.ndarray:
+        """(y_N + mu |y_T|, y_T)."""
+        return shifted_at_rows(y, self.mu)
+
+
 EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8
 PROJECTION_TOLERANCE = 1e-6
 EVALUATION_ROUNDING = 64 * np.finfo(float).eps
@@ -96,6 +125,7 @@ UNDERFLOW_SIZE = 1e-290
 PROBE_LENGTHS = (1e-6, 1e-3, 1.0)  # lengths of the probes, beside the velocity
 
 StepResiduals = dict[str, float]
+RowSets = BoxAtRows | BallAtRows | CoulombAtRows
 
 
 def evaluate_at_rows(symbols: Sequence[ca.SX], expressions: Sequence[ca.SX], *columns: np.ndarray) -> list[np.ndarray]:
@@ -196,11 +226,13 @@ def moving_bound_sizes(model: Any, run: Trajectory) -> np.ndarray:
     return own
 
 
-def block_at_rows(block: LawFactor, model: Any, run: Trajectory) -> BoxAtRows | BallAtRows:
+def block_at_rows(block: LawFactor, model: Any, run: Trajectory) -> RowSets:
     """The set of each step's end, of a block whose numbers move."""
     t, _, u = step_ends(run)
     numbers = evaluate_at_rows([model.t, model.u], list(block.numbers.values()), t, u)
-    return BoxAtRows(*(rows[:, :, 0] for rows in numbers)) if block.separable else BallAtRows(numbers[0][:, 0])
+    if block.separable:
+        return BoxAtRows(*(rows[:, :, 0] for rows in numbers))
+    return BallAtRows(numbers[0][:, 0]) if block.is_normal_cone else CoulombAtRows(numbers[0][:, 0])
 
 
 def output_with_error(
@@ -221,11 +253,12 @@ def output_with_error(
     return y[:, :, 0], s_y + apply_matrices(np.abs(C), sizes.known) + rounding_allowance(size_y)
 
 
-def block_residual(block: LawFactor | BoxAtRows | BallAtRows, l: np.ndarray, y: np.ndarray, s_y: np.ndarray) -> float:
+def block_residual(block: LawFactor | RowSets, l: np.ndarray, y: np.ndarray, s_y: np.ndarray) -> float:
     """How far rows are from l ∈ K with <l' - l, y> >= 0 for the l' ∈ K that the block samples, beside what both may be off by.
 
     Where K is strictly convex one l' has the least <l', y>: l is measured by its distance from that, unless y is 0.
     """
+    y = block.shifted(y)
     s_l = LAW_TOLERANCE * np.maximum(np.abs(l).max(axis=1), block.extent)
     worst = ratio_to_allowed(block.excess(l).max(axis=1, initial=0.0), s_l)
     size_y, rivals = np.linalg.norm(y, axis=1), block.rivals(l, y)

@@ -20,6 +20,7 @@ from nsmodel.modeling.laws import Law, ball, box, product, second_order_cone
 from nsmodel.solvers import active_set, mlcp
 from nsmodel.solvers import mlcp as curved
 from nsmodel.solvers.constant_matrices import _multiplier_map
+from nsmodel.solvers.friction_contacts import MAX_MODES, is_in_the_plane, mode_count
 from nsmodel.solvers.residuals import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
 from tests.solvers.test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
@@ -148,6 +149,8 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
     """The C text: for boxes given at each call, for the law ``of`` with curved sets, or for both."""
     law = EMPTY if of is None else numeric_law(of)
     flags = {"AFFINE_PROBLEM", *(("CURVED",) if law.curved else ())}
+    if not law.is_normal_cone:
+        flags |= {"FRICTION", *(("CONTACTS_IN_PLANE",) if mode_count(law) <= MAX_MODES and is_in_the_plane(law) else ())}
     box_too = both or not law.curved
     if box_too:
         flags |= {"BOX_PROBLEM", "ENUMERATION", "INDEX_SETS", "INVERSE", "INVERTED", "FIXED_MAPS", "PIVOTING"}

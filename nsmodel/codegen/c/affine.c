@@ -66,22 +66,33 @@ static double row_residual(double lo, double up, double l, double y, double s_y,
 }
 #if CURVED
 
-/* |l - P_K(l - c y)| / (c s_y) of a block whose rows begin at l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the
+/* |l - P_K(l - c ŷ)| / (c s_y), ŷ = y where the law is a normal cone, of a block whose rows begin at l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the
    graph, c = min(s_l / s_y, 1 / w). */
 static double block_residual(const curved_block *k, const double *numbers, const double *l, const double *y,
                              const double *s_y, const double *s_l, const double *w_max)
 {
     const double w = largest(k->size, w_max), of_l = largest(k->size, s_l);
-    double u[MODEL_BLOCK], c = w > 0 ? 1/w : 1, of_y = 0, distance = 0;
+    double u[MODEL_BLOCK], nearest[MODEL_BLOCK], c = w > 0 ? 1/w : 1, of_y = 0, distance = 0;
     for (int i = 0; i < k->size; i++)
         of_y = hypot(of_y, max_of(s_y[i], UNRESOLVED));
     if (of_l > UNRESOLVED*of_y)
         c = min_of(c, of_l/of_y);
+#if FRICTION
+    double shifted[MODEL_BLOCK];
+    COPY(shifted, y, k->size);
+    set_shift(k, numbers, shifted);
+    y = shifted;
+#endif
+    int inside = 1;
     for (int i = 0; i < k->size; i++)
-        u[i] = l[i] - c*y[i];
-    set_project(k, numbers, u);
+        u[i] = nearest[i] = l[i] - c*y[i];
+    set_project(k, numbers, nearest);
     for (int i = 0; i < k->size; i++)
-        distance = hypot(distance, l[i] - u[i]);
+        inside = inside && nearest[i] == u[i];
+    for (int i = 0; i < k->size; i++)
+        distance = hypot(distance, inside ? c*y[i] : l[i] - nearest[i]);
+    if (EPS*norm(k->size, l) > UNSEEN*(c*of_y)) /* y is lost in the rounding of l */
+        distance = max_of(distance, EPS*norm(k->size, l));
     return ratio(distance, c*of_y);
 }
 #endif
@@ -343,8 +354,8 @@ static int solve_box(model_solver *s, const affine_problem *p, const signed char
 #endif
 #if CURVED
 
-/* Solver of the law with curved sets, from the multiplier ``warm`` and from 0. See curved.c. */
-static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, double accepted);
+/* Solver of the law with curved sets, from the multiplier ``warm``, its codes and from 0. See curved.c. */
+static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, const signed char *last, double accepted);
 #endif
 
 /* Solve y = W l + b, -y ∈ N_[lo, up](l), from the last multiplier l and index set code; where lo is the model's own LOWER,
@@ -361,9 +372,9 @@ static int affine_solve(model_solver *s, int m, const double *W, const double *b
         s->affine.w_max[i] = largest(m, W + i*m);
 #if CURVED
 #if BOX_PROBLEM
-    const int solver = HAS_BLOCKS(m, lo) ? solve_curved(s, &problem, l, accepted) : solve_box(s, &problem, code, accepted);
+    const int solver = HAS_BLOCKS(m, lo) ? solve_curved(s, &problem, l, code, accepted) : solve_box(s, &problem, code, accepted);
 #else
-    const int solver = solve_curved(s, &problem, l, accepted);
+    const int solver = solve_curved(s, &problem, l, code, accepted);
 #endif
 #else
     const int solver = solve_box(s, &problem, code, accepted);

@@ -13,10 +13,27 @@ static void project_all(const model_solver *s, const affine_problem *p, double *
         set_project(&curved[k], NUMBERS(k), u + curved[k].start);
 }
 
+#if FRICTION
+/* y = ŷ(y). */
+static void shift_all(const model_solver *s, double *y)
+{
+    (void)s;
+    for (int k = 0; k < MODEL_CURVED; k++)
+        set_shift(&curved[k], NUMBERS(k), y + curved[k].start);
+}
+
+/* The natural map semismooth.F = l - P_K(u) with semismooth.u = l - c ŷ(W l + b); return |F|. */
+#else
 /* The natural map semismooth.F = l - P_K(u) with semismooth.u = l - c (W l + b); return |F|. */
+#endif
 static double natural_map(model_solver *s, const affine_problem *p, const double *l)
 {
     affine_output(p, l, s->affine.y);
+#if FRICTION
+    for (int i = 0; i < p->m; i++)
+        s->affine.y[i] += s->semismooth.added*l[i];
+    shift_all(s, s->affine.y);
+#endif
     for (int i = 0; i < p->m; i++)
         s->semismooth.F[i] = s->semismooth.u[i] = l[i] - s->semismooth.c[i]*s->affine.y[i];
     project_all(s, p, s->semismooth.F);
@@ -47,7 +64,11 @@ static double relative_map(const model_solver *s, const affine_problem *p, const
     return worst;
 }
 
+#if FRICTION
+/* The Jacobian I - P (I - c T W) of the natural map, P that of the projection at semismooth.u, T that of ŷ at affine.y. */
+#else
 /* The Jacobian I - P (I - c W) of the natural map, P that of the projection at semismooth.u. */
+#endif
 static void natural_jacobian(model_solver *s, const affine_problem *p)
 {
     const int m = p->m;
@@ -55,16 +76,32 @@ static void natural_jacobian(model_solver *s, const affine_problem *p)
     double *J = s->affine.block;
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++)
+#if FRICTION
+            J[i*m + j] = u[i] > p->lo[i] && u[i] < p->up[i] ? c[i]*(p->W[i*m + j] + (i == j ? s->semismooth.added : 0)) : i == j;
+#else
             J[i*m + j] = u[i] > p->lo[i] && u[i] < p->up[i] ? c[i]*p->W[i*m + j] : i == j;
+#endif
     for (int k = 0; k < MODEL_CURVED; k++) {
         const int start = curved[k].start, n = curved[k].size;
         double P[MODEL_BLOCK*MODEL_BLOCK];
         set_jacobian(&curved[k], NUMBERS(k), u + start, P);
+#if FRICTION
+        double T[MODEL_BLOCK*MODEL_BLOCK];
+        set_shift_jacobian(&curved[k], NUMBERS(k), s->affine.y + start, T); /* which y_T alone decides: y may be ŷ */
+#endif
         for (int i = 0; i < n; i++)
             for (int j = 0; j < m; j++) {
                 J[(start + i)*m + j] = start + i == j;
-                for (int r = 0; r < n; r++)
-                    J[(start + i)*m + j] -= P[i*n + r]*((start + r == j) - c[start + r]*p->W[(start + r)*m + j]);
+                for (int r = 0; r < n; r++) {
+#if FRICTION
+                    double moved = 0;
+                    for (int q = 0; q < n; q++)
+                        moved += T[r*n + q]*(p->W[(start + q)*m + j] + (start + q == j ? s->semismooth.added : 0));
+#else
+                    const double moved = p->W[(start + r)*m + j];
+#endif
+                    J[(start + i)*m + j] -= P[i*n + r]*((start + r == j) - c[start + r]*moved);
+                }
             }
     }
 }
@@ -117,6 +154,19 @@ static double relax(model_solver *s, const affine_problem *p, int k, int start, 
     double *u = s->semismooth.u, *l = s->semismooth.l, change = 0;
     for (int i = start; i < start + n; i++)
         u[i] = l[i] - s->semismooth.step[start]*(dot(p->m, p->W + i*p->m, l) + p->b[i]);
+#if FRICTION
+    double W[MODEL_BLOCK*MODEL_BLOCK], b[MODEL_BLOCK], own[MODEL_BLOCK];
+    for (int i = 0; i < n && k >= 0; i++) {
+        b[i] = dot(p->m, p->W + (start + i)*p->m, l) + p->b[start + i];
+        for (int j = 0; j < n; j++) {
+            W[i*n + j] = p->W[(start + i)*p->m + start + j];
+            b[i] -= W[i*n + j]*l[start + j];
+        }
+    }
+    if (k >= 0 && set_block_solution(&curved[k], NUMBERS(k), W, b, own)) {
+        COPY(u + start, own, n);
+    } else
+#endif
     if (k >= 0)
         set_project(&curved[k], NUMBERS(k), u + start);
     else
@@ -163,23 +213,90 @@ static void curved_index_set(model_solver *s, const affine_problem *p)
     }
 }
 
-/* Polish semismooth.l into affine.l: keep the curved rows' smooth branch, put l = 0 and l = bound exactly where the index set says
-   so. Return 0, or 1 where that is not finite. */
-static int exact_zeros(model_solver *s, const affine_problem *p)
+/* affine.l: the l with the codes affine.code, its directions of slip and what else is curved as (l, affine.y) have them. Return 0,
+   or 1 where that is not finite. */
+static int solve_on_modes(model_solver *s, const affine_problem *p, const double *from)
 {
+    const int m = p->m;
     const signed char *code = s->affine.code;
-    double *l = s->affine.l;
-    for (int i = 0; i < p->m; i++) {
-        l[i] = s->semismooth.l[i];
+    double *l = s->affine.l, *ray = s->semismooth.trial, *x = s->affine.x;
+    int *row = s->affine.free, *width = s->semismooth.width, n = 0; /* the rows held, and of how many the column of each consists */
+    for (int i = 0; i < m; i++) {
+        l[i] = from[i];
         if (code[i] < 0)
             l[i] = is_finite(p->lo[i]) ? p->lo[i] : 0;
         else if (code[i] > 0 && is_finite(p->up[i]))
             l[i] = p->up[i];
+        ray[i] = 1;
+        width[i] = code[i] == 0;
     }
-    for (int k = 0; k < MODEL_CURVED; k++)
-        if (code[curved[k].start] == 1)
-            set_onto_boundary(&curved[k], NUMBERS(k), l + curved[k].start);
-    return solve_free_rows(s, p, code, l);
+    for (int k = 0; k < MODEL_CURVED; k++) {
+        const int start = curved[k].start;
+#if FRICTION
+        if (code[start] == 1 && set_boundary_ray(&curved[k], NUMBERS(k), from + start, s->affine.y + start, ray + start)) {
+            width[start] = curved[k].size;
+            continue;
+        }
+#endif
+        if (code[start] == 1)
+            set_onto_boundary(&curved[k], NUMBERS(k), l + start);
+    }
+    for (int i = 0; i < m; i++) {
+        for (int r = 0; r < width[i]; r++)
+            l[i + r] = 0;
+        if (width[i])
+            row[n++] = i;
+    }
+    for (int i = 0; i < n; i++) {
+        x[i] = -(p->b[row[i]] + dot(m, p->W + row[i]*m, l));
+        for (int j = 0; j < n; j++) {
+            double sum = 0;
+            for (int r = row[j]; r < row[j] + width[row[j]]; r++)
+                sum += p->W[row[i]*m + r]*ray[r];
+            s->affine.block[i*n + j] = sum;
+        }
+    }
+    if (solve_or_least_squares(s, n, s->affine.block, x))
+        return 1;
+    for (int j = 0; j < n; j++)
+        for (int r = row[j]; r < row[j] + width[row[j]]; r++)
+            l[r] = x[j]*ray[r];
+    return 0;
+}
+
+#if FRICTION
+/* Whether the terms of W affine.l cancel beside b as far as rounding: then nothing is known of W l + b. */
+static int is_lost(const model_solver *s, const affine_problem *p)
+{
+    double terms = 0;
+    for (int i = 0; i < p->m; i++) {
+        double sum = 0;
+        for (int j = 0; j < p->m; j++)
+            sum += fabs(p->W[i*p->m + j]*s->affine.l[j]);
+        terms = worse_of(terms, sum);
+    }
+    return !(terms <= CANCELLED*largest(p->m, p->b));
+}
+
+/* Whether affine.l passes. */
+static int passes_known(model_solver *s, const affine_problem *p, double accepted)
+{
+    return !is_lost(s, p) && passes(s, p, accepted);
+}
+#else
+#define passes_known passes
+#endif
+
+/* Judge semismooth.l: polished on its index set, then as it is. Return whether one of them passes. */
+static int passes_polished(model_solver *s, const affine_problem *p, double accepted)
+{
+    curved_index_set(s, p);
+    affine_output(p, s->semismooth.l, s->affine.y);
+    if (!solve_on_modes(s, p, s->semismooth.l) && passes_known(s, p, accepted))
+        return 1;
+    curved_index_set(s, p);
+    COPY(s->affine.l, s->semismooth.l, p->m);
+    return passes_known(s, p, accepted);
 }
 
 /* The factor c of the natural map, equal within a block. */
@@ -196,8 +313,110 @@ static void block_scale(model_solver *s, const affine_problem *p)
     }
 }
 
-static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, double accepted)
+#if FRICTION
+/* Codes where every contact that would close sticks, and everything else is as it would be without l. */
+static void stick_first(model_solver *s, const affine_problem *p)
 {
+    for (int i = 0; i < p->m; i++)
+        s->affine.code[i] = p->lo[i] == 0 && !(p->b[i] < 0) ? -1 : 0;
+    for (int k = 0; k < MODEL_CURVED; k++)
+        memset(s->affine.code + curved[k].start, p->b[curved[k].start] < 0 ? 0 : -1, (size_t)curved[k].size);
+}
+#if CONTACTS_IN_PLANE
+
+/* Try all choices of modes, the first rows changing first: of a contact stick, open, slip either way. Return whether one passes. */
+static int try_all_modes(model_solver *s, const affine_problem *p, double accepted)
+{
+    const int m = p->m;
+    int *choice = s->semismooth.choice;
+    double *from = s->semismooth.l, *y = s->affine.y;
+    memset(choice, 0, sizeof s->semismooth.choice);
+    for (int tried = 0, next = 0; next < m && tried < MAX_MODES && spend(s); tried++) {
+        for (int i = 0, k = 0; i < m; i++) {
+            from[i] = y[i] = 0;
+            s->affine.code[i] = choice[i] == 0 ? 0 : choice[i] == 1 && is_finite(p->lo[i]) ? -1 : 1;
+            if (k < MODEL_CURVED && i == curved[k].start) {
+                s->affine.code[i] = s->affine.code[i + 1] = choice[i] == 0 ? 0 : choice[i] == 1 ? -1 : 1;
+                from[i] = from[i + 1] = y[i] = 0;
+                y[i + 1] = choice[i] == 2 ? 1 : -1;
+                k++;
+                i++;
+            }
+        }
+        if (!solve_on_modes(s, p, from) && passes_known(s, p, accepted))
+            return 1;
+        for (next = 0; next < m; next++) { /* the next choice */
+            int k = 0, most = is_finite(p->lo[next]) + is_finite(p->up[next]);
+            while (k < MODEL_CURVED && curved[k].start < next)
+                k++;
+            const int contact = k < MODEL_CURVED && curved[k].start == next;
+            most = contact ? 3 : most;
+            if (choice[next] < most) {
+                choice[next]++;
+                break;
+            }
+            choice[next] = 0;
+            next += contact;
+        }
+    }
+    return 0;
+}
+#endif
+
+/* Of several answers the first in a fixed order: the last modes, from the last multiplier, all that close stuck, from 0. */
+static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, const signed char *last, double accepted)
+{
+    block_scale(s, p);
+    s->semismooth.added = 0;
+    COPY(s->affine.code, last, p->m);
+    affine_output(p, warm, s->affine.y);
+    if (spend(s) && !solve_on_modes(s, p, warm) && passes_known(s, p, accepted))
+        return SEMISMOOTH;
+    for (int attempt = 0; attempt < 5; attempt++) { /* the last two after sweeps */
+        double *l = s->semismooth.l;
+        for (int i = 0; i < p->m; i++)
+            l[i] = attempt == 0 || attempt == 3 ? warm[i] : 0;
+        if (attempt == 1) {
+            stick_first(s, p);
+            COPY(s->affine.y, p->b, p->m);
+            if (!solve_on_modes(s, p, warm))
+                COPY(l, s->affine.l, p->m);
+        }
+        if (attempt > 2)
+            gauss_seidel(s, p);
+        if (attempt > 2)
+            COPY(s->semismooth.swept, l, p->m);
+        if (!semismooth_newton(s, p) && passes_polished(s, p, accepted))
+            return SEMISMOOTH;
+        if (attempt > 2) {
+            COPY(l, s->semismooth.swept, p->m);
+            if (passes_polished(s, p, accepted))
+                return SEMISMOOTH;
+        }
+    }
+    for (int i = 0; i < p->m; i++)
+        s->semismooth.l[i] = 0;
+    for (int decade = 0; decade <= REGULARISATIONS; decade++) { /* W + added I, the last time W itself */
+        s->semismooth.added = decade < REGULARISATIONS ? pow(10, -decade)*largest(p->m*p->m, p->W) : 0;
+        COPY(s->semismooth.swept, s->semismooth.l, p->m);
+        if (semismooth_newton(s, p)) {
+            if (decade == REGULARISATIONS)
+                break;
+            COPY(s->semismooth.l, s->semismooth.swept, p->m);
+        } else if (decade == REGULARISATIONS && passes_polished(s, p, accepted))
+            return SEMISMOOTH;
+    }
+    s->semismooth.added = 0;
+#if CONTACTS_IN_PLANE
+    if (try_all_modes(s, p, accepted))
+        return SEMISMOOTH;
+#endif
+    return NONE;
+}
+#else
+static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, const signed char *last, double accepted)
+{
+    (void)last;
     block_scale(s, p);
     for (int attempt = 0; attempt < 4; attempt++) { /* from the last multiplier, then from 0; directly, then after sweeps */
         for (int i = 0; i < p->m; i++)
@@ -206,13 +425,10 @@ static int solve_curved(model_solver *s, const affine_problem *p, const double *
             gauss_seidel(s, p);
         if (semismooth_newton(s, p))
             continue;
-        curved_index_set(s, p);
-        if (!exact_zeros(s, p) && passes(s, p, accepted))
-            return SEMISMOOTH;
-        COPY(s->affine.l, s->semismooth.l, p->m);
-        if (passes(s, p, accepted))
+        if (passes_polished(s, p, accepted))
             return SEMISMOOTH;
         attempt |= 1; /* no sweeps where Newton's method has converged */
     }
     return NONE;
 }
+#endif

@@ -80,17 +80,35 @@ class CurvedSet(ABC):
     Attributes:
         kind: its name, and that of its file of C.
         is_cone: whether it is pointed at 0 and unbounded.
+        is_normal_cone: whether the law is -y ∈ N_K(l); else it is -ŷ(y) ∈ N_K(l).
         radius: max |l| over K; inf where K is not bounded.
     """
 
     kind: ClassVar[str]
     is_cone: ClassVar[bool] = False
+    is_normal_cone: ClassVar[bool] = True
     radius: float
 
     @property
     def is_bounded(self) -> bool:
         """Whether K is bounded."""
         return math.isfinite(self.radius)
+
+    def shifted(self, y: np.ndarray) -> np.ndarray:
+        """The output that the normal cone is taken at, (m,)."""
+        return y
+
+    def shift_jacobian(self, y: np.ndarray) -> np.ndarray:
+        """An element of the generalised Jacobian of ŷ at y, (m, m)."""
+        return np.eye(y.size)
+
+    def boundary_ray(self, l: np.ndarray, y: np.ndarray) -> np.ndarray | None:
+        """The ray of the boundary that l keeps to there, its first entry 1, where y_1 = 0 then; None: l is known otherwise."""
+        return None
+
+    def block_solution(self, W: np.ndarray, b: np.ndarray) -> np.ndarray | None:
+        """The l of y = W l + b, -ŷ ∈ N_K(l), of this block alone, W (m, m); None: there is no direct way to it."""
+        return None
 
     @abstractmethod
     def project(self, u: np.ndarray) -> np.ndarray:
@@ -284,6 +302,7 @@ class LawFactor(Picklable, ABC):
         kind: its name in files.
         separable: whether each row is a law of its own.
         strict: whether K is bounded and strictly convex, so that one l' in K has the least <l', y> for y != 0.
+        is_normal_cone: whether the law is -y ∈ N_K(l), which is monotone; see `CurvedSet`.
         label: what the user called for: "relay", "complementarity", ...
         size: number of components m.
     """
@@ -291,6 +310,7 @@ class LawFactor(Picklable, ABC):
     kind: ClassVar[str]
     separable: ClassVar[bool] = False
     strict: ClassVar[bool] = False
+    is_normal_cone: ClassVar[bool] = True
     STATE_NAMES: ClassVar[Mapping[str, StateNames]]
     label: str
     size: int
@@ -364,6 +384,10 @@ class LawFactor(Picklable, ABC):
     @abstractmethod
     def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Points (k, N, m) of K, one of which has the least <l', y> at each row, or falls without end from l along it."""
+
+    def shifted(self, y: np.ndarray) -> np.ndarray:
+        """The ŷ (N, m) with -ŷ ∈ N_K(l): y itself where the law is a normal cone."""
+        return y
 
     @property
     def extent(self) -> float:
@@ -443,6 +467,11 @@ class Law(Picklable):
     def labels(self) -> list[str]:
         """The label of each component (m entries)."""
         return [block.label for block in self.blocks for _ in range(block.size)]
+
+    @property
+    def is_normal_cone(self) -> bool:
+        """Whether each block is -y ∈ N_K(l)."""
+        return all(block.is_normal_cone for block in self.blocks)
 
     @property
     def is_box(self) -> bool:

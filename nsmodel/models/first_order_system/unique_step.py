@@ -45,6 +45,7 @@ from nsmodel.proof.extremum import largest_eigenvalue
 from nsmodel.solvers.structure import is_eigenvalue_nonnegative, least_eigenvalue
 
 MAX_DECIDED_STEPS = 5  # Different step lengths that are decided one by one.
+NO_NORMAL_CONE = "Coulomb friction is no normal cone, and not monotone: what W_mlcp is says nothing of a step"
 JUMP_TEXT = "f, h or g jumps (F-jacobians): a step across the jump may have no solution, or several, whatever W is"
 
 
@@ -58,6 +59,8 @@ def step_uniqueness(
         return make_finding(hypothesis, UNKNOWN, f"a step needs finite f, h and g: {at.defined.how}")
     if not at.model.law.size:
         return _smooth_uniqueness(hypothesis, at, regular, quick)
+    if not at.model.law.is_normal_cone:
+        return make_finding(hypothesis, UNKNOWN, NO_NORMAL_CONE)
     exactly = at.constant and at.affine and regular.verdict == HOLDS
     if exactly and (finding := _constant_uniqueness(hypothesis, at, mlcp_finding, quick)) is not None:
         return finding
@@ -290,6 +293,8 @@ def mlcp_solvability(hypothesis: Hypothesis, at: SystemLinearisation, regular: s
         return make_finding(
             hypothesis, HOLDS, "There are no multipliers: no complementarity problem has to be solved.", {"rows": 0}
         )
+    if not at.model.law.is_normal_cone:
+        return make_finding(hypothesis, UNKNOWN, NO_NORMAL_CONE)
     if regular == VIOLATED and at.is_W_constant:
         return make_finding(hypothesis, UNKNOWN, "W is singular (F-W), so that W_mlcp is not defined")
     return _exact_solvability(hypothesis, at) if at.constant else _sampled_solvability(hypothesis, at, quick)

@@ -69,6 +69,11 @@ class LureSystem(Model):
             raise ModelError("phi: declare its argument with y=")
         law, rows = _combine_named_laws(self.law)
         law = None if law is None else checked_law(self, c, law)
+        if law is not None and not law.is_normal_cone:
+            raise ModelError(
+                "law: Coulomb friction is no normal cone, and what is known of Lur'e systems holds of those; "
+                "write a FirstOrderSystem: -ŷ(y) ∈ N_K(l) has the same steps there"
+            )
         m = self.y.numel() if law is None else law.size
         what = f"{m} components of the law" if law is not None else f"{m} symbols of y"
         square = f"a row and a column for each of {what}"
