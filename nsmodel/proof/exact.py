@@ -16,6 +16,7 @@ import numpy as np
 from nsmodel.proof.verdict import connected_components
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
+ZERO = Fraction(0)
 MIN_CHOLESKY_SIZE = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
 
 
@@ -52,13 +53,15 @@ def rational(matrix: Any) -> np.ndarray:
         if not np.isfinite(entries).all():
             raise ValueError("exact arithmetic: an entry is not a finite number")
     out = np.empty(entries.shape, dtype=object)
-    out.ravel()[:] = [entry if isinstance(entry, Fraction) else Fraction(entry) for entry in entries.ravel().tolist()]
+    out.ravel()[:] = [
+        entry if isinstance(entry, Fraction) else Fraction(entry) if entry else ZERO for entry in entries.ravel().tolist()
+    ]
     return out
 
 
 def doubles(matrix: np.ndarray) -> np.ndarray:
     """Return the doubles nearest to rational entries."""
-    return np.array([float(entry) for entry in matrix.ravel()]).reshape(matrix.shape)
+    return np.array([float(entry) if entry else 0.0 for entry in matrix.ravel().tolist()]).reshape(matrix.shape)
 
 
 def round_down(number: Fraction) -> float:
@@ -87,7 +90,7 @@ def eye(n: int) -> np.ndarray:
 def zeros(rows: int, columns: int) -> np.ndarray:
     """The zero matrix."""
     matrix = np.empty((rows, columns), dtype=object)
-    matrix.fill(Fraction(0))
+    matrix.fill(ZERO)
     return matrix
 
 
@@ -135,12 +138,20 @@ def solve_linear_system(matrix: Any, right: Any) -> np.ndarray | None:
     """Return one X with M X = right (free entries 0), or None where there is none; ``right`` is (n, k)."""
     M, b = rational(matrix), rational(right)
     n = M.shape[1]
+    if len(M) == n and (found := solve_regular_system(M, b)) is not None:
+        return found
     rows, pivots = _reduced_echelon_form(np.hstack([M, b]))
     if any(pivot >= n for pivot in pivots):
         return None
     X = zeros(n, b.shape[1])
     X[pivots] = rows[: len(pivots), n:]
     return X
+
+
+def solve_regular_system(matrix: Any, right: Any) -> np.ndarray | None:
+    """Return the X with M X = right, or None where the square matrix M is singular; ``right`` is (n, k)."""
+    M = _flint_matrix(rational(matrix))
+    return None if M.rank() < M.nrows() else _fractions_from_flint(M.solve(_flint_matrix(rational(right))))
 
 
 def determinant(matrix: Any) -> Fraction:
@@ -164,7 +175,9 @@ def _flint_matrix(M: np.ndarray) -> Any:
     """The matrix (m, n) as one of FLINT's."""
     from flint import fmpq, fmpq_mat
 
-    return fmpq_mat(M.shape[0], M.shape[1], [fmpq(entry.numerator, entry.denominator) for entry in M.ravel()])
+    zero = fmpq(0)
+    entries = [fmpq(entry.numerator, entry.denominator) if entry else zero for entry in M.ravel().tolist()]
+    return fmpq_mat(M.shape[0], M.shape[1], entries)
 
 
 def _fraction_from_flint(number: Any) -> Fraction:
@@ -173,7 +186,7 @@ def _fraction_from_flint(number: Any) -> Fraction:
 
 def _fractions_from_flint(matrix: Any) -> np.ndarray:
     out = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
-    out.ravel()[:] = [_fraction_from_flint(entry) if entry else Fraction(0) for entry in matrix.entries()]
+    out.ravel()[:] = [_fraction_from_flint(entry) if entry else ZERO for entry in matrix.entries()]
     return out
 
 

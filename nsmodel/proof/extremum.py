@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import casadi as ca
 import numpy as np
 
 from nsmodel.proof.expression_graph import Program
-from nsmodel.proof.global_search import BoxBounds, SearchGoal, SearchSpace, Supremum, search_supremum
+from nsmodel.proof.global_search import BoxBounds, SearchGoal, SearchSpace, Supremum, bound_without_search, search_supremum
 from nsmodel.proof.global_search import samples as samples
 from nsmodel.proof.interval_bounds import mean_value_form, natural_extension, validated_boxes
 from nsmodel.proof.verdict import connected_components
@@ -41,7 +39,7 @@ def supremum(
     Raises:
         ValueError: other symbols than z, or no box.
     """
-    return _scalar_supremum(expr, _search_space(z, lower, upper, where, points, quick, bound_to), -np.inf)
+    return search_supremum(_scalar_goal(expr), _search_space(z, lower, upper, where, points, quick, bound_to), -np.inf)
 
 
 def _search_space(
@@ -55,7 +53,7 @@ def _search_space(
     return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
 
 
-def _scalar_supremum(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum:
+def _scalar_goal(expr: ca.SX) -> SearchGoal:
     expr = ca.densify(ca.SX(expr))
 
     def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> BoxBounds:
@@ -63,8 +61,7 @@ def _scalar_supremum(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum
         slope_lo, slope_hi = found.slope_lo[0], found.slope_hi[0]
         return BoxBounds(found.hi[0], np.maximum(np.abs(slope_lo), np.abs(slope_hi)), slope_lo >= 0, slope_hi <= 0, found)
 
-    goal = SearchGoal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
-    return search_supremum(goal, space, enough)
+    return SearchGoal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
 
 
 # -- matrices ----------------------------------------------------------------------------------------------------------
@@ -86,6 +83,13 @@ def spectral_norm(
     return _supremum_over_blocks([_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)], space)
 
 
+def spectral_norm_bounds(J: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return rigorous bounds (k,) of the largest singular value over each of k >= 1 boxes (k, n), no box being cut."""
+    J, (low, high) = ca.SX(J), validated_boxes(z, lower, upper)
+    goals = [_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)] or [_scalar_goal(ca.SX(0))]
+    return np.max([bound_without_search(goal, ca.vec(z), low, high) for goal in goals], axis=0)
+
+
 def largest_eigenvalue(
     S: ca.SX,
     z: ca.SX,
@@ -105,22 +109,11 @@ def largest_eigenvalue(
     return _supremum_over_blocks([_block_eigenvalue(S[group, group]) for group in groups], space)
 
 
-class _MatrixGoal(NamedTuple):
-    """A matrix with what measures it: ``kind`` "norm" or "eigenvalue"."""
-
-    kind: str
-    entries: ca.SX
-
-
-def _supremum_over_blocks(parts: list[ca.SX | _MatrixGoal], space: SearchSpace) -> Supremum:
-    """Return the largest over the parts; a part that cannot exceed what was found already is not looked at closely."""
+def _supremum_over_blocks(goals: list[SearchGoal], space: SearchSpace) -> Supremum:
+    """Return the largest over the goals; one that cannot exceed what was found already is not looked at closely."""
     best = Supremum(-np.inf, None, -np.inf, 0)
-    for part in parts or [ca.SX(0)]:
-        found = (
-            _matrix_supremum(part, space, best.value)
-            if isinstance(part, _MatrixGoal)
-            else _scalar_supremum(part, space, best.value)
-        )
+    for goal in goals or [_scalar_goal(ca.SX(0))]:
+        found = search_supremum(goal, space, best.value)
         value, at = (found.value, found.at) if found.value > best.value or best.at is None else (best.value, best.at)
         best = Supremum(value, at, max(best.bound, found.bound), max(best.count, found.count))
     return best
@@ -144,24 +137,24 @@ def _euclidean_norm(entries: list[ca.SX]) -> ca.SX:
     return total
 
 
-def _block_norm(J: ca.SX) -> ca.SX | _MatrixGoal:
+def _block_norm(J: ca.SX) -> SearchGoal:
     J = ca.densify(J)
     if min(J.shape) == 1:
-        return _euclidean_norm(ca.vertsplit(ca.vec(J)))
+        return _scalar_goal(_euclidean_norm(ca.vertsplit(ca.vec(J))))
     if J.shape == (2, 2):
         a, c, b, d = ca.vertsplit(ca.vec(J))
-        return (ca.hypot(a + d, b - c) + ca.hypot(a - d, b + c)) / 2
-    return _MatrixGoal("norm", J)
+        return _scalar_goal((ca.hypot(a + d, b - c) + ca.hypot(a - d, b + c)) / 2)
+    return _matrix_goal(J, True)
 
 
-def _block_eigenvalue(S: ca.SX) -> ca.SX | _MatrixGoal:
+def _block_eigenvalue(S: ca.SX) -> SearchGoal:
     S = ca.densify(S)
     if S.shape == (1, 1):
-        return S
+        return _scalar_goal(S)
     if S.shape == (2, 2):
         a, c, b, d = ca.vertsplit(ca.vec(S))
-        return (a + d + ca.hypot(a - d, b + c)) / 2
-    return _MatrixGoal("eigenvalue", S)
+        return _scalar_goal((a + d + ca.hypot(a - d, b + c)) / 2)
+    return _matrix_goal(S, False)
 
 
 def _reshape_entries(entries: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -174,8 +167,9 @@ def _matrix_measures(full: np.ndarray, norm: bool) -> np.ndarray:
     return np.linalg.norm(full, 2, axis=(1, 2)) if norm else np.linalg.eigvalsh((full + full.swapaxes(1, 2)) / 2)[:, -1]
 
 
-def _matrix_supremum(part: _MatrixGoal, space: SearchSpace, enough: float) -> Supremum:
-    A, norm, (m, n) = part.entries, part.kind == "norm", part.entries.shape
+def _matrix_goal(A: ca.SX, norm: bool) -> SearchGoal:
+    """The largest singular value of a matrix, or eigenvalue of its symmetric part."""
+    m, n = A.shape
 
     def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> BoxBounds:
         lo, hi, rate = _entry_bounds(code, lower, upper)
@@ -193,14 +187,13 @@ def _matrix_supremum(part: _MatrixGoal, space: SearchSpace, enough: float) -> Su
 
     left, right = ca.SX.sym("u", m), ca.SX.sym("v", n)
     ascent = (ca.bilin(A, left, right), [left, right]) if norm else (ca.bilin(A, right, right), [right])
-    goal = SearchGoal(
+    return SearchGoal(
         A,
         lambda entries: _matrix_measures(_reshape_entries(entries, A.shape), norm),
         bounds,
         2 * m * n * min(m, n),
         (*ascent, begin),
     )
-    return search_supremum(goal, space, enough)
 
 
 def _entry_bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.affine_reduction import ReducedExpression, reduce_coordinates
-from nsmodel.proof.expression_graph import Program, program, stack_column, symbol_hashes
+from nsmodel.proof.expression_graph import MAX_STORED_NUMBERS, Program, program, stack_column, symbol_hashes
 from nsmodel.proof.interval_arithmetic import IntervalPair, add, mul, sub
 from nsmodel.proof.interval_bounds import (
     MeanValueBounds,
@@ -439,6 +439,22 @@ def search_supremum(goal: SearchGoal, space: SearchSpace, enough: float) -> Supr
                 state = with_better_point(state, *evaluator.best(points))
             state = search_boxes(task, state, budget)
     return Supremum(state.value, state.at, float(state.bound), evaluator.count)
+
+
+def bound_without_search(goal: SearchGoal, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return a rigorous bound (k,) of a goal over each of several boxes (k, n) as a whole: what a quick search bounds it by."""
+    whole, symbols = ca.vec(ca.densify(goal.held)), z
+    less = reduce_coordinates(whole, z, lower, upper)
+    if less is not None:
+        whole, symbols, lower, upper = less.expr, less.d, less.lower, less.upper
+    code, at_once = program(ca.reshape(whole, *goal.held.shape), symbols), max(1, MAX_STORED_NUMBERS // goal.held.numel())
+    task = MaximisationTask(
+        lambda low, high: goal.bounds(code, low, high), lambda points, at: (-np.inf, None), None, lower.min(axis=0),
+        upper.max(axis=0), np.arange(0), np.inf, -np.inf, 0.0,
+    )  # fmt: skip
+    parts = (slice(i, i + at_once) for i in range(0, len(lower), at_once))
+    bounds = (_bound_boxes(task, lower[p], upper[p], np.full(len(lower[p]), np.inf), np.zeros(len(lower[p]), int)) for p in parts)
+    return np.concatenate([part.bound for part in bounds])
 
 
 def _initial_points(space: SearchSpace, used: list[int], number: int) -> list[np.ndarray]:

@@ -34,9 +34,9 @@ from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.models.first_order_system.step_matrix import (
     ENTRY_ROUNDING,
     ROUNDING_LABEL,
-    RegularSteps,
     change_at_step,
     change_by_rounding,
+    least_singular_step,
     regular_steps,
 )
 from nsmodel.models.first_order_system.unique_step import mlcp_solvability
@@ -241,20 +241,20 @@ def _step_limit_by_norm(at: SystemLinearisation, h: float, quick: bool) -> Findi
     if h * sup.bound < 1 - 1e-9 and np.linalg.cond(exact.doubles(at.M)) < 1e6:
         how = f"h |M^-1 (theta A + gamma K)| <= {h * sup.bound:.3g} < 1 on {at.where} (interval arithmetic)."
         return make_finding(F_STEP, HOLDS, how, value, scope=at.scope())
-    local = [_step_limit_at_point(at, G, h) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
-    k = int(np.argmin([steps.least for steps in local]))
-    value["h* at the points"] = local[k].least
+    local = [_singular_step_at_point(inverse, G) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
+    k = int(np.argmin([least for least, _ in local]))
+    least, vector = local[k]
+    value["h* at the points"] = least
     how = f"No bound of |M^-1 (theta A + gamma K)| on {at.where} stays below 1/h; h* at {len(local)} points of {at.along}."
-    if local[k].least <= h * (1 - 1e-9):
+    if least <= h * (1 - 1e-9):
         point = at.points[:: max(1, len(at.points) // 20)][k]
-        return make_finding(F_STEP, VIOLATED, how, value, {**at.at(point), "null vector at h*": local[k].vector})
+        return make_finding(F_STEP, VIOLATED, how, value, {**at.at(point), "null vector at h*": vector})
     return make_finding(F_STEP, SAMPLED, how, value, scope=at.scope())
 
 
-def _step_limit_at_point(at: SystemLinearisation, G: np.ndarray, h: float) -> RegularSteps:
-    if not np.isfinite(G).all():
-        return RegularSteps(None, 0.0, None, 0.0)
-    return regular_steps(at.M, exact.rational(G), 0.0)
+def _singular_step_at_point(inverse: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """H* at one point and a null vector, from M^{-1}; 0 where G is not finite."""
+    return least_singular_step(exact.doubles(exact.matrix_product(inverse, G))) if np.isfinite(G).all() else (0.0, None)
 
 
 def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Finding:
