@@ -59,13 +59,12 @@ class _AffineFunction(NamedTuple):
         return _AffineFunction({i: c for i, c in total.items() if c}, self.constant + other.constant)
 
 
-def reduce_coordinates(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> ReducedExpression | None:
-    """Return a column ``expr`` in fewer symbols, or None where it takes as many as it holds.
+def reduce_coordinates(code: Program, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> ReducedExpression | None:
+    """Return what a program computes, as a column, in fewer symbols than it holds, or None where it takes as many.
 
     The greatest affine parts of the expression are taken as new symbols, those that are multiples of one another (plus a
     number) as one. What holds for all d in their box holds for all z in theirs; d may range over more.
     """
-    code = program(expr, z)
     used = sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))
     if (
         len(used) < 2

@@ -106,6 +106,15 @@ def matrix_product(*factors: Any) -> np.ndarray:
     return _fractions_from_flint(result)
 
 
+def scalar_minus(number: Any, matrix: Any) -> np.ndarray:
+    """Return number I - M for a square matrix M, exactly."""
+    M = rational(matrix)
+    out, filled, diagonal = zeros(*M.shape), np.nonzero(M), np.arange(len(M))
+    out[filled] = -M[filled]
+    out[diagonal, diagonal] += Fraction(number)
+    return out
+
+
 def is_symmetric(matrix: Any) -> bool:
     """Whether M = M', to the last bit."""
     M = rational(matrix)
@@ -227,7 +236,7 @@ def eigenvalue_upper_bound(matrix: Any) -> float:
     top, size = float(values[-1]), float(np.abs(values).max(initial=0.0))
     for more in (0.0, 1e-16, 1e-15, 1e-14, 1e-12, 1e-9):
         bound = top + more * size
-        if is_psd(Fraction(bound) * eye(len(M)) - M):
+        if is_psd(scalar_minus(bound, M)):
             return bound
     return round_up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
 
@@ -330,13 +339,20 @@ def _negative_vector(S: np.ndarray, chosen: list[int], direction: dict[int, int]
     return candidates[0]  # The sign is lost when v is rounded to doubles; the decision itself is exact.
 
 
+def _scaled_double(number: Fraction, power: int) -> float:
+    """The double nearest to a number divided by a power of 2."""
+    return (number.numerator << max(-power, 0)) / (number.denominator << max(power, 0))
+
+
 def _passes_verified_cholesky(S: np.ndarray) -> bool:
     """Whether a floating-point Cholesky factorisation of S - c I ends, c above all rounding (Rump 2006): a proof of S > 0."""
     n, diagonal = len(S), [entry for entry in np.diagonal(S)]
     if min(diagonal) <= 0:
         return False
-    scale = np.array([Fraction(2) ** round((log2(s.numerator) - log2(s.denominator)) / 2) for s in diagonal], dtype=object)
-    near = doubles(S / scale[:, None] / scale[None, :])
+    scale = [round((log2(s.numerator) - log2(s.denominator)) / 2) for s in diagonal]
+    near = np.zeros((n, n))
+    for i, j in zip(*np.nonzero(S), strict=True):
+        near[i, j] = _scaled_double(S[i, j], scale[i] + scale[j])
     rounding = 8 * (n + 2) * MACHINE_EPSILON * (np.trace(near) + 2 * np.abs(near).sum(axis=1).max())
     try:
         np.linalg.cholesky(near - rounding * np.eye(n))

@@ -44,13 +44,14 @@ def supremum(
 
 def _search_space(
     z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None, points: np.ndarray | None, quick: bool,
-    bound_to: float | None,
+    bound_to: float | None, bound_alone: bool = False,
 ) -> SearchSpace:  # fmt: skip
     (low,), (high,) = validated_boxes(z, lower, upper)
     given = np.zeros((0, low.size)) if points is None else np.asarray(points, float).reshape(-1, low.size)
     rows = ca.SX(0, 1) if where is None else ca.vec(ca.densify(ca.SX(where)))
     limit = np.inf if bound_to is None else float(bound_to)
-    return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
+    inside = given[((given >= low) & (given <= high)).all(axis=1)]
+    return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, inside, quick, limit, bound_alone)
 
 
 def _scalar_goal(expr: ca.SX) -> SearchGoal:
@@ -77,9 +78,13 @@ def spectral_norm(
     points: np.ndarray | None = None,
     quick: bool = False,
     bound_to: float | None = None,
+    bound_alone: bool = False,
 ) -> Supremum:
-    """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``."""
-    J, space = ca.SX(J), _search_space(z, lower, upper, where, points, quick, bound_to)
+    """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``.
+
+    ``bound_alone``: nothing but the bound is asked: quick, no points are looked at.
+    """
+    J, space = ca.SX(J), _search_space(z, lower, upper, where, points, quick, bound_to, bound_alone)
     return _supremum_over_blocks([_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)], space)
 
 
@@ -100,9 +105,13 @@ def largest_eigenvalue(
     points: np.ndarray | None = None,
     quick: bool = False,
     bound_to: float | None = None,
+    bound_alone: bool = False,
 ) -> Supremum:
-    """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``."""
-    S, space = ca.SX(S), _search_space(z, lower, upper, where, points, quick, bound_to)
+    """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``.
+
+    ``bound_alone``: nothing but the bound is asked: quick, no points are looked at.
+    """
+    S, space = ca.SX(S), _search_space(z, lower, upper, where, points, quick, bound_to, bound_alone)
     n = S.shape[0]
     pattern = np.array(ca.DM(S.sparsity(), 1)) != 0 if S.nnz() else np.zeros((n, n), bool)
     groups = connected_components(pattern | pattern.T)

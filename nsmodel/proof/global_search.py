@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -311,7 +312,7 @@ class Supremum(NamedTuple):
 
 
 class SearchSpace(NamedTuple):
-    """Where to look: the arguments that all searches share."""
+    """Where to look: the arguments that all searches share; ``bound_alone``: of a quick search nothing else is asked."""
 
     z: ca.SX
     lower: np.ndarray
@@ -320,6 +321,7 @@ class SearchSpace(NamedTuple):
     points: np.ndarray
     quick: bool
     bound_to: float
+    bound_alone: bool
 
 
 class SearchGoal(NamedTuple):
@@ -416,7 +418,7 @@ def search_supremum(goal: SearchGoal, space: SearchSpace, enough: float) -> Supr
     evaluator = _GoalEvaluator(goal, space)
     task, size = _branch_and_bound_task(goal, space, evaluator, enough)
     state = start_search(task)
-    if state.bound <= enough:
+    if state.bound <= enough or (space.quick and space.bound_alone):
         return Supremum(-np.inf, None, float(state.bound), 0)
     state = with_better_point(state, *task.best(box_middles(state), None))
     if state.value > -np.inf and state.bound - state.value <= RELATIVE_GAP * abs(state.value):
@@ -443,11 +445,10 @@ def search_supremum(goal: SearchGoal, space: SearchSpace, enough: float) -> Supr
 
 def bound_without_search(goal: SearchGoal, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return a rigorous bound (k,) of a goal over each of several boxes (k, n) as a whole: what a quick search bounds it by."""
-    whole, symbols = ca.vec(ca.densify(goal.held)), z
-    less = reduce_coordinates(whole, z, lower, upper)
+    code, at_once = program(goal.held, z), max(1, MAX_STORED_NUMBERS // goal.held.numel())
+    less = reduce_coordinates(code, z, lower, upper)
     if less is not None:
-        whole, symbols, lower, upper = less.expr, less.d, less.lower, less.upper
-    code, at_once = program(ca.reshape(whole, *goal.held.shape), symbols), max(1, MAX_STORED_NUMBERS // goal.held.numel())
+        code, lower, upper = program(ca.reshape(less.expr, *goal.held.shape), less.d), less.lower, less.upper
     task = MaximisationTask(
         lambda low, high: goal.bounds(code, low, high), lambda points, at: (-np.inf, None), None, lower.min(axis=0),
         upper.max(axis=0), np.arange(0), np.inf, -np.inf, 0.0,
@@ -482,13 +483,14 @@ def _branch_and_bound_task(
         else []
     )
     whole = ca.vertcat(ca.vec(ca.densify(goal.held)), *rows)
-    less = reduce_coordinates(whole, space.z, space.lower, space.upper)
+    code = program(whole, space.z)
+    less = reduce_coordinates(code, space.z, space.lower, space.upper)
     if less is None:
         symbols, lower, upper = space.z, space.lower, space.upper
     else:
         whole, symbols, lower, upper = less.expr, less.d, less.lower, less.upper
     held, limits = ca.reshape(whole[: goal.held.numel()], *goal.held.shape), whole[goal.held.numel() :]
-    code = program(held, symbols)
+    code = program(held, symbols) if rows or less else replace(code, shape=held.shape)
     free = _coordinates_to_cut(held, limits, symbols, lower, upper)
 
     def best(points: np.ndarray, at: np.ndarray | None) -> tuple[float, np.ndarray | None]:

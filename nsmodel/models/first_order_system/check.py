@@ -235,7 +235,7 @@ def _step_limit_by_norm(at: SystemLinearisation, h: float, quick: bool) -> Findi
     if inverse is None:
         return make_finding(F_STEP, UNKNOWN, "M is singular, and A and K are not constant")
     product = ca.DM(exact.doubles(inverse)) @ at.G
-    sup = spectral_norm(product, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99 / h)
+    sup = spectral_norm(product, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99 / h, bound_alone=True)
     value = {"h": h, "h* is at least": 1 / sup.bound if sup.bound else np.inf}
     # M^{-1} is rounded: 1e-9 of room is far more than that, unless M is nearly singular.
     if h * sup.bound < 1 - 1e-9 and np.linalg.cond(exact.doubles(at.M)) < 1e6:
@@ -273,7 +273,7 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
     centre = np.median(finite, axis=0)
     if np.linalg.cond(centre) < 1e6:
         change = ca.DM(np.linalg.inv(centre)) @ (at.model.M - h * at.G) - ca.SX.eye(len(centre))
-        sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99)
+        sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99, bound_alone=True)
         if sup.bound < 1 - 1e-9 and len(at.steps) == 1:
             how = f"|W_0^-1 W - I| <= {sup.bound:.3g} < 1 on {at.where}, W_0 its median along the run (interval arithmetic)."
             return make_finding(F_W, HOLDS, how, value, scope=at.scope())
