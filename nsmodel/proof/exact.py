@@ -339,7 +339,7 @@ def _negative_vector(S: np.ndarray, chosen: list[int], direction: dict[int, int]
     return candidates[0]  # The sign is lost when v is rounded to doubles; the decision itself is exact.
 
 
-def _scaled_double(number: Fraction, power: int) -> float:
+def _scaled_double(number: Any, power: int) -> float:
     """The double nearest to a number divided by a power of 2."""
     return (number.numerator << max(-power, 0)) / (number.denominator << max(power, 0))
 
