@@ -180,7 +180,7 @@ def _bound_boxes(task: MaximisationTask, lower: np.ndarray, upper: np.ndarray, k
         bound = np.minimum(bound, _multiplier_bounds(seen.slopes, limits, lower, upper))
     to_upper = seen.rising & ~held & np.isfinite(upper) & (lower < upper)
     to_lower = seen.falling & ~held & np.isfinite(lower) & (lower < upper) & ~to_upper
-    again = (to_upper | to_lower).any(axis=1)
+    again = (to_upper | to_lower)[:, task.free].any(axis=1)  # The function does not feel the other coordinates.
     lower, upper = np.where(to_upper, upper, lower), np.where(to_lower, lower, upper)
     rate = seen.rate.copy()
     if again.any():
@@ -451,7 +451,7 @@ def bound_without_search(goal: SearchGoal, z: ca.SX, lower: np.ndarray, upper: n
         code, lower, upper = program(ca.reshape(less.expr, *goal.held.shape), less.d), less.lower, less.upper
     task = MaximisationTask(
         lambda low, high: goal.bounds(code, low, high), lambda points, at: (-np.inf, None), None, lower.min(axis=0),
-        upper.max(axis=0), np.arange(0), np.inf, -np.inf, 0.0,
+        upper.max(axis=0), np.arange(lower.shape[1]), np.inf, -np.inf, 0.0,
     )  # fmt: skip
     parts = (slice(i, i + at_once) for i in range(0, len(lower), at_once))
     bounds = (_bound_boxes(task, lower[p], upper[p], np.full(len(lower[p]), np.inf), np.zeros(len(lower[p]), int)) for p in parts)

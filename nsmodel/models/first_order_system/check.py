@@ -241,7 +241,8 @@ def _step_limit_by_norm(at: SystemLinearisation, h: float, quick: bool) -> Findi
     if h * sup.bound < 1 - 1e-9 and np.linalg.cond(exact.doubles(at.M)) < 1e6:
         how = f"h |M^-1 (theta A + gamma K)| <= {h * sup.bound:.3g} < 1 on {at.where} (interval arithmetic)."
         return make_finding(F_STEP, HOLDS, how, value, scope=at.scope())
-    local = [_singular_step_at_point(inverse, G) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
+    factor = None if (inverse == exact.eye(len(inverse))).all() else inverse
+    local = [_singular_step_at_point(factor, G) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
     k = int(np.argmin([least for least, _ in local]))
     least, vector = local[k]
     value["h* at the points"] = least
@@ -252,9 +253,11 @@ def _step_limit_by_norm(at: SystemLinearisation, h: float, quick: bool) -> Findi
     return make_finding(F_STEP, SAMPLED, how, value, scope=at.scope())
 
 
-def _singular_step_at_point(inverse: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:
-    """H* at one point and a null vector, from M^{-1}; 0 where G is not finite."""
-    return least_singular_step(exact.doubles(exact.matrix_product(inverse, G))) if np.isfinite(G).all() else (0.0, None)
+def _singular_step_at_point(inverse: np.ndarray | None, G: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """H* at one point and a null vector, from M^{-1} (None: the unit matrix); 0 where G is not finite."""
+    if not np.isfinite(G).all():
+        return 0.0, None
+    return least_singular_step(G + 0.0 if inverse is None else exact.doubles(exact.matrix_product(inverse, G)))
 
 
 def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Finding:
@@ -271,10 +274,11 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
     if at.is_W_constant:
         return _regularity_at_each_step(at, value)
     centre = np.median(finite, axis=0)
-    if np.linalg.cond(centre) < 1e6:
+    inside = ((at.points >= at.lower) & (at.points <= at.upper)).all(axis=1) & np.isfinite(W).all(axis=(1, 2))
+    if np.linalg.cond(centre) < 1e6 and len(at.steps) == 1 and _largest_change(centre, W[inside]) < 1:
         change = ca.DM(np.linalg.inv(centre)) @ (at.model.M - h * at.G) - ca.SX.eye(len(centre))
         sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99, bound_alone=True)
-        if sup.bound < 1 - 1e-9 and len(at.steps) == 1:
+        if sup.bound < 1 - 1e-9:
             how = f"|W_0^-1 W - I| <= {sup.bound:.3g} < 1 on {at.where}, W_0 its median along the run (interval arithmetic)."
             return make_finding(F_W, HOLDS, how, value, scope=at.scope())
     signs = np.linalg.slogdet(finite)[0]
@@ -285,6 +289,12 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
         return make_finding(F_W, VIOLATED, how, value, {"names": at.names, "det > 0": ends[0], "det < 0": ends[1]})
     how = f"Smallest at {at.along}; no bound over the region proves it."
     return make_finding(F_W, SAMPLED if len(finite) == len(W) else UNKNOWN, how, value, at.at(at.points[k]), at.scope())
+
+
+def _largest_change(centre: np.ndarray, W: np.ndarray) -> float:
+    """The largest |W_0^-1 W - I| at the points, in floating point: no bound over the region is below it."""
+    changes = np.linalg.inv(centre) @ W - np.eye(len(centre))
+    return float(np.linalg.norm(changes, 2, axis=(1, 2)).max(initial=0.0))
 
 
 def _condition_number(spectrum: np.ndarray) -> float:
