@@ -29,7 +29,7 @@ class ReducedExpression(NamedTuple):
     Attributes:
         expr: as given, but in d.
         d: (r, 1).
-        lower, upper: (r,) rigorous bounds of d over the box of z.
+        lower, upper: (r,) rigorous bounds of d over the box of z; (k, r) over k boxes.
         matrix, constant: d = matrix z + constant but for rounding, (r, n) and (r,).
     """
 
@@ -59,13 +59,12 @@ class _AffineFunction(NamedTuple):
         return _AffineFunction({i: c for i, c in total.items() if c}, self.constant + other.constant)
 
 
-def reduce_coordinates(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> ReducedExpression | None:
-    """Return a column ``expr`` in fewer symbols, or None where it takes as many as it holds.
+def reduce_coordinates(code: Program, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> ReducedExpression | None:
+    """Return what a program computes, as a column, in fewer symbols than it holds, or None where it takes as many.
 
     The greatest affine parts of the expression are taken as new symbols, those that are multiples of one another (plus a
     number) as one. What holds for all d in their box holds for all z in theirs; d may range over more.
     """
-    code = program(expr, z)
     used = sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))
     if (
         len(used) < 2
@@ -84,10 +83,11 @@ def reduce_coordinates(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarr
         for i, c in atom.part.coefficients.items():
             matrix[row, i] = float(c)
         exprs.append(ca.dot(ca.SX(ca.DM(matrix[row])), z) if atom.node is None else nodes[atom.node])
-    lo, hi = natural_extension(program(ca.vertcat(*exprs), z), lower[None], upper[None])
+    ends = natural_extension(program(ca.vertcat(*exprs), z), np.atleast_2d(lower), np.atleast_2d(upper))
+    lo, hi = (end.T.reshape(*lower.shape[:-1], len(atoms)) for end in ends)
     values = _rebuild_expressions(code, {}, {i: factor * d[row] + offset for i, (row, factor, offset) in links.items()})
     constant = np.array([float(atom.part.constant) for atom in atoms])
-    return ReducedExpression(ca.vertcat(*(values[j] for j in code.outputs)), d, lo[:, 0], hi[:, 0], matrix, constant)
+    return ReducedExpression(ca.vertcat(*(values[j] for j in code.outputs)), d, lo, hi, matrix, constant)
 
 
 def _affine_values(code: Program) -> dict[int, _AffineFunction]:

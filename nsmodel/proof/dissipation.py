@@ -318,11 +318,7 @@ def _best_proved_rate(
 def _is_rate_valid(problem: _RateProblem, Y: np.ndarray, omega: float) -> bool:
     """Whether omega P - P J is psd for all J (its symmetric part is meant): exactly."""
     P = problem.pairing.middle(Y)
-    for J in problem.J:
-        PJ = exact.matrix_product(P, J)
-        if not exact.is_psd(Fraction(omega) * P - PJ):
-            return False
-    return True
+    return all(exact.is_psd(exact.matrix_product(P, exact.scalar_minus(omega, J))) for J in problem.J)
 
 
 def _is_dissipative_on_cones(problem: _RateProblem, Y: np.ndarray) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 from nsmodel.proof.verdict import connected_components
 
 MACHINE_EPSILON = float(np.finfo(float).eps)
+ZERO = Fraction(0)
 MIN_CHOLESKY_SIZE = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
 
 
@@ -52,13 +53,15 @@ def rational(matrix: Any) -> np.ndarray:
         if not np.isfinite(entries).all():
             raise ValueError("exact arithmetic: an entry is not a finite number")
     out = np.empty(entries.shape, dtype=object)
-    out.ravel()[:] = [entry if isinstance(entry, Fraction) else Fraction(entry) for entry in entries.ravel().tolist()]
+    out.ravel()[:] = [
+        entry if isinstance(entry, Fraction) else Fraction(entry) if entry else ZERO for entry in entries.ravel().tolist()
+    ]
     return out
 
 
 def doubles(matrix: np.ndarray) -> np.ndarray:
     """Return the doubles nearest to rational entries."""
-    return np.array([float(entry) for entry in matrix.ravel()]).reshape(matrix.shape)
+    return np.array([float(entry) if entry else 0.0 for entry in matrix.ravel().tolist()]).reshape(matrix.shape)
 
 
 def round_down(number: Fraction) -> float:
@@ -87,7 +90,7 @@ def eye(n: int) -> np.ndarray:
 def zeros(rows: int, columns: int) -> np.ndarray:
     """The zero matrix."""
     matrix = np.empty((rows, columns), dtype=object)
-    matrix.fill(Fraction(0))
+    matrix.fill(ZERO)
     return matrix
 
 
@@ -101,6 +104,15 @@ def matrix_product(*factors: Any) -> np.ndarray:
     for factor in factors[1:]:
         result = result * _flint_matrix(rational(factor))
     return _fractions_from_flint(result)
+
+
+def scalar_minus(number: Any, matrix: Any) -> np.ndarray:
+    """Return number I - M for a square matrix M, exactly."""
+    M = rational(matrix)
+    out, filled, diagonal = zeros(*M.shape), np.nonzero(M), np.arange(len(M))
+    out[filled] = -M[filled]
+    out[diagonal, diagonal] += Fraction(number)
+    return out
 
 
 def is_symmetric(matrix: Any) -> bool:
@@ -135,12 +147,20 @@ def solve_linear_system(matrix: Any, right: Any) -> np.ndarray | None:
     """Return one X with M X = right (free entries 0), or None where there is none; ``right`` is (n, k)."""
     M, b = rational(matrix), rational(right)
     n = M.shape[1]
+    if len(M) == n and (found := solve_regular_system(M, b)) is not None:
+        return found
     rows, pivots = _reduced_echelon_form(np.hstack([M, b]))
     if any(pivot >= n for pivot in pivots):
         return None
     X = zeros(n, b.shape[1])
     X[pivots] = rows[: len(pivots), n:]
     return X
+
+
+def solve_regular_system(matrix: Any, right: Any) -> np.ndarray | None:
+    """Return the X with M X = right, or None where the square matrix M is singular; ``right`` is (n, k)."""
+    M = _flint_matrix(rational(matrix))
+    return None if M.rank() < M.nrows() else _fractions_from_flint(M.solve(_flint_matrix(rational(right))))
 
 
 def determinant(matrix: Any) -> Fraction:
@@ -164,7 +184,9 @@ def _flint_matrix(M: np.ndarray) -> Any:
     """The matrix (m, n) as one of FLINT's."""
     from flint import fmpq, fmpq_mat
 
-    return fmpq_mat(M.shape[0], M.shape[1], [fmpq(entry.numerator, entry.denominator) for entry in M.ravel()])
+    zero = fmpq(0)
+    entries = [fmpq(entry.numerator, entry.denominator) if entry else zero for entry in M.ravel().tolist()]
+    return fmpq_mat(M.shape[0], M.shape[1], entries)
 
 
 def _fraction_from_flint(number: Any) -> Fraction:
@@ -173,7 +195,7 @@ def _fraction_from_flint(number: Any) -> Fraction:
 
 def _fractions_from_flint(matrix: Any) -> np.ndarray:
     out = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
-    out.ravel()[:] = [_fraction_from_flint(entry) if entry else Fraction(0) for entry in matrix.entries()]
+    out.ravel()[:] = [_fraction_from_flint(entry) if entry else ZERO for entry in matrix.entries()]
     return out
 
 
@@ -214,7 +236,7 @@ def eigenvalue_upper_bound(matrix: Any) -> float:
     top, size = float(values[-1]), float(np.abs(values).max(initial=0.0))
     for more in (0.0, 1e-16, 1e-15, 1e-14, 1e-12, 1e-9):
         bound = top + more * size
-        if is_psd(Fraction(bound) * eye(len(M)) - M):
+        if is_psd(scalar_minus(bound, M)):
             return bound
     return round_up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
 
@@ -317,13 +339,20 @@ def _negative_vector(S: np.ndarray, chosen: list[int], direction: dict[int, int]
     return candidates[0]  # The sign is lost when v is rounded to doubles; the decision itself is exact.
 
 
+def _scaled_double(number: Any, power: int) -> float:
+    """The double nearest to a number divided by a power of 2."""
+    return (number.numerator << max(-power, 0)) / (number.denominator << max(power, 0))
+
+
 def _passes_verified_cholesky(S: np.ndarray) -> bool:
     """Whether a floating-point Cholesky factorisation of S - c I ends, c above all rounding (Rump 2006): a proof of S > 0."""
     n, diagonal = len(S), [entry for entry in np.diagonal(S)]
     if min(diagonal) <= 0:
         return False
-    scale = np.array([Fraction(2) ** round((log2(s.numerator) - log2(s.denominator)) / 2) for s in diagonal], dtype=object)
-    near = doubles(S / scale[:, None] / scale[None, :])
+    scale = [round((log2(s.numerator) - log2(s.denominator)) / 2) for s in diagonal]
+    near = np.zeros((n, n))
+    for i, j in zip(*np.nonzero(S), strict=True):
+        near[i, j] = _scaled_double(S[i, j], scale[i] + scale[j])
     rounding = 8 * (n + 2) * MACHINE_EPSILON * (np.trace(near) + 2 * np.abs(near).sum(axis=1).max())
     try:
         np.linalg.cholesky(near - rounding * np.eye(n))

@@ -128,6 +128,8 @@ class _RewrittenNode(NamedTuple):
 
 
 MAX_STORED_NUMBERS = 4_000_000  # Numbers kept at once while a program runs.
+UNIT_FACTOR = Fraction(1)
+POWER_OPERATIONS = {ca.OP_SQ, ca.OP_NEG, ca.OP_TWICE, ca.OP_MUL, ca.OP_ADD, ca.OP_SUB}
 MAX_POWER = 64  # Powers beyond this are left as they are.
 
 
@@ -238,7 +240,9 @@ class _InstructionList:
 
     def _as_power(self, op: int, sources: tuple[int, ...]) -> _PowerOfValue | None:
         """Return the result as a power of one value with a factor that is a double; None if it is not seen to be one."""
-        first, last = (self._powers.get(j, _PowerOfValue(j, 1, Fraction(1))) for j in (sources[0], sources[-1]))
+        if op not in POWER_OPERATIONS:
+            return None
+        first, last = (self._powers.get(j) or _PowerOfValue(j, 1, UNIT_FACTOR) for j in (sources[0], sources[-1]))
         if op == ca.OP_SQ:
             found = _PowerOfValue(first.base, 2 * first.power, first.factor**2)
         elif op in (ca.OP_NEG, ca.OP_TWICE):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import casadi as ca
 import numpy as np
 
 from nsmodel.proof.expression_graph import Program
-from nsmodel.proof.global_search import BoxBounds, SearchGoal, SearchSpace, Supremum, search_supremum
+from nsmodel.proof.global_search import BoxBounds, SearchGoal, SearchSpace, Supremum, bound_without_search, search_supremum
 from nsmodel.proof.global_search import samples as samples
 from nsmodel.proof.interval_bounds import mean_value_form, natural_extension, validated_boxes
 from nsmodel.proof.verdict import connected_components
@@ -41,21 +39,22 @@ def supremum(
     Raises:
         ValueError: other symbols than z, or no box.
     """
-    return _scalar_supremum(expr, _search_space(z, lower, upper, where, points, quick, bound_to), -np.inf)
+    return search_supremum(_scalar_goal(expr), _search_space(z, lower, upper, where, points, quick, bound_to), -np.inf)
 
 
 def _search_space(
     z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None, points: np.ndarray | None, quick: bool,
-    bound_to: float | None,
+    bound_to: float | None, bound_alone: bool = False,
 ) -> SearchSpace:  # fmt: skip
     (low,), (high,) = validated_boxes(z, lower, upper)
     given = np.zeros((0, low.size)) if points is None else np.asarray(points, float).reshape(-1, low.size)
     rows = ca.SX(0, 1) if where is None else ca.vec(ca.densify(ca.SX(where)))
     limit = np.inf if bound_to is None else float(bound_to)
-    return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
+    inside = given[((given >= low) & (given <= high)).all(axis=1)]
+    return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, inside, quick, limit, bound_alone)
 
 
-def _scalar_supremum(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum:
+def _scalar_goal(expr: ca.SX) -> SearchGoal:
     expr = ca.densify(ca.SX(expr))
 
     def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> BoxBounds:
@@ -63,8 +62,7 @@ def _scalar_supremum(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum
         slope_lo, slope_hi = found.slope_lo[0], found.slope_hi[0]
         return BoxBounds(found.hi[0], np.maximum(np.abs(slope_lo), np.abs(slope_hi)), slope_lo >= 0, slope_hi <= 0, found)
 
-    goal = SearchGoal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
-    return search_supremum(goal, space, enough)
+    return SearchGoal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
 
 
 # -- matrices ----------------------------------------------------------------------------------------------------------
@@ -80,10 +78,21 @@ def spectral_norm(
     points: np.ndarray | None = None,
     quick: bool = False,
     bound_to: float | None = None,
+    bound_alone: bool = False,
 ) -> Supremum:
-    """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``."""
-    J, space = ca.SX(J), _search_space(z, lower, upper, where, points, quick, bound_to)
+    """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``.
+
+    ``bound_alone``: nothing but the bound is asked: quick, no points are looked at.
+    """
+    J, space = ca.SX(J), _search_space(z, lower, upper, where, points, quick, bound_to, bound_alone)
     return _supremum_over_blocks([_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)], space)
+
+
+def spectral_norm_bounds(J: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return rigorous bounds (k,) of the largest singular value over each of k >= 1 boxes (k, n), no box being cut."""
+    J, (low, high) = ca.SX(J), validated_boxes(z, lower, upper)
+    goals = [_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)] or [_scalar_goal(ca.SX(0))]
+    return np.max([bound_without_search(goal, ca.vec(z), low, high) for goal in goals], axis=0)
 
 
 def largest_eigenvalue(
@@ -96,31 +105,24 @@ def largest_eigenvalue(
     points: np.ndarray | None = None,
     quick: bool = False,
     bound_to: float | None = None,
+    bound_alone: bool = False,
 ) -> Supremum:
-    """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``."""
-    S, space = ca.SX(S), _search_space(z, lower, upper, where, points, quick, bound_to)
+    """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``.
+
+    ``bound_alone``: nothing but the bound is asked: quick, no points are looked at.
+    """
+    S, space = ca.SX(S), _search_space(z, lower, upper, where, points, quick, bound_to, bound_alone)
     n = S.shape[0]
     pattern = np.array(ca.DM(S.sparsity(), 1)) != 0 if S.nnz() else np.zeros((n, n), bool)
     groups = connected_components(pattern | pattern.T)
     return _supremum_over_blocks([_block_eigenvalue(S[group, group]) for group in groups], space)
 
 
-class _MatrixGoal(NamedTuple):
-    """A matrix with what measures it: ``kind`` "norm" or "eigenvalue"."""
-
-    kind: str
-    entries: ca.SX
-
-
-def _supremum_over_blocks(parts: list[ca.SX | _MatrixGoal], space: SearchSpace) -> Supremum:
-    """Return the largest over the parts; a part that cannot exceed what was found already is not looked at closely."""
+def _supremum_over_blocks(goals: list[SearchGoal], space: SearchSpace) -> Supremum:
+    """Return the largest over the goals; one that cannot exceed what was found already is not looked at closely."""
     best = Supremum(-np.inf, None, -np.inf, 0)
-    for part in parts or [ca.SX(0)]:
-        found = (
-            _matrix_supremum(part, space, best.value)
-            if isinstance(part, _MatrixGoal)
-            else _scalar_supremum(part, space, best.value)
-        )
+    for goal in goals or [_scalar_goal(ca.SX(0))]:
+        found = search_supremum(goal, space, best.value)
         value, at = (found.value, found.at) if found.value > best.value or best.at is None else (best.value, best.at)
         best = Supremum(value, at, max(best.bound, found.bound), max(best.count, found.count))
     return best
@@ -144,24 +146,24 @@ def _euclidean_norm(entries: list[ca.SX]) -> ca.SX:
     return total
 
 
-def _block_norm(J: ca.SX) -> ca.SX | _MatrixGoal:
+def _block_norm(J: ca.SX) -> SearchGoal:
     J = ca.densify(J)
     if min(J.shape) == 1:
-        return _euclidean_norm(ca.vertsplit(ca.vec(J)))
+        return _scalar_goal(_euclidean_norm(ca.vertsplit(ca.vec(J))))
     if J.shape == (2, 2):
         a, c, b, d = ca.vertsplit(ca.vec(J))
-        return (ca.hypot(a + d, b - c) + ca.hypot(a - d, b + c)) / 2
-    return _MatrixGoal("norm", J)
+        return _scalar_goal((ca.hypot(a + d, b - c) + ca.hypot(a - d, b + c)) / 2)
+    return _matrix_goal(J, True)
 
 
-def _block_eigenvalue(S: ca.SX) -> ca.SX | _MatrixGoal:
+def _block_eigenvalue(S: ca.SX) -> SearchGoal:
     S = ca.densify(S)
     if S.shape == (1, 1):
-        return S
+        return _scalar_goal(S)
     if S.shape == (2, 2):
         a, c, b, d = ca.vertsplit(ca.vec(S))
-        return (a + d + ca.hypot(a - d, b + c)) / 2
-    return _MatrixGoal("eigenvalue", S)
+        return _scalar_goal((a + d + ca.hypot(a - d, b + c)) / 2)
+    return _matrix_goal(S, False)
 
 
 def _reshape_entries(entries: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -174,8 +176,9 @@ def _matrix_measures(full: np.ndarray, norm: bool) -> np.ndarray:
     return np.linalg.norm(full, 2, axis=(1, 2)) if norm else np.linalg.eigvalsh((full + full.swapaxes(1, 2)) / 2)[:, -1]
 
 
-def _matrix_supremum(part: _MatrixGoal, space: SearchSpace, enough: float) -> Supremum:
-    A, norm, (m, n) = part.entries, part.kind == "norm", part.entries.shape
+def _matrix_goal(A: ca.SX, norm: bool) -> SearchGoal:
+    """The largest singular value of a matrix, or eigenvalue of its symmetric part."""
+    m, n = A.shape
 
     def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> BoxBounds:
         lo, hi, rate = _entry_bounds(code, lower, upper)
@@ -193,14 +196,13 @@ def _matrix_supremum(part: _MatrixGoal, space: SearchSpace, enough: float) -> Su
 
     left, right = ca.SX.sym("u", m), ca.SX.sym("v", n)
     ascent = (ca.bilin(A, left, right), [left, right]) if norm else (ca.bilin(A, right, right), [right])
-    goal = SearchGoal(
+    return SearchGoal(
         A,
         lambda entries: _matrix_measures(_reshape_entries(entries, A.shape), norm),
         bounds,
         2 * m * n * min(m, n),
         (*ascent, begin),
     )
-    return search_supremum(goal, space, enough)
 
 
 def _entry_bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.proof.affine_reduction import ReducedExpression, reduce_coordinates
-from nsmodel.proof.expression_graph import Program, program, stack_column, symbol_hashes
+from nsmodel.proof.expression_graph import MAX_STORED_NUMBERS, Program, program, stack_column, symbol_hashes
 from nsmodel.proof.interval_arithmetic import IntervalPair, add, mul, sub
 from nsmodel.proof.interval_bounds import (
     MeanValueBounds,
@@ -179,7 +180,7 @@ def _bound_boxes(task: MaximisationTask, lower: np.ndarray, upper: np.ndarray, k
         bound = np.minimum(bound, _multiplier_bounds(seen.slopes, limits, lower, upper))
     to_upper = seen.rising & ~held & np.isfinite(upper) & (lower < upper)
     to_lower = seen.falling & ~held & np.isfinite(lower) & (lower < upper) & ~to_upper
-    again = (to_upper | to_lower).any(axis=1)
+    again = (to_upper | to_lower)[:, task.free].any(axis=1)  # The function does not feel the other coordinates.
     lower, upper = np.where(to_upper, upper, lower), np.where(to_lower, lower, upper)
     rate = seen.rate.copy()
     if again.any():
@@ -311,7 +312,7 @@ class Supremum(NamedTuple):
 
 
 class SearchSpace(NamedTuple):
-    """Where to look: the arguments that all searches share."""
+    """Where to look: the arguments that all searches share; ``bound_alone``: of a quick search nothing else is asked."""
 
     z: ca.SX
     lower: np.ndarray
@@ -320,6 +321,7 @@ class SearchSpace(NamedTuple):
     points: np.ndarray
     quick: bool
     bound_to: float
+    bound_alone: bool
 
 
 class SearchGoal(NamedTuple):
@@ -416,7 +418,7 @@ def search_supremum(goal: SearchGoal, space: SearchSpace, enough: float) -> Supr
     evaluator = _GoalEvaluator(goal, space)
     task, size = _branch_and_bound_task(goal, space, evaluator, enough)
     state = start_search(task)
-    if state.bound <= enough:
+    if state.bound <= enough or (space.quick and space.bound_alone):
         return Supremum(-np.inf, None, float(state.bound), 0)
     state = with_better_point(state, *task.best(box_middles(state), None))
     if state.value > -np.inf and state.bound - state.value <= RELATIVE_GAP * abs(state.value):
@@ -439,6 +441,21 @@ def search_supremum(goal: SearchGoal, space: SearchSpace, enough: float) -> Supr
                 state = with_better_point(state, *evaluator.best(points))
             state = search_boxes(task, state, budget)
     return Supremum(state.value, state.at, float(state.bound), evaluator.count)
+
+
+def bound_without_search(goal: SearchGoal, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return a rigorous bound (k,) of a goal over each of several boxes (k, n) as a whole: what a quick search bounds it by."""
+    code, at_once = program(goal.held, z), max(1, MAX_STORED_NUMBERS // goal.held.numel())
+    less = reduce_coordinates(code, z, lower, upper)
+    if less is not None:
+        code, lower, upper = program(ca.reshape(less.expr, *goal.held.shape), less.d), less.lower, less.upper
+    task = MaximisationTask(
+        lambda low, high: goal.bounds(code, low, high), lambda points, at: (-np.inf, None), None, lower.min(axis=0),
+        upper.max(axis=0), np.arange(lower.shape[1]), np.inf, -np.inf, 0.0,
+    )  # fmt: skip
+    parts = (slice(i, i + at_once) for i in range(0, len(lower), at_once))
+    bounds = (_bound_boxes(task, lower[p], upper[p], np.full(len(lower[p]), np.inf), np.zeros(len(lower[p]), int)) for p in parts)
+    return np.concatenate([part.bound for part in bounds])
 
 
 def _initial_points(space: SearchSpace, used: list[int], number: int) -> list[np.ndarray]:
@@ -466,13 +483,14 @@ def _branch_and_bound_task(
         else []
     )
     whole = ca.vertcat(ca.vec(ca.densify(goal.held)), *rows)
-    less = reduce_coordinates(whole, space.z, space.lower, space.upper)
+    code = program(whole, space.z)
+    less = reduce_coordinates(code, space.z, space.lower, space.upper)
     if less is None:
         symbols, lower, upper = space.z, space.lower, space.upper
     else:
         whole, symbols, lower, upper = less.expr, less.d, less.lower, less.upper
     held, limits = ca.reshape(whole[: goal.held.numel()], *goal.held.shape), whole[goal.held.numel() :]
-    code = program(held, symbols)
+    code = program(held, symbols) if rows or less else replace(code, shape=held.shape)
     free = _coordinates_to_cut(held, limits, symbols, lower, upper)
 
     def best(points: np.ndarray, at: np.ndarray | None) -> tuple[float, np.ndarray | None]:

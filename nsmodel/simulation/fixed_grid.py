@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -251,9 +251,11 @@ class SchemePropagator:
             return
         given, u = [model.t, model.state, model.u], self.record.column("inputs") if self.problem.inputs else np.zeros((len(t), 0))
         slopes = ca.Function("slopes", given, [ca.densify(ca.jacobian(state_constraints(model), model.state))])
+        slopes_at = cache(lambda k: np.array(slopes(t[k], x[k], u[k])))
         for i, k in enumerate(gap.argmin(axis=0)):
-            rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k], u[k]))[i]) * (1 + np.linalg.norm(x[k]))
-            if gap[k, i] < min(-rounding, self.totals.get("overrun", {"gap": 0.0})["gap"]):
+            if gap[k, i] >= self.totals.get("overrun", {"gap": 0.0})["gap"]:
+                continue
+            if gap[k, i] < -1e-10 * np.linalg.norm(slopes_at(k)[i]) * (1 + np.linalg.norm(x[k])):
                 self.totals["overrun"] = {"gap": float(gap[k, i]), "constraint": model.multiplier_names[i], "t": float(t[k])}
 
     def _monotonicity_warnings(self) -> list[str]:

@@ -34,9 +34,9 @@ from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.models.first_order_system.step_matrix import (
     ENTRY_ROUNDING,
     ROUNDING_LABEL,
-    RegularSteps,
     change_at_step,
     change_by_rounding,
+    least_singular_step,
     regular_steps,
 )
 from nsmodel.models.first_order_system.unique_step import mlcp_solvability
@@ -235,26 +235,29 @@ def _step_limit_by_norm(at: SystemLinearisation, h: float, quick: bool) -> Findi
     if inverse is None:
         return make_finding(F_STEP, UNKNOWN, "M is singular, and A and K are not constant")
     product = ca.DM(exact.doubles(inverse)) @ at.G
-    sup = spectral_norm(product, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99 / h)
+    sup = spectral_norm(product, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99 / h, bound_alone=True)
     value = {"h": h, "h* is at least": 1 / sup.bound if sup.bound else np.inf}
     # M^{-1} is rounded: 1e-9 of room is far more than that, unless M is nearly singular.
     if h * sup.bound < 1 - 1e-9 and np.linalg.cond(exact.doubles(at.M)) < 1e6:
         how = f"h |M^-1 (theta A + gamma K)| <= {h * sup.bound:.3g} < 1 on {at.where} (interval arithmetic)."
         return make_finding(F_STEP, HOLDS, how, value, scope=at.scope())
-    local = [_step_limit_at_point(at, G, h) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
-    k = int(np.argmin([steps.least for steps in local]))
-    value["h* at the points"] = local[k].least
+    factor = None if (inverse == exact.eye(len(inverse))).all() else inverse
+    local = [_singular_step_at_point(factor, G) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
+    k = int(np.argmin([least for least, _ in local]))
+    least, vector = local[k]
+    value["h* at the points"] = least
     how = f"No bound of |M^-1 (theta A + gamma K)| on {at.where} stays below 1/h; h* at {len(local)} points of {at.along}."
-    if local[k].least <= h * (1 - 1e-9):
+    if least <= h * (1 - 1e-9):
         point = at.points[:: max(1, len(at.points) // 20)][k]
-        return make_finding(F_STEP, VIOLATED, how, value, {**at.at(point), "null vector at h*": local[k].vector})
+        return make_finding(F_STEP, VIOLATED, how, value, {**at.at(point), "null vector at h*": vector})
     return make_finding(F_STEP, SAMPLED, how, value, scope=at.scope())
 
 
-def _step_limit_at_point(at: SystemLinearisation, G: np.ndarray, h: float) -> RegularSteps:
+def _singular_step_at_point(inverse: np.ndarray | None, G: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """H* at one point and a null vector, from M^{-1} (None: the unit matrix); 0 where G is not finite."""
     if not np.isfinite(G).all():
-        return RegularSteps(None, 0.0, None, 0.0)
-    return regular_steps(at.M, exact.rational(G), 0.0)
+        return 0.0, None
+    return least_singular_step(G + 0.0 if inverse is None else exact.doubles(exact.matrix_product(inverse, G)))
 
 
 def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Finding:
@@ -271,10 +274,11 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
     if at.is_W_constant:
         return _regularity_at_each_step(at, value)
     centre = np.median(finite, axis=0)
-    if np.linalg.cond(centre) < 1e6:
+    inside = ((at.points >= at.lower) & (at.points <= at.upper)).all(axis=1) & np.isfinite(W).all(axis=(1, 2))
+    if np.linalg.cond(centre) < 1e6 and len(at.steps) == 1 and _largest_change(centre, W[inside]) < 1:
         change = ca.DM(np.linalg.inv(centre)) @ (at.model.M - h * at.G) - ca.SX.eye(len(centre))
-        sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99)
-        if sup.bound < 1 - 1e-9 and len(at.steps) == 1:
+        sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99, bound_alone=True)
+        if sup.bound < 1 - 1e-9:
             how = f"|W_0^-1 W - I| <= {sup.bound:.3g} < 1 on {at.where}, W_0 its median along the run (interval arithmetic)."
             return make_finding(F_W, HOLDS, how, value, scope=at.scope())
     signs = np.linalg.slogdet(finite)[0]
@@ -285,6 +289,12 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
         return make_finding(F_W, VIOLATED, how, value, {"names": at.names, "det > 0": ends[0], "det < 0": ends[1]})
     how = f"Smallest at {at.along}; no bound over the region proves it."
     return make_finding(F_W, SAMPLED if len(finite) == len(W) else UNKNOWN, how, value, at.at(at.points[k]), at.scope())
+
+
+def _largest_change(centre: np.ndarray, W: np.ndarray) -> float:
+    """The largest |W_0^-1 W - I| at the points, in floating point: no bound over the region is below it."""
+    changes = np.linalg.inv(centre) @ W - np.eye(len(centre))
+    return float(np.linalg.norm(changes, 2, axis=(1, 2)).max(initial=0.0))
 
 
 def _condition_number(spectrum: np.ndarray) -> float:

@@ -146,6 +146,10 @@ class SystemLinearisation:
 
     def exact_G(self) -> np.ndarray:
         """Theta A + gamma K in Fractions, where it is constant."""
+        return self._exact_G
+
+    @cached_property
+    def _exact_G(self) -> np.ndarray:
         theta, gamma = exact.rational([self.model.theta, self.model.gamma])
         n = len(self.M)
         A = exact.rational(constant_matrix_values(self.jacobians.A)) if theta else exact.zeros(n, n)
@@ -165,12 +169,19 @@ class SystemLinearisation:
 
     def exact_mlcp(self, h: float) -> np.ndarray | None:
         """W_mlcp in Fractions, where all is constant; None where W is singular."""
+        if h not in self._mlcp_by_step:
+            self._mlcp_by_step[h] = self._mlcp_at_step(h)
+        return self._mlcp_by_step[h]
+
+    @cached_property
+    def _mlcp_by_step(self) -> dict[float, np.ndarray | None]:
+        return {}
+
+    def _mlcp_at_step(self, h: float) -> np.ndarray | None:
         B, C, D = (exact.rational(constant_matrix_values(J)) for J in (self.jacobians.B, self.jacobians.C, self.jacobians.D))
-        W, (step, gamma) = self.exact_W(h), exact.rational([h, self.model.gamma])
-        if exact.rank(W) < len(W):
-            return None
-        through = exact.solve_linear_system(W, B) if B.shape[1] else B
-        return D + step * gamma * exact.matrix_product(C, through)
+        step, gamma = exact.rational([h, self.model.gamma])
+        through = exact.solve_regular_system(self.exact_W(h), B)
+        return None if through is None else D + exact.matrix_product(step * gamma * C, through)
 
     def values(self, matrix: ca.SX) -> np.ndarray:
         """A matrix at all points, (k, rows, columns)."""

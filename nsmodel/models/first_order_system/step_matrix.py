@@ -196,12 +196,12 @@ def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> RegularSteps:
     h* = 1 / (largest real eigenvalue > 0 of M^{-1} G) is where it first becomes singular. ``bound`` = 1 / |M^{-1} G| is a lower
     bound of h*, 0 where M is singular.
     """
-    X = exact.solve_linear_system(M, G) if exact.rank(M) == len(M) else None
+    X = exact.solve_regular_system(M, G)
     if X is None:
         least, vector = _singular_step(exact.doubles(M), exact.doubles(G))
         return RegularSteps(None, least, vector, 0.0)
-    least, vector = _singular_step(np.eye(len(M)), exact.doubles(X))
-    norms = [max((sum(abs(entry) for entry in row) for row in part), default=Fraction(0)) for part in (X, X.T)]
+    least, vector = least_singular_step(exact.doubles(X))
+    norms = [max((sum(abs(entry) for entry in row if entry) for row in part), default=Fraction(0)) for part in (X, X.T)]
     bound = float(1 / min(norms)) if min(norms) else np.inf
     if Fraction(h) * min(norms) < 1:
         return RegularSteps(True, least, vector, bound)
@@ -235,6 +235,11 @@ def change_at_step(M: np.ndarray, G: np.ndarray, s: float) -> float:
         return np.inf
     size = np.abs(inverse) @ (np.abs(M) + abs(s) * np.abs(G))
     return ENTRY_ROUNDING * float(np.abs(np.linalg.eigvals(size)).max()) if np.isfinite(size).all() else np.inf
+
+
+def least_singular_step(X: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """The least s > 0 with det(I - s X) = 0 and a null vector, in floating point; (inf, None) where there is none."""
+    return _singular_step(np.eye(len(X)), X)
 
 
 def _singular_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from fractions import Fraction
-from itertools import product
+from itertools import compress, product
 from typing import NamedTuple
 
 import casadi as ca
@@ -33,6 +33,7 @@ from nsmodel.proof.parameter_hull import mixture_corners
 
 FrictionElements = Sequence[tuple[float, np.ndarray]]  # r_j > 0 and H_j
 MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius.
+MAX_LOCAL_STARTS = 20  # Local searches.
 MAX_CELLS, CELL_BATCH, CELL_TOLERANCE = 60_000, 2048, 1e-10
 MACHINE_EPS = float(np.finfo(float).eps)
 
@@ -52,8 +53,9 @@ def support_function(elements: FrictionElements, d: np.ndarray) -> float:
 
 def friction_radius(elements: FrictionElements, n: int) -> RadiusBound:
     """Bound the radius; the H_j have full column rank together."""
-    even = [(r, H) for r, H in elements if n == 1 or _is_isotropic(H)]  # their part of sigma is constant on the sphere
-    rest = [(r, H) for r, H in elements if n > 1 and not _is_isotropic(H)]
+    isotropic = [n == 1 or _is_isotropic(H) for _, H in elements]
+    even = list(compress(elements, isotropic))  # their part of sigma is constant on the sphere
+    rest = [element for element, same in zip(elements, isotropic, strict=True) if not same]
     low = _support_lower_bound(even)
     if not rest:
         return RadiusBound(min(low, support_function(even, np.eye(n)[0])), support_function(even, np.eye(n)[0]), np.eye(n)[0])
@@ -79,7 +81,9 @@ def _anisotropic_radius(elements: FrictionElements, n: int) -> RadiusBound:
 
 
 def _is_isotropic(H: np.ndarray) -> bool:
-    """Whether H'H = c^2 I, exactly."""
+    """Whether H'H = c^2 I, exactly; of fewer rows than columns only where H = 0."""
+    if H.shape[0] < H.shape[1]:
+        return not H.any()
     G = exact.matrix_product(H.T, H)
     return bool((G == G[0, 0] * exact.eye(len(G))).all())
 
@@ -98,7 +102,8 @@ def _support_lower_bound(elements: FrictionElements) -> float:
 
 def _singular_value_bound(elements: FrictionElements, n: int) -> float:
     """The least singular value of the stacked r_j H_j, as sum |a_j| >= |(a_1, a_2, ...)|, by exact signs."""
-    G = sum((Fraction(r) ** 2 * exact.matrix_product(H.T, H) for r, H in elements), exact.zeros(n, n))
+    stacked = np.vstack([Fraction(r) * exact.rational(H) for r, H in elements])
+    G = exact.matrix_product(stacked.T, stacked)
     near = float(np.linalg.eigvalsh(exact.doubles(G))[0])
     for guess in (
         near * (1 - 1e-12),
@@ -112,13 +117,18 @@ def _singular_value_bound(elements: FrictionElements, n: int) -> float:
 
 
 def _minimise_support(elements: FrictionElements, starts: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
-    """Local minima of sigma on the sphere, by repeated least squares."""
-    best = min(((support_function(elements, d), d) for d in starts), key=lambda item: item[0])
-    for d in starts:
+    """Local minima of sigma on the sphere, by repeated least squares from the best starts."""
+    ordered = sorted(((support_function(elements, d), d) for d in starts), key=lambda item: item[0])
+    rows, count, best = np.vstack([H for _, H in elements]), [len(H) for _, H in elements], ordered[0]
+    first, r = np.cumsum([0, *count[:-1]]), np.array([r for r, _ in elements])
+    least = 1e-9 * np.sqrt(np.add.reduceat((rows**2).sum(axis=1), first))
+    for _, d in ordered[:MAX_LOCAL_STARTS]:
+        before = np.zeros(0)
         for _ in range(50):
-            sizes = [max(float(np.linalg.norm(H @ d)), 1e-9 * float(np.linalg.norm(H))) for _, H in elements]
-            weighted = sum((r / size * H.T @ H for (r, H), size in zip(elements, sizes, strict=True)), np.zeros((len(d), len(d))))
-            d = np.linalg.eigh(weighted)[1][:, 0]
+            sizes = np.maximum(np.sqrt(np.add.reduceat((rows @ d) ** 2, first)), least)
+            if np.array_equal(sizes, before):
+                break  # d is what it was, but for its sign
+            d, before = np.linalg.eigh(rows.T @ (np.repeat(r / sizes, count)[:, None] * rows))[1][:, 0], sizes
             best = min(best, (support_function(elements, d), d), key=lambda item: item[0])
         best = min(best, _support_in_kernel(elements, d), key=lambda item: item[0])
     return best
@@ -312,8 +322,8 @@ def outer_radius(model: FrictionOscillator) -> float:
         high, H = friction_law.slope_at_zero_bounds(element, model.s)[1], exact.rational(np.array(ca.DM(element.H)))
         if not np.isfinite(high):
             return np.inf
-        G = exact.matrix_product(H.T, H)
-        square = G[0, 0] if (G == G[0, 0] * exact.eye(len(G))).all() else sum((entry * entry for entry in H.ravel()), Fraction(0))
+        alike = H[:, :1] if _is_isotropic(H) else H
+        square = sum((entry * entry for entry in alike.ravel() if entry), Fraction(0))
         root = float(np.sqrt(float(square)))
         while Fraction(root) ** 2 < square:
             root = float(np.nextafter(root, np.inf))

@@ -22,7 +22,7 @@ from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.dissipation import ProvedRate, least_rate
 from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.expression_graph import operation_codes, rewrite_nodes, symbol_hashes
+from nsmodel.proof.expression_graph import operation_codes, rewrite_nodes, stack_column, stored_entries, symbol_hashes
 from nsmodel.proof.jumps import find_jump, jump_nodes
 from nsmodel.proof.storage_matrix import condition_number, matrix_witness, rational_cholesky, well_conditioned_block
 from nsmodel.proof.verdict import not_none
@@ -44,6 +44,8 @@ def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Ja
     None where there are more than VARYING of them, or more than STATES states.
     """
     n = J.shape[0]
+    if n > MAX_HULL_STATES:
+        return None
     constant, groups = np.zeros((n, n)), []
     for i, j in np.ndindex(n, n):
         entry = J[int(i), int(j)]
@@ -59,7 +61,7 @@ def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Ja
             pattern = np.zeros((n, n))
             pattern[i, j] = 1
             groups.append((entry, pattern))
-    if len(groups) > MAX_VARYING_ENTRIES or n > MAX_HULL_STATES:
+    if len(groups) > MAX_VARYING_ENTRIES:
         return None
     ends, cones = [], []
     for entry, pattern in groups:
@@ -181,7 +183,8 @@ def is_drift_affine(A: ca.SX, x: ca.SX) -> bool:
 
 def _nonlinear_growth(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> HypomonotoneBound:
     A, x, n = model.A, model.x, model.x.numel()
-    J = ca.reshape(ca.vertcat(*(simplify_factors(entry, x) for entry in ca.vertsplit(ca.vec(J)))), n, n)
+    filled = ca.sparsify(J)
+    J = ca.densify(ca.SX(filled.sparsity(), stack_column(simplify_factors(entry, x) for entry in stored_entries(filled))))
     infinite = np.full(n, np.inf)
     jump = _jump_finding(A, x)
     if jump is not None:
@@ -229,7 +232,8 @@ def _rate_on_box(
     size = np.abs(interval_bounds.enclose(J, x, region.lower, region.upper)).max(axis=0).reshape(n, n)
     if not (e < 0.5 and np.isfinite(size).all()):
         return rate if certain else None
-    top = extremum.largest_eigenvalue(ca.DM(left) @ J @ ca.DM(S), x, region.lower, region.upper, quick=quick, bound_to=None)
+    similar = ca.DM(left) @ J @ ca.DM(S)
+    top = extremum.largest_eigenvalue(similar, x, region.lower, region.upper, quick=quick, bound_alone=True)
     unseen = 8 * n * MACHINE_EPSILON * float((np.abs(left) @ size @ np.abs(S)).sum())
     mu = top.bound + unseen
     bound = _slightly_above(mu / (1 + e) if mu < 0 else mu / (1 - e))

@@ -519,9 +519,10 @@ def _lipschitz_bound(field: SelectedField, others: float) -> dict[str, float] | 
     J = ca.jacobian(field.rest, field.x)
     for half in (0.0, 1.0):
         box, outside = split_box(base, half, low[:n], high[:n])
-        ends = [(np.concatenate([a, low[n:]]), np.concatenate([b, high[n:]])) for a, b in (box, *outside)]
-        slope = max((extremum.spectral_norm(J, z, *end, quick=True).bound for end in ends[1:]), default=0.0)
-        _, top = interval_bounds.enclose(ca.sumsqr(field.rest), z, *ends[0])
+        lower, upper = (np.tile(end, (1 + len(outside), 1)) for end in (low, high))
+        lower[:, :n], upper[:, :n] = map(np.array, zip(box, *outside, strict=True))
+        slope = float(extremum.spectral_norm_bounds(J, z, lower[1:], upper[1:]).max()) if outside else 0.0
+        _, top = interval_bounds.enclose(ca.sumsqr(field.rest), z, lower[0], upper[0])
         M = float(np.max(top))
         if np.isfinite(slope) and np.isfinite(M):
             return {

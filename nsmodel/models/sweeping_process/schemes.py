@@ -142,15 +142,17 @@ def _zero_gradient_warnings(model: SweepingProcess) -> list[str]:
 
 def _nonconvexity_warnings(model: SweepingProcess) -> list[str]:
     """Constraints whose Hessian at q0 has a negative eigenvalue: the scheme's feasibility rests on convexity (S-convex)."""
-    found, q0 = [], np.array(ca.DM(model.q0)).ravel()
-    rows, columns = map(np.array, ca.jacobian_sparsity(model.g, model.q).get_triplet())
+    found, q0, all_g = [], np.array(ca.DM(model.q0)).ravel(), model.g
+    rows, columns = map(np.array, ca.jacobian_sparsity(all_g, model.q).get_triplet())
+    curved: dict[str, tuple[ca.SX, ca.SX]] = {}
     for k, name in enumerate(model.multiplier_names):
-        g, own = model.g[k], columns[rows == k].tolist()
-        gradient = ca.gradient(g, model.q[own]) if own else ca.SX(0, 1)
-        if not own or not ca.depends_on(gradient, model.q[own]):
-            continue
-        f = ca.Function("H", [model.t, model.q], [ca.densify(ca.jacobian(gradient, model.q[own])), gradient])
-        H, slope = (np.array(v) for v in f(0, q0))
+        own = model.q[columns[rows == k].tolist()]
+        gradient = ca.gradient(all_g[k], own) if own.numel() else ca.SX(0, 1)
+        if own.numel() and ca.depends_on(gradient, own):
+            curved[name] = ca.densify(ca.jacobian(gradient, own)), gradient
+    outputs = [part for parts in curved.values() for part in parts]
+    values = ca.Function("H", [model.t, model.q], outputs)(0, q0) if curved else ()
+    for name, H, slope in zip(curved, *(map(np.array, values[first::2]) for first in (0, 1)), strict=True):
         if not np.isfinite(H).all():
             continue
         least, distance = np.linalg.eigvalsh(H)[0], np.linalg.norm(q0)

@@ -177,6 +177,8 @@ def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: 
 def quadratic_maximum(p: polynomial.Polynomial | None, n: int) -> Fraction | None:
     """The largest value of a polynomial of degree <= 2 on R^n, exactly; None where it has none, or is of higher degree."""
     found = polynomial.as_quadratic(p, n)
+    if found is not None and not found.H.any():
+        return None if found.q.any() else found.c
     if found is None or not exact.definiteness(-found.H).psd:
         return None
     at = exact.solve_linear_system(-found.H, found.q)
