@@ -101,9 +101,7 @@ def _operation_conditions(op: int, args: list[ca.SX]) -> list[DomainCondition]:
     if op not in rules:
         return []
     required = [(*_innermost_argument(u, relation), name) for u, relation, name in rules[op]()]
-    return [
-        DomainCondition(*one) for one in required if not (one[0].is_constant() and _satisfies_relation(float(one[0]), one[1]))
-    ]
+    return [DomainCondition(*one) for one in required if not (one[0].is_constant() and satisfies_relation(float(one[0]), one[1]))]
 
 
 def _innermost_argument(u: ca.SX, relation: str) -> tuple[ca.SX, str]:
@@ -123,7 +121,8 @@ def _power_conditions(base: ca.SX, exponent: ca.SX) -> list[tuple[ca.SX, str, st
     return [(base, NONNEGATIVE if power > 0 else POSITIVE, "a power")]
 
 
-def _satisfies_relation(value: float, relation: str) -> bool:
+def satisfies_relation(value: float | Fraction, relation: str) -> bool:
+    """Whether a number is what a condition asks for."""
     return value != 0 if relation == NONZERO else value > 0 if relation == POSITIVE else value >= 0
 
 

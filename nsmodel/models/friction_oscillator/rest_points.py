@@ -314,10 +314,7 @@ def outer_radius(model: FrictionOscillator) -> float:
             return np.inf
         G = exact.matrix_product(H.T, H)
         square = G[0, 0] if (G == G[0, 0] * exact.eye(len(G))).all() else sum((entry * entry for entry in H.ravel()), Fraction(0))
-        root = float(np.sqrt(float(square)))
-        while Fraction(root) ** 2 < square:
-            root = float(np.nextafter(root, np.inf))
-        total += Fraction(max(high, 0.0)) * Fraction(root)
+        total += Fraction(max(high, 0.0)) * Fraction(exact.root_rounded_up(square))
     return exact.round_up(total)
 
 

@@ -24,10 +24,9 @@ import numpy as np
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints, velocity_selection
 from nsmodel.proof import exact, extremum, interval_bounds, jumps, polynomial
-from nsmodel.proof.convex.lower_bounds import additive_terms
 from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet
-from nsmodel.proof.expression_graph import is_double, is_same_expression
+from nsmodel.proof.expression_graph import additive_terms, is_double, is_same_expression
 from nsmodel.proof.monotone import JumpPoint, decide_monotonicity, extract_constant_factor, is_continuous_by_pieces
 from nsmodel.solvers.residuals import numeric_law
 

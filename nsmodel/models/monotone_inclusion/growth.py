@@ -30,11 +30,10 @@ from nsmodel.proof.asymptotics import (
     polynomial_order,
     propagate_orders,
 )
-from nsmodel.proof.convex.lower_bounds import additive_terms
 from nsmodel.proof.convex.rules import find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
 from nsmodel.proof.domain import is_defined_on_box
-from nsmodel.proof.expression_graph import program
+from nsmodel.proof.expression_graph import additive_terms, program
 from nsmodel.proof.growth import growth_bound, linear_growth_bound
 from nsmodel.proof.verdict import HypothesisPart
 

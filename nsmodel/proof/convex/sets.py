@@ -15,6 +15,7 @@ import numpy as np
 
 from nsmodel.proof import conic, exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.convex import rules
+from nsmodel.proof.domain import NONZERO, domain_conditions
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, HypothesisPart, not_none, suppress_output
@@ -146,6 +147,12 @@ class ConvexSet:
         return least if least > 0 else None
 
 
+def natural_domain(g: ca.SX, x: ca.SX) -> ca.SX:
+    """Rows u(x) with g finite only where u >= 0: concave arguments of the logarithms and roots that it always evaluates."""
+    arguments = [one.u for one in domain_conditions(g) if one.relation != NONZERO and not one.guards and ca.depends_on(one.u, x)]
+    return stack_column(u for u in arguments if rules.global_curvatures(u, x)[0].concave)
+
+
 def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> HypothesisPart:
     """Whether every row is concave: by exact arithmetic or the rules of convex functions, else by its Hessian on the box."""
     if not C.rows.numel():
@@ -234,7 +241,7 @@ def _narrow_by_ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndar
     centre = exact.matrix_product(inverse, q)
     r = found.c + exact.matrix_product(q.T, centre)[0, 0] / 2
     for k, i in enumerate(used):
-        reach = exact.round_up(Fraction(float(np.sqrt(max(exact.round_up(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
+        reach = exact.root_rounded_up(max(2 * r * inverse[k, k], Fraction(0)))
         lower[i] = max(lower[i], exact.round_down(centre[k, 0] - Fraction(reach)))
         upper[i] = min(upper[i], exact.round_up(centre[k, 0] + Fraction(reach)))
 
