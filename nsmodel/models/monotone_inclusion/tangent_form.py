@@ -19,7 +19,6 @@ from nsmodel.models.monotone_inclusion.cones import recession_directions
 from nsmodel.models.monotone_inclusion.field import SelectedField
 from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
-from nsmodel.proof.affine_reduction import sector
 from nsmodel.proof.asymptotics import asymptotic_orders, polynomial_order, value_interval
 from nsmodel.proof.convex import piecewise
 from nsmodel.proof.convex.lower_bounds import minimise_potential
@@ -34,6 +33,7 @@ from nsmodel.proof.expression_graph import (
     symbol_hashes,
 )
 from nsmodel.proof.monotone import extract_constant_factor
+from nsmodel.proof.sectors import sector
 from nsmodel.proof.verdict import HypothesisPart
 
 

@@ -93,7 +93,7 @@ def infimum_by_directions(g: ca.SX, C: ConvexSet) -> InfimumBound | None:
     on all of space.
     """
     split = split_by_directions(g, C)
-    bounds = [_part_infimum(part) for part in split.parts] if split is not None else [None]
+    bounds = [part_infimum(part) for part in split.parts] if split is not None else [None]
     known = [Fraction(bound) for bound in bounds if bound is not None and np.isfinite(bound)]
     if split is None or len(known) < len(bounds):
         return None
@@ -106,7 +106,8 @@ def _are_axes(directions: np.ndarray) -> bool:
     return all(np.count_nonzero(a) == 1 for a in directions)
 
 
-def _part_infimum(part: DirectionPart) -> float | None:
+def part_infimum(part: DirectionPart) -> float | None:
+    """A lower bound of a part on its range, next to its infimum, -inf where it has none; None where it is not found."""
     bounds: list[float | None] = []
     for terms, r, length in part.half_lines():
         pieces = split_by_cases(terms, r)

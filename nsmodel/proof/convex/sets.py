@@ -69,6 +69,7 @@ class ConvexSet:
                     upper[j] = min(upper[j], exact.round_up(end))
         for p in self.polynomials:
             _narrow_by_ellipsoid(p, self.n, lower, upper)
+        _narrow_by_half_spaces(N, h, lower, upper)
         return lower, upper
 
     def part(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -244,6 +245,26 @@ def _narrow_by_ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndar
         reach = exact.root_rounded_up(max(2 * r * inverse[k, k], Fraction(0)))
         lower[i] = max(lower[i], exact.round_down(centre[k, 0] - Fraction(reach)))
         upper[i] = min(upper[i], exact.round_up(centre[k, 0] + Fraction(reach)))
+
+
+def _narrow_by_half_spaces(N: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Give infinite ends of the box a bound, by rows a'x + c >= 0 of which a_j x_j is bounded above for all j but one."""
+    rows = [(row, number, np.flatnonzero(row.astype(bool))) for row, (number,) in zip(N, h, strict=True)]
+    left = [(row, number, used) for row, number, used in rows if used.size > 1]
+    for _ in range(2 * lower.size):
+        before = np.isfinite([lower, upper]).sum()
+        for row, number, used in left:
+            ends = {int(j): upper[j] if row[j] > 0 else lower[j] for j in used}
+            free = [j for j, end in ends.items() if not np.isfinite(end)]
+            rest = number + sum((row[j] * Fraction(float(end)) for j, end in ends.items() if np.isfinite(end)), Fraction(0))
+            for i in free if len(free) == 1 else list(ends) if not free else []:
+                bound = -(rest - (Fraction(0) if free else row[i] * Fraction(float(ends[i])))) / row[i]
+                if row[i] > 0 and not np.isfinite(lower[i]):
+                    lower[i] = exact.round_down(bound)
+                elif row[i] < 0 and not np.isfinite(upper[i]):
+                    upper[i] = exact.round_up(bound)
+        if np.isfinite([lower, upper]).sum() == before:
+            return
 
 
 def _is_hyperboloid_branch(C: ConvexSet, i: int) -> bool:
