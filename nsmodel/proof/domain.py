@@ -101,9 +101,18 @@ def _operation_conditions(op: int, args: list[ca.SX]) -> list[DomainCondition]:
     if op not in rules:
         return []
     required = [(*_innermost_argument(u, relation), name) for u, relation, name in rules[op]()]
-    return [
-        DomainCondition(*one) for one in required if not (one[0].is_constant() and _satisfies_relation(float(one[0]), one[1]))
-    ]
+    known = (one[0].is_constant() and satisfies_relation(float(one[0]), one[1]) for one in required)
+    return [DomainCondition(*one) for one, met in zip(required, known, strict=True) if not met and not _is_either_order(one[0])]
+
+
+def _is_either_order(u: ca.SX) -> bool:
+    """Whether u = (a <= b) + (b <= a), which is not 0: derivatives of fmax and fmin divide by it."""
+    if u.is_constant() or u.is_symbolic() or u.op() != ca.OP_ADD:
+        return False
+    left, right = u.dep(0), u.dep(1)
+    if any(part.is_constant() or part.is_symbolic() or part.op() != ca.OP_LE for part in (left, right)):
+        return False
+    return is_same_expression(left.dep(0), right.dep(1)) and is_same_expression(left.dep(1), right.dep(0))
 
 
 def _innermost_argument(u: ca.SX, relation: str) -> tuple[ca.SX, str]:
@@ -123,7 +132,8 @@ def _power_conditions(base: ca.SX, exponent: ca.SX) -> list[tuple[ca.SX, str, st
     return [(base, NONNEGATIVE if power > 0 else POSITIVE, "a power")]
 
 
-def _satisfies_relation(value: float, relation: str) -> bool:
+def satisfies_relation(value: float | Fraction, relation: str) -> bool:
+    """Whether a number is what a condition asks for."""
     return value != 0 if relation == NONZERO else value > 0 if relation == POSITIVE else value >= 0
 
 

@@ -80,6 +80,20 @@ def round_up(number: Fraction) -> float:
     return near if Fraction(near) >= number else float(np.nextafter(near, np.inf))
 
 
+def root_rounded_up(number: Fraction) -> float:
+    """The least double that is not below the root of a number >= 0.
+
+    >>> root_rounded_up(Fraction(4)), root_rounded_up(Fraction(2)) ** 2 > 2
+    (2.0, True)
+    """
+    root = float(np.sqrt(round_up(number)))
+    while root > 0 and Fraction(float(np.nextafter(root, 0.0))) ** 2 >= number:
+        root = float(np.nextafter(root, 0.0))
+    while Fraction(root) ** 2 < number:
+        root = float(np.nextafter(root, np.inf))
+    return root
+
+
 def eye(n: int) -> np.ndarray:
     """The unit matrix (n, n)."""
     matrix = zeros(n, n)

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 
 from nsmodel.proof import polynomial
 from nsmodel.proof.exact import round_down
+from nsmodel.proof.leading_terms import GrowthRank, LeadingTerm, LocalTerm, find_leading_term
 
 MAX_SUM_TERMS, MAX_DERIVATIVES, MAX_SUM_DEGREE = 12, 60, 80
 MAX_BISECTIONS, FLINT_PRECISION = 160, 320
 ExponentialKey = tuple[tuple[tuple[tuple[Fraction, ...], Fraction], ...], tuple[Fraction, ...]]  # ((u, p), ...), 0 < p < 1; q
 ExponentialSum = dict[ExponentialKey, tuple[Any, Any]]  # R = numerator / denominator, polynomials of FLINT
 Enclosure = tuple[Fraction, Fraction]
-GrowthRank = tuple[int, tuple[Fraction, ...]]  # orders exponentials e^q by their size at infinity; q from its highest power down
 UNIT_KEY: ExponentialKey = ((), ())
 
 
@@ -309,9 +309,9 @@ def _refine_zero(f: ExponentialSum, place: Enclosure, before: int, G: Exponentia
             break
         middle = (low + high) / 2
         sign = _sign_on_enclosure(f, (middle, middle))
-        if sign is None or sign == 0:
+        if sign is None:
             break
-        low, high = (middle, high) if sign == before else (low, middle)
+        low, high = (middle, middle) if sign == 0 else (middle, high) if sign == before else (low, middle)
     if _sign_on_enclosure(G, (low, high)) is None:
         raise UndecidedSign
     return low, high
@@ -334,8 +334,10 @@ def _bracket_sign_change(
     for _ in range(64):
         middle = (a + b) / 2
         sign = _sign_on_enclosure(G, (middle, middle))
-        if not sign:
+        if sign is None:
             break
+        if sign == 0:
+            return middle, middle
         a, b = (middle, b) if sign == before else (a, middle)
     return a, b
 
@@ -376,61 +378,28 @@ def _sign_on_enclosure(F: ExponentialSum, place: Enclosure) -> int | None:
 
 def _sign_at_end(F: ExponentialSum, end: Fraction | None, side: int) -> int | None:
     """The sign of F close to an end of the line, 0 where its limit is 0; None where it is not clear."""
-    order, number = _term_at_infinity(F) if end is None else leading_term(F, end, side)
-    if number > 0 or number < 0:
-        return 1 if number > 0 else -1
-    return 0 if number.is_zero() and order == 0 else None
+    lead = leading_term(F, end, side)
+    if lead.number > 0 or lead.number < 0:
+        return 1 if lead.number > 0 else -1
+    return 0 if lead.number.is_zero() and lead.tends_to == "number" else None
 
 
-def leading_term(F: ExponentialSum, at: Fraction, side: int) -> tuple[Fraction, Any]:
-    """(k, c) of F = c |s - at|^k + smaller terms close to ``at``, on its right (side 1) or left (-1)."""
-    from flint import arb, fmpq
-
-    shift = flint_polynomial([at, Fraction(1)])
-    parts: list[tuple[Fraction, Any]] = []
+def leading_term(F: ExponentialSum, end: Fraction | None, side: int) -> LeadingTerm:
+    """Return that of F close to an end, on its right (side 1) or left (-1), in w = |s - end|; None: at infinity, w = 1/s."""
+    terms, shift = [], None if end is None else flint_polynomial([end, Fraction(side)])
     for (powers, q), (top, bottom) in F.items():
-        order, number = Fraction(0), _evaluate_in_balls(flint_polynomial(q), _enclosing_ball((at, at))).exp()
+        order, rank, factors = Fraction(0), _growth_rank(()), []
         for p, u in [(Fraction(1), top), (Fraction(-1), bottom), *((p, flint_polynomial(u)) for u, p in powers)]:
-            c = u(shift).coeffs()
+            c = flint_coefficients(u)[::-1] if shift is None else flint_coefficients(u(shift))
             k = next(i for i, entry in enumerate(c) if entry)
-            order += k * p
-            lead = arb(c[k]) * side**k
-            number *= lead if p == 1 else 1 / lead if p == -1 else lead ** arb(fmpq(p.numerator, p.denominator))
-        parts.append((order, number))
-    return _dominant_term(parts, min)
-
-
-def _dominant_term(parts: list[tuple[Any, Any]], which: Any) -> tuple[Any, Any]:
-    from flint import arb
-
-    if not parts:
-        return Fraction(0), arb(0)
-    order = which(order for order, _ in parts)
-    return order, sum((number for own, number in parts if own == order), arb(0))
-
-
-def _term_at_infinity(F: ExponentialSum) -> tuple[Any, Any]:
-    """The leading term at infinity; its order is 0 where every term is bounded and the largest ones are numbers."""
-    (rank, order), number = growth_at_infinity(F)
-    return Fraction(1 if rank != (0, ()) or order else 0), number
-
-
-def growth_at_infinity(F: ExponentialSum) -> tuple[tuple[GrowthRank, Fraction], Any]:
-    """((rank of the exponential, power of s), coefficient) of the leading term at infinity."""
-    from flint import arb, fmpq
-
-    parts: list[tuple[Any, Any]] = []
-    for (powers, q), (top, bottom) in F.items():
-        order = Fraction(top.degree() - bottom.degree())
-        number = arb(top[top.degree()]) / arb(bottom[bottom.degree()])
-        for u, p in powers:
-            order += p * (len(u) - 1)
-            number *= arb(fmpq(u[-1].numerator, u[-1].denominator)) ** arb(fmpq(p.numerator, p.denominator))
-        if q:
-            number *= arb(fmpq(q[0].numerator, q[0].denominator)).exp()
-        growth = tuple(reversed(q[1:]))
-        parts.append(((_growth_rank(growth), order), number))
-    return _dominant_term(parts, max) if parts else (((0, ()), Fraction(0)), arb(0))
+            order += p * (k if shift is not None else 1 - len(c))
+            factors.append((c[k:], p))
+        if shift is None:
+            rank, q = _growth_rank(tuple(reversed(q[1:]))), q[:1]
+        elif q:
+            q = flint_coefficients(flint_polynomial(q)(shift))
+        terms.append(LocalTerm(rank, order, factors, q))
+    return find_leading_term(terms)
 
 
 def quotient_growth_rank(rank: GrowthRank, other: GrowthRank, power: int) -> GrowthRank:

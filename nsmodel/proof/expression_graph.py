@@ -83,6 +83,26 @@ def apply_operation(op: int, args: Sequence[ca.SX]) -> ca.SX:
     return ca.SX.unary(op, *args) if len(args) == 1 else ca.SX.binary(op, *args)
 
 
+def additive_terms(expr: ca.SX) -> list[tuple[Fraction, ca.SX]]:
+    """The expression as a sum of factor times term, as far as its graph shows one."""
+    out, left = [], [(Fraction(1), expr)]
+    while left:
+        factor, term = left.pop()
+        op = term.op() if not term.is_constant() and not term.is_symbolic() else None
+        if op in (ca.OP_ADD, ca.OP_SUB):
+            left += [(factor if op == ca.OP_ADD else -factor, term.dep(1)), (factor, term.dep(0))]
+        elif op in (ca.OP_NEG, ca.OP_TWICE):
+            left.append((factor * (-1 if op == ca.OP_NEG else 2), term.dep(0)))
+        elif op == ca.OP_MUL and term.dep(0).is_constant():
+            left.append((factor * Fraction(float(term.dep(0))), term.dep(1)))
+        elif op in (ca.OP_MUL, ca.OP_DIV) and term.dep(1).is_constant() and float(term.dep(1)):
+            number = Fraction(float(term.dep(1)))
+            left.append((factor * (number if op == ca.OP_MUL else 1 / number), term.dep(0)))
+        else:
+            out.append((factor, term))
+    return out
+
+
 def symbol_hashes(expr: ca.SX) -> set[int]:
     """Return what tells the symbols in an expression apart."""
     return {symbol.element_hash() for symbol in ca.symvar(expr)}

@@ -15,8 +15,14 @@ import numpy as np
 
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof import polynomial as polynomial_signs
-from nsmodel.proof.convex.lower_bounds import additive_terms
-from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, is_same_expression, rewrite_nodes
+from nsmodel.proof.expression_graph import (
+    additive_terms,
+    apply_operation,
+    fold_graph,
+    is_double,
+    is_same_expression,
+    rewrite_nodes,
+)
 
 SWITCHING_KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)

@@ -10,13 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
+from nsmodel.proof import interval_bounds
+from nsmodel.proof.exact import round_down, round_up
 from nsmodel.proof.exponential_sums import (
     MAX_SUM_TERMS,
     UNIT_KEY,
+    Enclosure,
     ExponentialSum,
     OpenInterval,
     SignPattern,
@@ -27,7 +32,6 @@ from nsmodel.proof.exponential_sums import (
     flint_coefficients,
     flint_polynomial,
     flint_precision,
-    growth_at_infinity,
     leading_term,
     multiply_sums,
     power_of_term,
@@ -35,6 +39,7 @@ from nsmodel.proof.exponential_sums import (
     sign_pattern,
 )
 from nsmodel.proof.expression_graph import fold_graph
+from nsmodel.proof.leading_terms import LeadingTerm
 
 
 class ExponentialQuotient(NamedTuple):
@@ -246,6 +251,7 @@ def _polynomial_coefficients(a: ExponentialQuotient) -> tuple[Fraction, ...] | N
     return flint_coefficients(top) if bottom.degree() == 0 else None
 
 
+WeightedTerms = Sequence[tuple[Fraction, ca.SX]]  # a sum of factors times terms
 Cases = dict[int, tuple[tuple[int, ...], Fraction]]  # number of an operation in the graph: factors of its arguments, offset
 
 
@@ -260,26 +266,24 @@ def decide_signs(expr: ca.SX, s: ca.SX, low: Fraction = Fraction(0), high: Fract
 
 
 def second_derivative_signs(
-    terms: Sequence[tuple[Fraction, ca.SX]],
+    terms: WeightedTerms,
     s: ca.SX,
     low: Fraction,
     high: Fraction | None,
     cases: Sequence[Cases],
     less: Fraction,
+    *,
+    strict: bool = False,
 ) -> SignPattern | None:
     """Return the signs of f'' - ``less`` for a sum f of factors times terms, None where they are not decided.
 
-    Each fabs, fmax, fmin and condition is replaced by its case on the interval, which ``cases`` holds for each term.
+    Each fabs, fmax, fmin and condition is replaced by its case on the interval, which ``cases`` holds for each term. ``strict``:
+    all operations are to be seen to have derivatives, those of a factor 0 too.
     """
 
     def total(line: OpenInterval) -> ExponentialQuotient | None:
-        out = ExponentialQuotient(constant_sum(-less), {})
-        for (factor, term), own in zip(terms, cases, strict=True):
-            part = _expression_jet(term, s, line, own).second
-            if part is None:
-                return None
-            out = add_quotients(out, scale_quotient(part, factor), 1)
-        return out
+        found = _sum_of_jets(terms, s, line, cases, "second", strict)
+        return None if found is None else add_quotients(found, ExponentialQuotient(constant_sum(less), {}), -1)
 
     return _quotient_signs(total, OpenInterval(low, high))
 
@@ -304,15 +308,10 @@ def right_derivative_bounds(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) 
                 found = _expression_jet(term, s, OpenInterval(low, high), cases).first
                 if found is None:
                     return None
-                order, number = leading_term(found.top, low, 1)
-                for part, power in found.bottom.values():
-                    k, lead = leading_term(part, low, 1)
-                    if k or lead.contains(0):
-                        return None
-                    number /= lead**power
-                if order < 0:
+                lead = _leading_quotient(found, low, 1)
+                if lead.order < 0:
                     return None
-                number = arb(0) if order > 0 else number
+                number = arb(0) if lead.order > 0 else lead.number
                 return ball_lower_bound(number), -ball_lower_bound(-number) + 0.0
             except UndecidedSign:  # a sign changes too near
                 high = low + (high - low) / 8
@@ -321,34 +320,147 @@ def right_derivative_bounds(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) 
     return None
 
 
-def tends_to_minus_infinity(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fraction, cases: Sequence[Cases]) -> bool:
+def tends_to_minus_infinity(terms: WeightedTerms, s: ca.SX, low: Fraction, cases: Sequence[Cases]) -> bool:
     """Whether a sum of factors times terms is proved to tend to -inf: its derivative stays below -c/s, c > 0, for large s."""
+    found = _leading_term_far_out(terms, s, low, cases, "first")
+    return found is not None and bool(found.number < 0) and (found.rank[0] > 0 or (not found.rank[0] and found.order <= 1))
+
+
+def growth_far_out(terms: WeightedTerms, s: ca.SX, low: Fraction, cases: Sequence[Cases]) -> LeadingTerm | None:
+    """Return the leading term of a sum of factors times terms as s grows, in w = 1/s; None where it is not found."""
+    found = _leading_term_far_out(terms, s, low, cases, "value")
+    return found if found is not None and not found.number.contains(0) else None
+
+
+def _leading_term_far_out(
+    terms: WeightedTerms, s: ca.SX, low: Fraction, cases: Sequence[Cases], which: str
+) -> LeadingTerm | None:
+    """The leading term of the value of a sum, or of its first derivative."""
     line = OpenInterval(max(low, Fraction(0)) + 1)
     with flint_precision():
         for _ in range(8):
             try:
-                total = ExponentialQuotient({}, {})
-                for (factor, term), own in zip(terms, cases, strict=True):
-                    part = _expression_jet(term, s, line, own).first
-                    if part is None:
-                        return False
-                    total = add_quotients(total, scale_quotient(part, factor), 1)
-                (rank, order), number = growth_at_infinity(total.top)
-                for part, power in total.bottom.values():
-                    (own_rank, own_order), own_number = growth_at_infinity(part)
-                    if own_number.contains(0):
-                        return False
-                    rank, order, number = (
-                        quotient_growth_rank(rank, own_rank, power),
-                        order - own_order * power,
-                        number / own_number**power,
-                    )
-                return bool(number < 0) and (rank > (0, ()) or (rank == (0, ()) and order >= -1))
+                total = _sum_of_jets(terms, s, line, cases, which)
+                return None if total is None else _leading_quotient(total, None, -1)
             except UndecidedSign:  # a sign changes further out
                 line = OpenInterval(8 * line.low)
             except (ZeroDivisionError, OverflowError):
-                return False
-    return False
+                return None
+    return None
+
+
+def _sum_of_jets(
+    terms: WeightedTerms, s: ca.SX, line: OpenInterval, cases: Sequence[Cases], which: str, strict: bool = False
+) -> ExponentialQuotient | None:
+    """The value, ``first`` or ``second`` derivative of a sum of factors times terms; None where it is no quotient."""
+    total = ExponentialQuotient({}, {})
+    for (factor, term), own in zip(terms, cases, strict=True):
+        part = getattr(_expression_jet(term, s, line, own, strict), which)
+        if part is None:
+            return None
+        total = add_quotients(total, scale_quotient(part, factor), 1)
+    return total
+
+
+def _leading_quotient(q: ExponentialQuotient, end: Fraction | None, side: int) -> LeadingTerm:
+    """The leading term at an end (None: infinity), from its right (side 1) or left (-1)."""
+    rank, order, number = leading_term(q.top, end, side)
+    for part, power in q.bottom.values():
+        own = leading_term(part, end, side)
+        if own.number.contains(0):
+            raise UndecidedSign
+        rank, order = quotient_growth_rank(rank, own.rank, power), order - own.order * power
+        number = number / own.number**power
+    return LeadingTerm(rank, order, number)
+
+
+def infimum_bound(terms: WeightedTerms, s: ca.SX, low: Fraction, high: Fraction | None, cases: Sequence[Cases]) -> float | None:
+    """Return a lower bound, next to the infimum, of a sum of factors times terms on the open interval (low, high).
+
+    The function is monotone between the places where its derivative changes its sign, so that its infimum is its value at one of
+    these, or its limit at an end. None where that is not found, -inf where the sum is proved to be unbounded below.
+
+    >>> s = ca.SX.sym("s")
+    >>> infimum_bound([(Fraction(1), ca.sqrt(1 + s**2) - s)], s, Fraction(0), None, [{}])
+    0.0
+    """
+    line = OpenInterval(low, high)
+    with flint_precision():
+        try:
+            slope = _sum_of_jets(terms, s, line, cases, "first", strict=True)
+            if slope is None:
+                return None
+            found = sign_pattern(slope.top, line)
+            bounds = [
+                lower_bound_on_enclosure(terms, s, place)
+                for place, (before, after) in zip(found.places, pairwise(found.signs), strict=True)
+                if before < after
+            ]
+            bounds += [_limit_bound(terms, s, line, low, 1, cases)] if found.signs[0] >= 0 else []
+            bounds += [_limit_bound(terms, s, line, high, -1, cases)] if found.signs[-1] < 0 else []
+            known = [bound for bound in bounds if bound is not None]
+            return min(known) if len(known) == len(bounds) else None
+        except (UndecidedSign, ZeroDivisionError, OverflowError):
+            return None
+
+
+def limit_at_start(terms: WeightedTerms, s: ca.SX, high: Fraction | None) -> float | None:
+    """Return a lower bound of the limit of a sum of factors times terms at 0 from the right; None where it is not found."""
+    with flint_precision():
+        try:
+            return _limit_bound(terms, s, OpenInterval(Fraction(0), high), Fraction(0), 1, [{} for _ in terms])
+        except (UndecidedSign, ZeroDivisionError, OverflowError):
+            return None
+
+
+def lower_bound_on_enclosure(terms: WeightedTerms, s: ca.SX, place: Enclosure) -> float | None:
+    """Return a lower bound of a sum of factors times terms on a small interval; None where there is none."""
+    total, ends = Fraction(0), (np.array([round_down(place[0])]), np.array([round_up(place[1])]))
+    for factor, term in terms:
+        low, high = (float(np.ravel(end)[0]) for end in interval_bounds.enclose(term, s, *ends))
+        if not np.isfinite([low, high]).all():
+            return None
+        total += factor * Fraction(low if factor > 0 else high)
+    return round_down(total)
+
+
+def _limit_bound(
+    terms: WeightedTerms, s: ca.SX, line: OpenInterval, end: Fraction | None, side: int, cases: Sequence[Cases]
+) -> float:
+    """A lower bound of the limit of a sum at an end of the line, by the leading terms of quotients and of what logarithms hold.
+
+    A logarithm of c w^k e^q (1 + o(1)) is log c + k log w + q + o(1).
+    """
+    from flint import arb, fmpq
+
+    smooth, number, powers = ExponentialQuotient({}, {}), arb(0), Fraction(0)
+    for (factor, term), own in zip(terms, cases, strict=True):
+        part = _expression_jet(term, s, line, own).value
+        if part is None:
+            inner = None if own else _logarithm_argument(term)
+            part = None if inner is None else _expression_jet(inner, s, line, {}).value
+            lead = None if part is None else _leading_quotient(part, end, side)
+            if lead is None or not lead.number > 0:
+                raise UndecidedSign
+            q = flint_polynomial([Fraction(0), *reversed(lead.rank[1])])
+            number += arb(fmpq(factor.numerator, factor.denominator)) * lead.number.log()
+            powers += factor * lead.order
+            part = ExponentialQuotient({UNIT_KEY: (q, flint_polynomial([Fraction(1)]))} if q else {}, {})
+        smooth = add_quotients(smooth, scale_quotient(part, factor), 1)
+    lead = _leading_quotient(smooth, end, side)
+    if lead.tends_to == "infinity":
+        if lead.number.contains(0):
+            raise UndecidedSign
+        return float("inf") if lead.number > 0 else -float("inf")
+    if powers:
+        return float("inf") if powers < 0 else -float("inf")
+    return ball_lower_bound(number + (lead.number if lead.tends_to == "number" else 0)) + 0.0
+
+
+def _logarithm_argument(term: ca.SX) -> ca.SX | None:
+    """The w of a term log(w)."""
+    op = None if term.is_constant() or term.is_symbolic() else term.op()
+    return term.dep(0) if op == ca.OP_LOG else term.dep(0) + 1 if op == ca.OP_LOG1P else None
 
 
 def _quotient_signs(read: Callable[[OpenInterval], ExponentialQuotient | None], line: OpenInterval) -> SignPattern | None:
@@ -360,7 +472,8 @@ def _quotient_signs(read: Callable[[OpenInterval], ExponentialQuotient | None], 
             return None
 
 
-def _expression_jet(expr: ca.SX, s: ca.SX, line: OpenInterval, cases: Cases) -> Jet:
+def _expression_jet(expr: ca.SX, s: ca.SX, line: OpenInterval, cases: Cases, strict: bool = False) -> Jet:
+    """The jet of a scalar; ``strict``: UndecidedSign where an operation, of a factor 0 too, is not seen to have a derivative."""
     own = s.element_hash()
     one, zero = ExponentialQuotient(constant_sum(Fraction(1)), {}), ExponentialQuotient({}, {})
 
@@ -379,7 +492,10 @@ def _expression_jet(expr: ca.SX, s: ca.SX, line: OpenInterval, cases: Cases) -> 
     def apply(op: int, args: list[Jet]) -> Jet:
         case = cases.get(next(calls))
         if case is None:
-            return jet_of_operation(op, args, line)
+            out = jet_of_operation(op, args, line)
+            if strict and out.first is None:
+                raise UndecidedSign
+            return out
         out = Jet(ExponentialQuotient(constant_sum(case[1]), {}), zero, zero)
         for factor, jet in zip(case[0], args, strict=True):
             if factor:

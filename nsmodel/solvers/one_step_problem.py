@@ -246,11 +246,11 @@ class Subdifferential(NamedTuple):
     rows: tuple[str, ...]
 
 
-def subdifferential(phi: ConvexSplit, y: ca.SX, name: str) -> Subdifferential:
+def subdifferential(phi: ConvexSplit, y: ca.SX, name: str, *, guarded: bool = True) -> Subdifferential:
     """Write -dPhi(y) as ``force``, an expression of y and new multipliers l' with -u ∈ N_K(l').
 
     |u| gives a relay, max(u, 0) a box, |u|_2 a ball, an indicator a complementarity or a cone; nested terms their epigraph:
-    tau free with 0 = d/dtau, 0 <= l ⟂ tau_j - u_i(y, tau) >= 0.
+    tau free with 0 = d/dtau, 0 <= l ⟂ tau_j - u_i(y, tau) >= 0. ``guarded``: the force is no number where Phi has no value.
     """
     laws, symbols, us, rows = [], [], [], []
     lagrangian = phi.smooth
@@ -271,7 +271,7 @@ def subdifferential(phi: ConvexSplit, y: ca.SX, name: str) -> Subdifferential:
         us += [ca.gradient(lagrangian, phi.tau), gaps]
         rows += [f"{name} level {j}" for j in range(phi.tau.numel())] + [f"{name} piece {i}" for i in range(n.numel())]
     force = -ca.gradient(lagrangian, y)
-    if operation_codes(phi.smooth) & DOMAIN_OPERATIONS:
+    if guarded and operation_codes(phi.smooth) & DOMAIN_OPERATIONS:
         force = ca.if_else(ca.fabs(phi.smooth) < np.inf, force, np.nan)
     return Subdifferential(product(*laws), _stack_symbols(symbols), force, _stack_symbols(us), tuple(rows))
 

@@ -6,10 +6,10 @@ import pytest
 from fuzz_models import share
 
 from nsmodel import MonotoneInclusion, check
-from nsmodel.proof.affine_reduction import sector
 from nsmodel.proof.asymptotics import asymptotic_orders, polynomial_order
 from nsmodel.proof.growth import growth_bound
 from nsmodel.proof.monotone import decide_monotonicity
+from nsmodel.proof.sectors import sector
 
 z, x = ca.SX.sym("z"), ca.SX.sym("x", 2)
 SQUARE = ca.sumsqr(x)

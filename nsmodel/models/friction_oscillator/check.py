@@ -33,7 +33,7 @@ from nsmodel.models.friction_oscillator.rest_points import friction_radius
 from nsmodel.proof import exact
 from nsmodel.proof.convex import lower_bounds, potentials
 from nsmodel.proof.convex.lower_bounds import LowerBoundResult
-from nsmodel.proof.convex.sets import ConvexSet, has_interior, is_convex_set
+from nsmodel.proof.convex.sets import ConvexSet, has_interior, is_convex_set, natural_domain
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
@@ -67,10 +67,17 @@ def check(
         quick: skip global searches.
     """
     potential = potential_without_domain(model.potential, model.x, "potential")
-    domain = potential_domain(model)
+    domain = effective_domain(model, potential)
     g, below = _check_potential(model, potential, domain, region, quick)
     findings = [_check_friction(model, quick), g, _check_dry_friction(model), _check_steps(model, runs)]
     return findings, oscillator_consequences(model, findings, potential, domain, below, runs)
+
+
+def effective_domain(model: FrictionOscillator, g: ca.SX) -> ConvexSet:
+    """Dom g where g counts as +inf where its logarithms and roots have no value."""
+    domain, own = potential_domain(model), natural_domain(g, model.x)
+    names = [f"{u} has a value in g" for u in ca.vertsplit(own)] if own.numel() else []
+    return ConvexSet(model.x, ca.vertcat(domain.rows, own), [*domain.names, *names], domain.equalities)
 
 
 def potential_domain(model: FrictionOscillator) -> ConvexSet:

@@ -13,8 +13,8 @@ from nsmodel.models.friction_oscillator.model import Friction
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial, univariate
 from nsmodel.proof.convex import piecewise, rules
 from nsmodel.proof.convex import piecewise as joints
-from nsmodel.proof.convex.lower_bounds import additive_terms
 from nsmodel.proof.convex.piecewise import CaseInterval, WeightedTerms, split_by_cases
+from nsmodel.proof.expression_graph import additive_terms
 from nsmodel.proof.jumps import find_jump, jump_nodes
 from nsmodel.proof.verdict import HypothesisPart
 

@@ -324,10 +324,7 @@ def outer_radius(model: FrictionOscillator) -> float:
             return np.inf
         alike = H[:, :1] if _is_isotropic(H) else H
         square = sum((entry * entry for entry in alike.ravel() if entry), Fraction(0))
-        root = float(np.sqrt(float(square)))
-        while Fraction(root) ** 2 < square:
-            root = float(np.nextafter(root, np.inf))
-        total += Fraction(max(high, 0.0)) * Fraction(root)
+        total += Fraction(max(high, 0.0)) * Fraction(exact.root_rounded_up(square))
     return exact.round_up(total)
 
 

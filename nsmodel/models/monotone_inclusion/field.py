@@ -24,10 +24,10 @@ import numpy as np
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints, velocity_selection
 from nsmodel.proof import exact, extremum, interval_bounds, jumps, polynomial
-from nsmodel.proof.convex.lower_bounds import additive_terms
 from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet
-from nsmodel.proof.expression_graph import is_double, is_same_expression
+from nsmodel.proof.domain import is_defined_on_box
+from nsmodel.proof.expression_graph import additive_terms, is_double, is_same_expression
 from nsmodel.proof.monotone import JumpPoint, decide_monotonicity, extract_constant_factor, is_continuous_by_pieces
 from nsmodel.solvers.residuals import numeric_law
 
@@ -123,7 +123,10 @@ def constraint_set(model: MonotoneInclusion) -> ConvexSet:
 
 def decompose_field(model: MonotoneInclusion, C: ConvexSet) -> SelectedField:
     """Take G = F - S apart."""
-    chosen, law = velocity_selection(model), numeric_law(velocity_selection(model).law)
+    phi, where = model.potential_split, C.rows if C.rows.numel() else None
+    defined = phi is not None and is_defined_on_box(phi.smooth, C.x, C.x, *C.bounding_box, where=where)
+    chosen = velocity_selection(model, guarded=not defined)
+    law = numeric_law(chosen.law)
     G, l, u = chosen.velocity, chosen.l, chosen.u
     lower, upper = np.array(law.lower, float), np.array(law.upper, float)
     balls = {rows.start: (rows, K.radius) for rows, K in law.curved}

@@ -18,8 +18,7 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.models.monotone_inclusion.cones import recession_directions
 from nsmodel.models.monotone_inclusion.field import SelectedField
-from nsmodel.proof import exact, extremum, interval_bounds, polynomial
-from nsmodel.proof.affine_reduction import sector
+from nsmodel.proof import exact, extremum, interval_bounds, polynomial, univariate
 from nsmodel.proof.asymptotics import (
     START_EXPONENTS,
     AsymptoticOrder,
@@ -30,12 +29,15 @@ from nsmodel.proof.asymptotics import (
     polynomial_order,
     propagate_orders,
 )
-from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.piecewise import split_by_cases
 from nsmodel.proof.convex.rules import find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
 from nsmodel.proof.domain import is_defined_on_box
-from nsmodel.proof.expression_graph import program
+from nsmodel.proof.exponential_sums import ball_lower_bound
+from nsmodel.proof.expression_graph import additive_terms, is_double, program
 from nsmodel.proof.growth import growth_bound, linear_growth_bound
+from nsmodel.proof.leading_terms import LeadingTerm
+from nsmodel.proof.sectors import sector
 from nsmodel.proof.verdict import HypothesisPart
 
 NEAR_TIME, FAR_TIME = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.
@@ -135,6 +137,16 @@ class FieldAlongCurves:
         for own in x:
             total = add_orders(total, multiply_orders(own, constant_order(-size, size)), k) if size else total
         return total
+
+    def exact_growth(self, expr: ca.SX, path: PolynomialCurve) -> LeadingTerm | None:
+        """The leading term of a scalar of x, and of no switches, on the curve, in 1/t, however many terms cancel."""
+        if self.field.jumps:
+            return None
+        t = ca.SX.sym("t")
+        x = [sum((float(c) * t**j for j, c in enumerate(row) if c), ca.SX(0)) for row in path.coefficients]
+        terms = additive_terms(ca.substitute(expr, self.field.x, ca.vertcat(*x)))
+        pieces = split_by_cases(terms, t)
+        return univariate.growth_far_out(terms, t, pieces[-1].low[1], pieces[-1].cases) if pieces else None
 
     def _term_orders(self, path: PolynomialCurve, k: int) -> list[list[AsymptoticOrder | None]]:
         """The terms of each row that are no polynomials."""
@@ -238,15 +250,15 @@ def superlinear_curve(field: SelectedField) -> HypothesisPart | None:
         )
         if rise > 1.2:
             seen.append((rise, path))
-    for _, path in _best_curves(seen):
-        for k in START_EXPONENTS:
-            if not remains_inside(field.C, path, k):
-                continue
-            for order in along.velocity(path, k):
-                if order is not None and order.sign and order.rate > (path.power, 0):
-                    how = f"|F - S| grows faster than |x| along {_curve_name(path)} (bounds of its order for all t)"
-                    power = float(order.p) / path.power
-                    return HypothesisPart(VIOLATED, how, {"power": power}, path.witness)
+    for path, k in _curves_inside(field.C, seen):
+        orders = [
+            order.p for order in along.velocity(path, k) if order is not None and order.sign and order.rate > (path.power, 0)
+        ]
+        leads = [] if orders else [along.exact_growth(row, path) for row in ca.vertsplit(field.rest)]
+        orders += [-lead.order for lead in leads if lead is not None and (lead.rank[0], -lead.order) > (0, path.power)]
+        if orders:
+            how = f"|F - S| grows faster than |x| along {_curve_name(path)} (bounds of its order for all t)"
+            return HypothesisPart(VIOLATED, how, {"power": float(orders[0]) / path.power}, path.witness)
     return None
 
 
@@ -261,27 +273,33 @@ def nondissipative_curve(field: SelectedField) -> HypothesisPart | None:
             ratios.append(x @ v / (x @ x))
         if np.isnan(ratios).any() or ratios[1] > min(0.7 * ratios[0], 0.0) or ratios[1] >= 0:
             seen.append((np.nan_to_num(ratios[1], nan=0.0), path))
-    for _, path in _best_curves(seen):
-        for k in START_EXPONENTS:
-            if not remains_inside(field.C, path, k):
-                continue
-            order = along.product(path, k)
-            if order is None or not np.isfinite(order.low):
-                continue
-            if order.low >= 0 or order.rate < (2 * path.power, 0):
-                how = f"along {_curve_name(path)} <x, F - S> >= 0 or small beside |x|^2: no alpha > 0 bounds it (by its order)"
-                limit = max(order.low, 0.0) if order.rate == (2 * path.power, 0) else 0.0
-                value = {"lim <x, F - S>/|x|^2": limit}
-                return HypothesisPart(VIOLATED, how, value, path.witness)
+    for path, k in _curves_inside(field.C, seen):
+        limit = _radial_limit(along, path, k)
+        if limit is not None:
+            how = f"along {_curve_name(path)} <x, F - S> >= 0 or small beside |x|^2: no alpha > 0 bounds it (by its order)"
+            return HypothesisPart(VIOLATED, how, {"lim <x, F - S>/|x|^2": limit}, path.witness)
     return None
+
+
+def _radial_limit(along: FieldAlongCurves, path: PolynomialCurve, k: int) -> float | None:
+    """The limit >= 0 of <x, v>/|x|^2, 0 where it is not of that order; None where it is not proved to be >= 0."""
+    order, square = along.product(path, k), (2 * path.power, 0)
+    if order is not None and np.isfinite(order.low) and (order.low >= 0 or order.rate < square):
+        return max(order.low, 0.0) if order.rate == square else 0.0
+    lead = along.exact_growth(ca.dot(along.field.x, along.field.rest), path)
+    if lead is None or not (lead.number > 0 or (lead.rank[0], -lead.order) < (0, square[0])):
+        return None
+    return ball_lower_bound(lead.number) if (lead.rank[0], -lead.order) == (0, square[0]) else 0.0
+
+
+def _curves_inside(C: ConvexSet, seen: list[tuple[float, PolynomialCurve]]) -> Iterator[tuple[PolynomialCurve, int]]:
+    """The best curves, and k for which they lie in the interior of C for all t >= 2^k."""
+    for _, path in sorted(seen, key=lambda pair: -pair[0])[:MAX_CURVES]:
+        yield from ((path, k) for k in START_EXPONENTS if remains_inside(C, path, k))
 
 
 def _curve_name(path: PolynomialCurve) -> str:
     return "d, a direction in which C is unbounded," if path.power == 1 else "a curve in C"
-
-
-def _best_curves(seen: list[tuple[float, PolynomialCurve]]) -> list[tuple[float, PolynomialCurve]]:
-    return sorted(seen, key=lambda pair: -pair[0])[:MAX_CURVES]
 
 
 NORM_ROUND_UP = 1 + 1e-12  # Norms and eigenvalues in doubles are enlarged by this where they are bounds.
@@ -328,9 +346,35 @@ def _read_field_row(row: ca.SX, field: SelectedField, z: ca.SX, low: np.ndarray,
     (p,) = polynomial.read_polynomials(row, z)
     if p is not None:
         return FieldRowBound(p, 0.0, 0.0)
+    terms = additive_terms(row)
+    found = _read_field_terms(terms, field, z, low, high)
+    if found.p is not None and polynomial.degree(found.p) <= 1:
+        return found
+    merged = _read_field_terms(_merge_directions(terms, field.x), field, z, low, high)
+    return found if merged.p is None or (found.p is not None and polynomial.degree(merged.p) > 1) else merged
+
+
+def _merge_directions(terms: list[tuple[Fraction, ca.SX]], x: ca.SX) -> list[tuple[Fraction, ca.SX]]:
+    """The same sum, what is not affine in one direction merged into one term: its parts may cancel at infinity."""
+    merged: dict[tuple[Fraction, ...], ca.SX] = {}
+    left = []
+    for factor, term in terms:
+        (p,) = polynomial.read_polynomials(term, x)
+        split = None if p is not None and polynomial.degree(p) <= 1 else find_ridges(term, x)
+        if split is None or split.s.numel() != 1 or not is_double(factor):
+            left.append((factor, term))
+        else:
+            key = tuple(split.a[0])
+            merged[key] = merged.get(key, ca.SX(0)) + float(factor) * term
+    return [*left, *((Fraction(1), term) for term in merged.values())]
+
+
+def _read_field_terms(
+    terms: list[tuple[Fraction, ca.SX]], field: SelectedField, z: ca.SX, low: np.ndarray, high: np.ndarray
+) -> FieldRowBound:
     total: polynomial.Polynomial = {}
     size = slope = 0.0
-    for factor, term in additive_terms(row):
+    for factor, term in terms:
         (p,) = polynomial.read_polynomials(term, z)
         if p is not None:
             total = polynomial.add_multiple(total, p, factor)

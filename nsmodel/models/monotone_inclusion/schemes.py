@@ -64,11 +64,11 @@ class Selection:
     law: Law
 
 
-def velocity_selection(model: MonotoneInclusion) -> Selection:
-    """Return F - S with its discontinuities written as multipliers."""
+def velocity_selection(model: MonotoneInclusion, *, guarded: bool = True) -> Selection:
+    """Return F - S with its discontinuities written as multipliers; ``guarded``: no number where a potential has no value."""
     if model.potential_split is not None:
         smooth = [term for term in model.potential_split.terms if term.kind not in DOMAIN_KINDS]
-        part = subdifferential(model.potential_split.with_terms(smooth), model.x, "phi")
+        part = subdifferential(model.potential_split.with_terms(smooth), model.x, "phi", guarded=guarded)
         return Selection(part.l, model.field + part.force, -part.force, part.u, part.law)
     m = model.sign_symbols.numel()
     l = ca.SX.sym("l", m)

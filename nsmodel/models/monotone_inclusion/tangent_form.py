@@ -19,14 +19,21 @@ from nsmodel.models.monotone_inclusion.cones import recession_directions
 from nsmodel.models.monotone_inclusion.field import SelectedField
 from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
-from nsmodel.proof.affine_reduction import sector
 from nsmodel.proof.asymptotics import asymptotic_orders, polynomial_order, value_interval
 from nsmodel.proof.convex import piecewise
-from nsmodel.proof.convex.lower_bounds import additive_terms, minimise_potential
+from nsmodel.proof.convex.lower_bounds import minimise_potential
 from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
-from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, is_same_expression, symbol_hashes
+from nsmodel.proof.expression_graph import (
+    additive_terms,
+    apply_operation,
+    fold_graph,
+    is_double,
+    is_same_expression,
+    symbol_hashes,
+)
 from nsmodel.proof.monotone import extract_constant_factor
+from nsmodel.proof.sectors import sector
 from nsmodel.proof.verdict import HypothesisPart
 
 

@@ -21,10 +21,11 @@ import numpy as np
 
 from nsmodel.proof import conic, exact, extremum, interval_bounds, polynomial, sum_of_squares, univariate
 from nsmodel.proof import polynomial as polynomial_signs
+from nsmodel.proof.convex.directions import infimum_by_directions
 from nsmodel.proof.convex.piecewise import polynomial_pieces, split_by_cases
 from nsmodel.proof.convex.rules import find_ridges
 from nsmodel.proof.convex.sets import ConvexSet
-from nsmodel.proof.expression_graph import rewrite_nodes, stack_column
+from nsmodel.proof.expression_graph import additive_terms, rewrite_nodes, stack_column
 from nsmodel.proof.verdict import suppress_output
 
 
@@ -41,26 +42,6 @@ class KinkTerm(NamedTuple):
     a: np.ndarray
     low: Fraction | None
     high: Fraction | None
-
-
-def additive_terms(expr: ca.SX) -> list[tuple[Fraction, ca.SX]]:
-    """The expression as a sum of factor times term, as far as its graph shows one."""
-    out, left = [], [(Fraction(1), expr)]
-    while left:
-        factor, term = left.pop()
-        op = term.op() if not term.is_constant() and not term.is_symbolic() else None
-        if op in (ca.OP_ADD, ca.OP_SUB):
-            left += [(factor if op == ca.OP_ADD else -factor, term.dep(1)), (factor, term.dep(0))]
-        elif op in (ca.OP_NEG, ca.OP_TWICE):
-            left.append((factor * (-1 if op == ca.OP_NEG else 2), term.dep(0)))
-        elif op == ca.OP_MUL and term.dep(0).is_constant():
-            left.append((factor * Fraction(float(term.dep(0))), term.dep(1)))
-        elif op in (ca.OP_MUL, ca.OP_DIV) and term.dep(1).is_constant() and float(term.dep(1)):
-            number = Fraction(float(term.dep(1)))
-            left.append((factor * (number if op == ca.OP_MUL else 1 / number), term.dep(0)))
-        else:
-            out.append((factor, term))
-    return out
 
 
 def decompose_potential(
@@ -293,8 +274,8 @@ UNBOUNDED_LEVEL = 1e12  # A least value below minus this, beside the value at th
 class LowerBoundResult(NamedTuple):
     """What is known of inf g: ``bounded`` True or False where proved, None where not.
 
-    ``bound`` is a rigorous lower bound where there is one (else -inf), ``value`` the least value met, at ``at``;
-    ``direction`` is one of unbounded descent.
+    ``bound`` is a rigorous lower bound where there is one (else -inf), ``value`` the least value met, at ``at``, or the bound
+    itself where that is proved to be the infimum, but for rounding; ``direction`` is one of unbounded descent.
     """
 
     bounded: bool | None
@@ -318,6 +299,10 @@ def decide_bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: b
     exactly = _quadratic_minimum(g, C)
     if exactly is not None:
         return LowerBoundResult(True, "the minimum of a quadratic, exactly", exactly, max(value, exactly), at)
+    alone = infimum_by_directions(g, C)
+    if alone is not None:
+        how = "a sum of functions of one direction each, bounded by the signs of their derivatives and their limits"
+        return LowerBoundResult(True, how, alone.bound, alone.bound if alone.tight else max(value, alone.bound), at)
     low, _ = interval_bounds.enclose(g, C.x, *C.bounding_box)
     bound = float(np.min(low))
     if np.isfinite(bound):

@@ -11,7 +11,6 @@ is none, wherever exactly c lies.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from fractions import Fraction
 from itertools import count
 from math import isqrt
@@ -25,13 +24,12 @@ from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.exact import round_down, round_up
 from nsmodel.proof.exponential_sums import Enclosure
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, operation_codes, stack_column
-from nsmodel.proof.univariate import Cases
+from nsmodel.proof.univariate import Cases, WeightedTerms
 
 KINK_OPERATIONS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 COMPARISON_OPERATIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
 LOGICAL_OPERATIONS = (ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 MAX_CASE_PIECES = 50
-WeightedTerms = Sequence[tuple[Fraction, ca.SX]]  # a sum of factors times terms
 
 
 class UndecidedCase(Exception):

@@ -11,12 +11,12 @@ import numpy as np
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_squares, univariate
 from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.convex import rules
-from nsmodel.proof.convex.lower_bounds import additive_terms
+from nsmodel.proof.convex.directions import is_convex_by_directions
 from nsmodel.proof.convex.piecewise import exact_value
 from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes
+from nsmodel.proof.expression_graph import additive_terms, is_same_expression, rewrite_nodes
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, HypothesisPart
 
 EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
@@ -55,6 +55,9 @@ def is_convex_potential(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.nda
         return HypothesisPart(
             HOLDS, "a sum of polynomials in one state each, their signs decided exactly", {EIGENVALUE_BOUND_KEY: 0.0}, {}
         )
+    if is_convex_by_directions(g, C):
+        how = "a sum of functions of one direction each, the signs of their second derivatives decided"
+        return HypothesisPart(HOLDS, how, {EIGENVALUE_BOUND_KEY: 0.0}, {})
     if _is_sos_convex_part(parts.smooth, C):
         return HypothesisPart(
             HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {EIGENVALUE_BOUND_KEY: 0.0}, {}

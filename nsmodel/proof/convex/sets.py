@@ -15,6 +15,7 @@ import numpy as np
 
 from nsmodel.proof import conic, exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.convex import rules
+from nsmodel.proof.domain import NONZERO, domain_conditions
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, HypothesisPart, not_none, suppress_output
@@ -68,6 +69,7 @@ class ConvexSet:
                     upper[j] = min(upper[j], exact.round_up(end))
         for p in self.polynomials:
             _narrow_by_ellipsoid(p, self.n, lower, upper)
+        _narrow_by_half_spaces(N, h, lower, upper)
         return lower, upper
 
     def part(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,6 +146,12 @@ class ConvexSet:
         low, _ = interval_bounds.enclose(self.rows, self.x, point, point)
         least = float(np.min(low))
         return least if least > 0 else None
+
+
+def natural_domain(g: ca.SX, x: ca.SX) -> ca.SX:
+    """Rows u(x) with g finite only where u >= 0: concave arguments of the logarithms and roots that it always evaluates."""
+    arguments = [one.u for one in domain_conditions(g) if one.relation != NONZERO and not one.guards and ca.depends_on(one.u, x)]
+    return stack_column(u for u in arguments if rules.global_curvatures(u, x)[0].concave)
 
 
 def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> HypothesisPart:
@@ -236,9 +244,29 @@ def _narrow_by_ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndar
     centre = exact.matrix_product(inverse, q)
     r = found.c + exact.matrix_product(q.T, centre)[0, 0] / 2
     for k, i in enumerate(used):
-        reach = exact.round_up(Fraction(float(np.sqrt(max(exact.round_up(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
+        reach = exact.root_rounded_up(max(2 * r * inverse[k, k], Fraction(0)))
         lower[i] = max(lower[i], exact.round_down(centre[k, 0] - Fraction(reach)))
         upper[i] = min(upper[i], exact.round_up(centre[k, 0] + Fraction(reach)))
+
+
+def _narrow_by_half_spaces(N: np.ndarray, h: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Give infinite ends of the box a bound, by rows a'x + c >= 0 of which a_j x_j is bounded above for all j but one."""
+    rows = [(row, number, np.flatnonzero(row.astype(bool))) for row, (number,) in zip(N, h, strict=True)]
+    left = [(row, number, used) for row, number, used in rows if used.size > 1]
+    for _ in range(2 * lower.size):
+        before = np.isfinite([lower, upper]).sum()
+        for row, number, used in left:
+            ends = {int(j): upper[j] if row[j] > 0 else lower[j] for j in used}
+            free = [j for j, end in ends.items() if not np.isfinite(end)]
+            rest = number + sum((row[j] * Fraction(float(end)) for j, end in ends.items() if np.isfinite(end)), Fraction(0))
+            for i in free if len(free) == 1 else list(ends) if not free else []:
+                bound = -(rest - (Fraction(0) if free else row[i] * Fraction(float(ends[i])))) / row[i]
+                if row[i] > 0 and not np.isfinite(lower[i]):
+                    lower[i] = exact.round_down(bound)
+                elif row[i] < 0 and not np.isfinite(upper[i]):
+                    upper[i] = exact.round_up(bound)
+        if np.isfinite([lower, upper]).sum() == before:
+            return
 
 
 def _is_hyperboloid_branch(C: ConvexSet, i: int) -> bool:
