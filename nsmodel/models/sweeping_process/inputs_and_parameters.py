@@ -69,7 +69,8 @@ from nsmodel.models.sweeping_process.model import SweepingProcess
 from nsmodel.models.sweeping_process.qualification import RHO_FRACTION, RHO_TRIES
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, bound_gamma_everywhere
 from nsmodel.proof import extremum, interval_bounds
-from nsmodel.proof.expression_graph import is_same_expression, stack_column
+from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes, stack_column
+from nsmodel.proof.jumps import SWITCH_OPERATIONS
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
@@ -205,27 +206,51 @@ def _uniform_gamma_finding(hypothesis: Hypothesis, proof: GammaProof, region: Re
 
 
 def uniform_velocity_finding(model: SweepingProcess, region: Region, motion: InputBounds = NO_INPUT_BOUNDS) -> Finding | None:
-    """S-f by bounds of f and its derivative over (t, p) and all states, else over (t, p) and the box."""
-    f, (low, high) = model.f, region.parameter_bounds()
-    z, J = ca.vertcat(model.t, model.p, model.q), ca.jacobian(f, model.q)
-    n, timed = model.q.numel(), bool(ca.depends_on(f, model.t))
-    speed, (slowest, fastest) = ca.sumsqr(motion.velocity(f, model.t)), motion.rates
+    """S-f by bounds of f and its derivative over (t, p) and all states, else over (t, p) and the box.
+
+    A switch of time and parameters alone has one value at each of these: it is a number between bounds, and f has no L_t.
+    """
+    n, slow, (low, high) = model.q.numel(), ca.vertcat(model.t, model.p), region.parameter_bounds()
+    now = np.append(region.t0, low), np.append(region.t1, high)
+    nodes: list[tuple[ca.SX, ca.SX]] = []
+
+    def switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if ca.depends_on(old, model.q):
+            return None
+        nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
+        return nodes[-1][0]
+
+    f = rewrite_nodes(model.f, switch, (*SWITCH_OPERATIONS, ca.OP_IF_ELSE_ZERO), slow, "f")
+    s, between = stack_column(one for one, _ in nodes), (np.zeros(0), np.zeros(0))
+    if nodes:
+        between = tuple(np.ravel(end) for end in interval_bounds.enclose(stack_column(old for _, old in nodes), slow, *now))
+    z, J, timed = ca.vertcat(slow, s, model.q), ca.jacobian(f, model.q), bool(ca.depends_on(model.f, model.t))
     wide = np.full(n, np.inf)
     for lower, upper, local in ((-wide, wide, False), (region.lower, region.upper, True)):
-        ends = np.concatenate([[region.t0], low, lower]), np.concatenate([[region.t1], high, upper])
+        ends = tuple(np.concatenate(parts) for parts in zip(now, between, (lower, upper), strict=True))
         if not interval_bounds.is_continuous(f, z, *ends):
             continue
         steep = extremum.spectral_norm(J, z, *ends, quick=not local).bound
         about = ca.substitute(f, model.q, ca.DM.zeros(n)) if not local else f
         size = extremum.supremum(ca.sumsqr(about), z, *ends, quick=not local).bound
-        moving = np.append(ends[0], slowest), np.append(ends[1], fastest)
-        rate = 0.0 if speed.is_zero() else extremum.supremum(speed, ca.vertcat(z, motion.v), *moving, quick=True).bound
+        rate = np.inf if nodes else _velocity_rate(model, region, motion, lower, upper)
         if np.isfinite(steep) and np.isfinite(size):
             K_f, at_0 = max(steep, 0.0) * SUP_ROUNDING_FACTOR, np.sqrt(max(size, 0.0)) * SUP_ROUNDING_FACTOR
             value = {"K_f": K_f, "L_f": at_0 if local else max(K_f, at_0)}
             value |= {"L_t": np.sqrt(rate) * SUP_ROUNDING_FACTOR} if np.isfinite(rate) else {}
             return make_finding(S_F, HOLDS, "bounds of f and of its derivative", value, scope=region.scope(local, timed))
     return None
+
+
+def _velocity_rate(
+    model: SweepingProcess, region: Region, motion: InputBounds, lower: np.ndarray, upper: np.ndarray
+) -> float:  # fmt: skip
+    """A bound of |d f/dt|^2 along the inputs, over these states."""
+    speed, (slowest, fastest) = ca.sumsqr(motion.velocity(model.f, model.t)), motion.rates
+    low, high = region.parameter_bounds()
+    ends = np.concatenate([[region.t0], low, lower, slowest]), np.concatenate([[region.t1], high, upper, fastest])
+    z = ca.vertcat(model.t, model.p, model.q, motion.v)
+    return 0.0 if speed.is_zero() else extremum.supremum(speed, z, *ends, quick=True).bound
 
 
 def uniform_start_finding(model: SweepingProcess, region: Region) -> Finding | None:
