@@ -66,6 +66,37 @@ def matrix_corners(matrices: Sequence[ca.SX], p: ca.SX, lower: np.ndarray, upper
     return found
 
 
+def without_common_factor(
+    matrix: ca.SX, p: ca.SX, lower: np.ndarray, upper: np.ndarray
+) -> tuple[ca.SX, np.ndarray] | None:  # fmt: skip
+    """Return (c, M) with c(p) M the matrix and c > 0 on the box, M in Fractions; None where it is no such product.
+
+    >>> p = ca.SX.sym("p")
+    >>> factor, M = without_common_factor(ca.horzcat(-p / 3, 2 * p), p, np.array([1.0]), np.array([4.0]))
+    >>> factor, M.tolist()
+    (SX((p/3)), [[Fraction(-1, 1), Fraction(6, 1)]])
+    """
+    M, factor = zeros(*matrix.shape), None
+    for i, j in zip(*ca.sparsify(matrix).sparsity().get_triplet(), strict=True):
+        entry = matrix[i, j]
+        factor = entry if factor is None else factor
+        ratio = polynomial.read_quotient(entry / factor, p)
+        if ratio is None or not ratio[1]:
+            return None
+        top, bottom = ratio
+        some = next(iter(bottom))
+        number = top.get(some, Fraction(0)) / bottom[some]
+        if polynomial.scale_polynomial(bottom, number) != top:
+            return None
+        M[i, j] = number
+    if factor is None:
+        return None
+    low, high = (float(end.item()) for end in interval_bounds.enclose(factor, p, lower, upper))
+    if not (0 < low <= high < np.inf or -np.inf < low <= high < 0):
+        return None
+    return (factor, M) if low > 0 else (-factor, -M)
+
+
 class _MultiaffineReader:
     """Reads a graph; ``ends[k]`` are the bounds of number k, ``known`` and ``inverses`` say what has one."""
 

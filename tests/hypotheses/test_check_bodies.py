@@ -734,7 +734,10 @@ def test_a_box_of_parameters_is_decided_as_on_the_model_written_out():
     grown = blown(inputs={}, parameters={k: 1.0}, f=lambda q, c: [0, 0])
     pairs = {"pair": Family(grown.constraints["pair"].g - k, grown.constraints["pair"].first, grown.constraints["pair"].second)}
     wide = ManyBodies(bodies=grown.bodies, constraints=pairs, parameters={k: 0.1}, t_end=1, step=0.1)
-    assert check(wide, (), parameters={k: (0.0, 0.1)}, quick=True)["A0"].verdict != "holds"  # looked at, not proved
+    many, one = (check(m, (), parameters={k: (0.0, 0.1)}, quick=True) for m in (wide, wide.written_out()))
+    for id in ("S-convex", "A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-start"):
+        assert many[id].verdict == one[id].verdict == "holds"
+        assert dict(many[id].value) == pytest.approx(dict(one[id].value))
     assert check(wide, (), parameters={k: (0.0, 0.9)}, quick=True)["S-start"].verdict == "violated"
 
 

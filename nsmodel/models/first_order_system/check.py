@@ -137,7 +137,7 @@ def _check_jacobians(at: SystemLinearisation) -> Finding:
         how = "f, h or g jumps at this point and has no Jacobian there; write the jump as a law, such as a relay."
         witness = {**at.at(at.jump.at), "f, h, g on one side": at.jump.below, "on the other": at.jump.above}
         return make_finding(F_JACOBIANS, VIOLATED, how, {"jump": at.jump.size}, witness)
-    kinks = _kink_names(at.model)
+    kinks = kink_names(at.model)
     worst, where = _worst_difference_quotient(at, bool(kinks))
     value = {"relative difference": worst}
     if worst > DIFFERENCE_TOLERANCE and kinks:
@@ -154,7 +154,7 @@ def _check_jacobians(at: SystemLinearisation) -> Finding:
     return make_finding(F_JACOBIANS, SAMPLED, how, value, where, at.scope())
 
 
-def _kink_names(model: FirstOrderSystem) -> list[str]:
+def kink_names(model: FirstOrderSystem) -> list[str]:
     """Names of the operations in f, h and g that have kinks or jumps."""
     return sorted(
         KINK_OPERATION_NAMES[op] for op in operation_codes(ca.vertcat(model.f, model.h, model.g)) if op in KINK_OPERATION_NAMES

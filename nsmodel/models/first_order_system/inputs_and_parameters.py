@@ -34,6 +34,7 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.inputs import InputBounds, InputJump, missing_rate_reason, scheme_limit_consequence
 from nsmodel.hypotheses.region import ParameterValues, Region, box_middle, depends_on_symbol, findings_for_box, sample_values
+from nsmodel.modeling.laws import Law
 from nsmodel.models.first_order_system.check import (
     F_JACOBIANS,
     F_MLCP,
@@ -43,8 +44,9 @@ from nsmodel.models.first_order_system.check import (
     check,
     first_order_consequences,
     keep_proofs,
+    kink_names,
 )
-from nsmodel.models.first_order_system.linearisation import linearise_system, step_lengths
+from nsmodel.models.first_order_system.linearisation import linearise_system, step_lengths, system_jacobians
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.models.lure_system import domains
 from nsmodel.proof import exact, extremum, interval_bounds
@@ -54,6 +56,8 @@ from nsmodel.simulation.trajectory import Trajectory
 
 FIELDS_OF_SYSTEM = ("M", "f", "h", "g", "law")
 JACOBIAN_IDS = (F_JACOBIANS.id, F_W.id, F_MLCP.id, F_STEP.id)
+MAX_INVERSE_STATES = 6  # Up to so many M is inverted in symbols.
+STEP_ROUNDING = 1e-9
 MAX_CORNER_STEPS, MAX_MLCP_STATES, MAX_MLCP_ROWS = (
     5,
     6,
@@ -109,7 +113,8 @@ def uniform_findings(model: FirstOrderSystem, region: Region, quick: bool) -> li
         return check(model.bind(sample_values(region.parameters)[0]), replace(region, parameters={}), (), quick)[0]
     steps, parts = step_lengths(model, ()), _affine_system(model, region)
     if parts is None or not steps.size:
-        return findings_for_box(_jacobian_findings(model, region, quick), [], region)
+        added = _jacobian_findings(model, region, quick)
+        return findings_for_box(added or _bounded_findings(model, region, steps, quick), [], region)
     timed = bool(ca.depends_on(ca.vertcat(model.f, model.h, model.g), model.t))
     scope = intersect_scopes(region.scope(timed=timed), Scope(parameters=region.parameters))
     count = {"step lengths": steps.size}
@@ -117,7 +122,7 @@ def uniform_findings(model: FirstOrderSystem, region: Region, quick: bool) -> li
     step = _step_limit_by_corners(parts, float(steps.max()))
     if step is not None:
         own += [step, make_finding(F_W, HOLDS, f"By F-step: {step.how}", count)]
-        own += _mlcp_findings(model, parts, steps)
+        own += _mlcp_findings(model, parts, steps, region)
     return [replace(finding, scope=scope) for finding in own]
 
 
@@ -165,6 +170,67 @@ def _jacobian_findings(model: FirstOrderSystem, region: Region, quick: bool) -> 
     return [finding for finding in found if finding.id in JACOBIAN_IDS and finding.verdict == HOLDS]
 
 
+def _bounded_findings(model: FirstOrderSystem, region: Region, steps: np.ndarray, quick: bool) -> list[Finding]:
+    """F-jacobians by their continuity over states, multipliers and parameters together, F-step and F-W by a norm there."""
+    known, n = _multiplier_hull(model.law, model, region), len(model.names)
+    if known is None or n > MAX_INVERSE_STATES:
+        return []
+    (low_l, high_l), (low, high) = known, region.parameter_bounds()
+    h = float(steps.max(initial=0.0))
+    z = ca.vertcat(model.t, model.x, model.lam, model.p)
+    ends = (
+        np.concatenate([[region.t0], region.lower, low_l, low]),
+        np.concatenate([[region.t1 + h], region.upper, high_l, high]),
+    )
+    stacked, J = ca.vertcat(model.f, model.h, model.g), system_jacobians(model)
+    if kink_names(model) or not interval_bounds.is_continuous(ca.vertcat(stacked, ca.veccat(*J)), z, *ends):
+        return []
+    timed = bool(ca.depends_on(stacked, model.t))
+    scope = region.scope(True, timed)
+    how = "Algorithmic differentiation is exact, and the Jacobians are continuous over states and parameters together."
+    found = [make_finding(F_JACOBIANS, HOLDS, how, {"kinks": 0}, scope=scope)]
+    G = model.theta * J.A + model.gamma * J.K
+    M = ca.densify(model.M)
+    if not np.isfinite(interval_bounds.enclose(ca.inv(M), z, *ends)).all():
+        return found
+    size = extremum.spectral_norm(ca.inv(M) @ G, z, *ends, quick=quick, bound_to=0.99 / h if h else None).bound
+    if h and h * size < 1 - STEP_ROUNDING:
+        how = f"h |M^-1 (theta A + gamma K)| <= {h * size:.3g} < 1 over states and parameters together (interval arithmetic)."
+        value = {"h": h, "h* is at least": 1 / size if size > 0 else np.inf}
+        found.append(make_finding(F_STEP, HOLDS, how, value, scope=scope))
+        found.append(make_finding(F_W, HOLDS, f"By F-step: {how}", {"step lengths": steps.size}, scope=scope))
+    return found
+
+
+def _multiplier_hull(law: Law, model: FirstOrderSystem, region: Region) -> tuple[np.ndarray, np.ndarray] | None:
+    """A box that holds K for all values of the parameters; None where K is not an interval in a row that depends on them."""
+    lows, highs = [], []
+    for block in law.blocks:
+        if not depends_on_symbol(block, model.p):
+            ends = block.bounding_box()
+        elif block.separable:
+            p, box = model.p, region.parameter_bounds()
+            ends = [
+                np.array([float(row) if row.is_constant() else float(interval_bounds.enclose(row, p, *box)[k].item())
+                          for row in ca.vertsplit(side)])
+                for k, side in enumerate((block.lower, block.upper))
+            ]  # fmt: skip
+        else:
+            return None
+        lows.append(ends[0])
+        highs.append(ends[1])
+    return np.concatenate([np.zeros(0), *lows]), np.concatenate([np.zeros(0), *highs])
+
+
+def _is_law_never_empty(law: Law, model: FirstOrderSystem, region: Region) -> bool:
+    """Whether K has a point for all values of the parameters."""
+    if any(depends_on_symbol(block, model.p) and not block.separable for block in law.blocks):
+        return False
+    widths = [row for block in law.blocks if block.separable for row in ca.vertsplit(block.upper - block.lower)]
+    moving = [row for row in widths if ca.depends_on(row, model.p)]
+    return all(float(interval_bounds.enclose(row, model.p, *region.parameter_bounds())[0].item()) >= 0 for row in moving)
+
+
 def _step_intervals(steps: np.ndarray) -> list[StepInterval]:
     """Each step length for itself; of many all between the least and the largest at once."""
     return [(float(h), float(h)) for h in steps] if steps.size <= MAX_CORNER_STEPS else [(float(steps.min()), float(steps.max()))]
@@ -198,7 +264,7 @@ def _max_row_sum(X: np.ndarray) -> Fraction:
     return max((sum((abs(entry) for entry in row), Fraction(0)) for row in X), default=Fraction(0))
 
 
-def _mlcp_findings(model: FirstOrderSystem, parts: AffineSystem, steps: np.ndarray) -> list[Finding]:
+def _mlcp_findings(model: FirstOrderSystem, parts: AffineSystem, steps: np.ndarray, region: Region) -> list[Finding]:
     """F-mlcp and F-unique from det(W) W_mlcp / det M at each step length."""
     n, m = len(model.names), model.law.size
     if not m:
@@ -219,10 +285,12 @@ def _mlcp_findings(model: FirstOrderSystem, parts: AffineSystem, steps: np.ndarr
         F_MLCP, HOLDS, f"W_mlcp is {kind} for all values{every_step} (exact, or by bounds).", {"step lengths": steps.size}
     )
     boxes = model.law.is_box
-    if "positive semidefinite" in each or ("a P-matrix" in each and not boxes) or depends_on_symbol(model.law, model.p):
+    if "positive semidefinite" in each or ("a P-matrix" in each and not boxes):
+        return [solvable]
+    if depends_on_symbol(model.law, model.p) and not _is_law_never_empty(model.law, model, region):
         return [solvable]
     try:
-        domains.domains_of_law(model.law, np.zeros((m, m)))
+        domains.domains_of_law(model.law.at_rest(model.p), np.zeros((m, m)))
     except domains.EmptyDomain:
         return [solvable]
     why = (

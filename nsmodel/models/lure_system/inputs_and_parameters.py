@@ -51,10 +51,11 @@ from nsmodel.models.lure_system.large_systems import is_large
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.models.lure_system.passivity import D_PSD_HYPOTHESIS, LURE_PAPER, STORAGE_HYPOTHESIS
 from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, MOVING_OFFSET_NOTE
+from nsmodel.models.lure_system.uniform_ranges import rest_point_for_all, uniform_range_findings
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.dissipation import least_rate
 from nsmodel.proof.expression_graph import stack_column
-from nsmodel.proof.parameter_hull import matrix_corners
+from nsmodel.proof.parameter_hull import matrix_corners, without_common_factor
 from nsmodel.proof.storage_matrix import (
     Pairing,
     broken_conditions,
@@ -110,7 +111,8 @@ def uniform_findings(model: LureSystem, region: Region, quick: bool) -> list[Fin
         stored,
         _growth_for_all(model, region, energy, quick),
     ]
-    own += _ranges_for_all(model, region, least)
+    whole = _ranges_for_all(model, region, least)
+    own += [*whole, *rest_point_for_all(model, region, True)] if whole else uniform_range_findings(model, region)
     return findings_for_box(own, same, region)
 
 
@@ -162,28 +164,54 @@ def _input_output_for_all(model: LureSystem, region: Region) -> Finding | None:
 
 
 def _storage_for_all(model: LureSystem, region: Region) -> tuple[EnergyMatrix, Finding | None]:
-    """5.1: one P for all corners of (B, C), P(p) diagonal, or C B symmetric and definite at all corners."""
+    """5.1: one P for all corners of (B, C), P(p) diagonal, P up to a factor, or C B symmetric and definite at all corners.
+
+    Of factors b(p), c(p) > 0 of B and C, (c/b) P is the matrix for B and C where P is that of the rest, and 5.2 is the same
+    for both.
+    """
     at = _corner_matrices([model.B, model.C], model, region)
-    if at is not None and len(at) * model.B.shape[1] <= MAX_CORNER_COLUMNS:
-        B, C = np.hstack([B for B, _ in at]), np.vstack([C for _, C in at])
-        if not broken_conditions(B, C, np.ones((len(C), B.shape[1]))):
-            columns = exact.independent_columns(B) if B.shape[1] else []
-            pairing = make_pairing(B[:, columns], C[columns])
-            witness = matrix_witness("P", pairing.storage_matrix(well_conditioned_block(pairing)))
-            how = f"exact: one P with P B = C' at {len(at)} corners, in whose hull (B, C) lies; cond P in floating point"
-            return EnergyMatrix(pairing=pairing), make_finding(
-                STORAGE_HYPOTHESIS, HOLDS, how, {"cond P": condition_number(witness["P"])}, witness
-            )
+    pairing = _pairing_of(at)
+    if pairing is not None and at is not None:
+        witness = matrix_witness("P", pairing.storage_matrix(well_conditioned_block(pairing)))
+        how = f"exact: one P with P B = C' at {len(at)} corners, in whose hull (B, C) lies; cond P in floating point"
+        return EnergyMatrix(pairing=pairing), make_finding(
+            STORAGE_HYPOTHESIS, HOLDS, how, {"cond P": condition_number(witness["P"])}, witness
+        )
     d = None if at is None else _diagonal_energy(model, region)
     if d is not None:
         entries = [f"{entry}" for entry in ca.vertsplit(d)]
         how = f"exact: P = diag({', '.join(entries)}) > 0 has P B = C' for all values"
         return EnergyMatrix(diagonal=d), make_finding(STORAGE_HYPOTHESIS, HOLDS, how, {"states": model.x.numel()})
+    numbers = [own for matrix in (model.B, model.C) if (own := _numbers_up_to_factor(matrix, region, model.p)) is not None]
+    pairing = _pairing_of([numbers]) if len(numbers) == 2 else None
+    if pairing is not None:
+        how = "exact: B and C are numbers up to factors > 0, with which P B = C'; cond P in floating point"
+        value = {"cond P": condition_number(matrix_witness("P", pairing.storage_matrix(well_conditioned_block(pairing)))["P"])}
+        return EnergyMatrix(pairing=pairing), make_finding(STORAGE_HYPOTHESIS, HOLDS, how, value)
     pairs = _corner_matrices([ca.mtimes(model.C, model.B)], model, region)
     if pairs is not None and all(exact.is_symmetric(G) and exact.definiteness(G).definite for (G,) in pairs):
         how = f"exact at {len(pairs)} corners, in whose hull C B lies: C B is symmetric and definite, so that B has full rank"
         return EnergyMatrix(), make_finding(STORAGE_HYPOTHESIS, HOLDS, how, {"corners": len(pairs)})
     return EnergyMatrix(), None
+
+
+def _pairing_of(corners: Sequence[Sequence[np.ndarray]] | None) -> Pairing | None:
+    """What one P with P B = C' at all corners (B, C) is made of; None where there is none, or there are too many."""
+    if corners is None or len(corners) * corners[0][0].shape[1] > MAX_CORNER_COLUMNS:
+        return None
+    B, C = np.hstack([B for B, _ in corners]), np.vstack([C for _, C in corners])
+    if broken_conditions(B, C, np.ones((len(C), B.shape[1]))):
+        return None
+    columns = exact.independent_columns(B) if B.shape[1] else []
+    return make_pairing(B[:, columns], C[columns])
+
+
+def _numbers_up_to_factor(matrix: ca.SX, region: Region, p: ca.SX) -> np.ndarray | None:
+    """M where the matrix is c(p) M, c > 0."""
+    if not ca.depends_on(matrix, p):
+        return exact.rational(np.array(ca.DM(matrix)).reshape(matrix.shape))
+    found = without_common_factor(matrix, p, *region.parameter_bounds())
+    return None if found is None else found[1]
 
 
 def _diagonal_energy(model: LureSystem, region: Region) -> ca.SX | None:

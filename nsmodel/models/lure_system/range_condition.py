@@ -172,8 +172,7 @@ def is_range_whole_space(law: Law, D: np.ndarray) -> bool:
     if own.loose.all():
         return True
     return (
-        linearity_direction(own, D) is None
-        and conic.decide_feasibility(own.system(_range_parts(D, own), own.m)).point is not None
+        linearity_direction(own, D) is None and conic.decide_feasibility(own.system(range_parts(D, own), own.m)).point is not None
     )
 
 
@@ -219,7 +218,7 @@ def _offset_text(at: RangeSetting) -> str:
     return " + e" if at.e is None or at.e.any() else ""
 
 
-def _range_parts(D: np.ndarray, own: Domains) -> list[domains.ColumnPart]:
+def range_parts(D: np.ndarray, own: Domains) -> list[domains.ColumnPart]:
     """D'k + y + S v, with the columns of v behind the others."""
     transformed = [(columns, exact.matrix_product(D.T, matrix)) for columns, matrix in own.k]
     n = len(own.kinds)
@@ -233,7 +232,7 @@ def _range_intersection_finding(at: RangeSetting) -> Finding:
         return own
     n, states = len(own.kinds) + at.m, at.C.shape[1]
     system = own.system(
-        [*_range_parts(at.D, own), (list(range(n, n + states)), -at.C), (TAU_COLUMN, -_offset_column(at))], at.m + states
+        [*range_parts(at.D, own), (list(range(n, n + states)), -at.C), (TAU_COLUMN, -_offset_column(at))], at.m + states
     )
     answer = conic.decide_feasibility(system)
     if at.line is not None:
@@ -263,7 +262,7 @@ def _admissibility_finding(at: RangeSetting, hypothesis: Hypothesis, output: np.
     if isinstance(own, Finding):
         return own
     output, name = output + _offset_column(at), f"(C x0{_offset_text(at)})" if _offset_text(at) else "C x0"
-    system = own.system([*_range_parts(at.D, own), (TAU_COLUMN, -output)], at.m)
+    system = own.system([*range_parts(at.D, own), (TAU_COLUMN, -output)], at.m)
     answer = conic.decide_feasibility(system)
     if at.line is not None:
         return _empty_interior_finding(at, hypothesis, at.line, answer)
@@ -309,7 +308,7 @@ def _admissibility_margin(at: RangeSetting, own: Domains, output: np.ndarray, po
     if own.groups or len(lines) < int((~own.loose).sum()):
         return None
     exactly = float(min(point[lines]) / point[0])  # What linear programming cannot resolve.
-    A = exact.doubles(own.system([*_range_parts(at.D, own), (TAU_COLUMN, -output)], at.m).A)
+    A = exact.doubles(own.system([*range_parts(at.D, own), (TAU_COLUMN, -output)], at.m).A)
     n = A.shape[1]
     rows = np.zeros((len(lines), n + 1))
     rows[range(len(lines)), lines], rows[:, n] = -1, 1
@@ -377,7 +376,7 @@ def _range_convexity_reason(at: RangeSetting) -> str:
     if not at.D.any():
         return "D = 0 and R(dXi) = -dom dPhi = -dom Phi" if at.model.law is None else "D = 0 and R(dXi) is the barrier cone of K"
     law = at.model.law
-    if (law is None and at.potential is not None and at.potential.piecewise) or (law is not None and _is_polyhedral_law(law)):
+    if (law is None and at.potential is not None and at.potential.piecewise) or (law is not None and is_polyhedral_law(law)):
         # Cottle's argument: the gap of the monotone complementarity system is a convex quadratic, bounded below by 0 on a
         # polyhedron, hence attained (Frank and Wolfe), and 0 at a minimum: solvable wherever feasible.
         return "D is psd and the law polyhedral: q is in R(D + dXi) wherever the complementarity system is feasible, a polyhedron"
@@ -386,7 +385,8 @@ def _range_convexity_reason(at: RangeSetting) -> str:
     return ""
 
 
-def _is_polyhedral_law(law: Law) -> bool:
+def is_polyhedral_law(law: Law) -> bool:
+    """Whether K is a polyhedron."""
     return all(isinstance(block.shape(), Intervals | Halfspaces) for block in law.blocks)
 
 

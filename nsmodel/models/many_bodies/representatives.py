@@ -93,18 +93,21 @@ def number_tables(family: Family) -> tuple[np.ndarray, np.ndarray]:
     return first, family.second.group.table[:, d:] if family.of_pairs else family.second.group.table
 
 
-def additive_numbers(family: Family, numbers: ca.SX) -> list[int]:
-    """The indices of those numbers that g has as a constant added: dg/ds is a function of such numbers alone."""
+def additive_numbers(family: Family, numbers: ca.SX, parameters: ca.SX | None = None) -> list[int]:
+    """The indices of those numbers that g has as a constant added: dg/ds is a function of such numbers alone.
+
+    ``parameters``: without values yet, of which it may be a function too.
+    """
     g = family.g
     own = [k for k in range(numbers.numel()) if ca.depends_on(g, numbers[k]) and not jump_nodes(g, numbers[k])]
     while own:
-        known = {symbol.element_hash() for symbol in ca.vertsplit(numbers[own])}
+        known = symbol_hashes(ca.vertcat(numbers[own], ca.SX(0, 1) if parameters is None else parameters))
         kept = [k for k in own if all(s.element_hash() in known for s in ca.symvar(ca.jacobian(g, numbers[k])))]
         if kept == own:
             break
         own = kept
-    if not own:
-        return []
+    if not own or parameters is not None:
+        return own
     one = np.hstack([table[:1] for table in number_tables(family)])
     return own if np.isfinite(float(_offset_function(family, own)(one[0, own]))) else []
 

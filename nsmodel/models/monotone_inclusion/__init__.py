@@ -75,8 +75,8 @@ def hypothesis_checks() -> HypothesisChecks:
         run_hypotheses=along_run.RUN_HYPOTHESES,
         uniform=UniformChecks(
             special_values=parameters.special_values,
-            findings=parameters.uniform_findings,
-            consequences=parameters.uniform_consequences,
+            findings=check.uniform_findings,
+            consequences=check.uniform_consequences,
         ),
         driven=DrivenChecks(
             fields=driven.DRIVEN_FIELDS,

@@ -368,6 +368,22 @@ def check(
     return decide(model, region, runs, quick)
 
 
+def uniform_findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Finding]:
+    """What is decided for all values of the parameters, and where the inclusion moves for all times, of which M-H is one."""
+    frozen, at_all = parametric_model_and_region(model, region, ())
+    found = for_all.uniform_findings(frozen, at_all, quick)
+    if not model.moves:
+        return found
+    found = [finding_in_time(finding, str(model.t), (region.t0, region.t1)) for finding in found]
+    return [*found, set_motion_finding(model, region, NO_INPUT_BOUNDS, quick)]
+
+
+def uniform_consequences(model: MonotoneInclusion, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+    """What follows for all values of the parameters; nothing of a start that is not proved to be in C(0) for all of them."""
+    made = moving_consequences(model, own, ()) if model.moves else for_all.uniform_consequences(model, region, own)
+    return _about_start_inside(model, region, NO_INPUT_BOUNDS, made)
+
+
 DRIVEN_FIELDS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
 START_TOLERANCE = 1e-10  # Of the start, by which it may be outside.
@@ -414,17 +430,24 @@ def driven_consequences(
     ]
     read = motion.indices_read_by(*(getattr(model, name) for name in ALL_DRIVEN_FIELDS))
     made = [scheme_limit_consequence(item, motion, read) if item.name == "convergence of the scheme" else item for item in made]
-    if not _starts_inside(model, region, motion):
-        why = "x0 is not seen to be in C(0) for all u(0)"
-        made = [unknown_consequence(item, why) if item.name in START_CONSEQUENCES else item for item in made]
-    return made
+    return _about_start_inside(model, region, motion, made)
+
+
+def _about_start_inside(
+    model: MonotoneInclusion, region: Region, motion: InputBounds, made: Sequence[Consequence]
+) -> list[Consequence]:  # fmt: skip
+    """The consequences; what is said of the start is unknown where that may be outside of C(0)."""
+    if _starts_inside(model, region, motion):
+        return list(made)
+    why = "x0 is not seen to be in C(0) for all values"
+    return [unknown_consequence(item, why) if item.name in START_CONSEQUENCES else item for item in made]
 
 
 def _starts_inside(model: MonotoneInclusion, region: Region, motion: InputBounds) -> bool:
-    """Whether x0 lies in C(0) for all u(0+), as nearly as runs ask for."""
+    """Whether x0 lies in C(0) for all parameters and u(0+), as nearly as runs ask for."""
     at_start = ca.substitute(set_constraints(model)[0], ca.vertcat(model.t, model.x), ca.vertcat(0, model.x0))
-    if not (at_start.numel() and ca.depends_on(at_start, motion.u)):
-        return True  # a start outside of a set that inputs do not move is refused by runs
+    if not (at_start.numel() and ca.depends_on(at_start, model.p)):
+        return True  # a start outside of a set that neither inputs nor parameters move is refused by runs
     low, high = region.parameter_bounds()
     names = list(region.parameters)
     for name, value in motion.start.items():

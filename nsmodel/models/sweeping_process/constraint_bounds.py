@@ -38,6 +38,7 @@ class Constraint:
         names: of these states.
         lower, upper: (1 + k,) bounds of (t, q).
         motion: the inputs among p.
+        scale: bounds of what the user's constraint is divided by to be this one, a function of parameters, > 0.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Constraint:
     lower: np.ndarray
     upper: np.ndarray
     motion: InputBounds = NO_INPUT_BOUNDS
+    scale: tuple[float, float] = (1.0, 1.0)
 
     def rate(self, expression: ca.SX) -> ca.SX:
         """The derivative of a column by time, along the inputs."""
@@ -64,9 +66,20 @@ class Constraint:
         """Bounds of t, or of (t, p)."""
         return self.lower[: self.t.numel()], self.upper[: self.t.numel()]
 
+    @property
+    def states(self) -> tuple[np.ndarray, np.ndarray]:
+        """The part of the box that is of the states q."""
+        return self.lower[self.t.numel() :], self.upper[self.t.numel() :]
+
+    @property
+    def has_parameters(self) -> bool:
+        """Whether all values of parameters in a box are meant."""
+        return self.t.numel() > 1
+
     def point(self, z: np.ndarray) -> dict[str, Any]:
         """The witness of a point (t, q)."""
-        return {"constraint": self.name} | ({"t": z[0]} if self.shape.time else {}) | dict(zip(self.names, z[1:], strict=True))
+        states = dict(zip(self.names, z[self.t.numel() :], strict=True))
+        return {"constraint": self.name} | ({"t": z[0]} if self.shape.time else {}) | states
 
 
 @dataclass(frozen=True)
@@ -131,6 +144,8 @@ def time_invariant_answer(name: str) -> HypothesisAnswer:
 
 def stationary_point(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | None:
     """Return a point (t, q) near z where the gradient by q is 0 and g >= 0, both proved, with how; None where there is none."""
+    if c.has_parameters:
+        return None
     gradient = ca.gradient(c.g, c.q)
     both = ca.vertcat(c.g, gradient)
     for digits in (17, 12, 9, 6, 4, 2, 1):
@@ -175,7 +190,7 @@ def decide_on_box(c: Constraint, missing: set[str], known: AnswersById, quick: b
     if "S-convex" in missing:
         found["S-convex"] = _convexity_answer(c, H, quick)
     if "A2" in missing:
-        speed = ca.fabs(ca.jacobian(c.g, c.t))
+        speed = ca.fabs(c.rate(c.g))
         found["A2"] = _box_bound_answer("b", extremum.supremum(speed, c.z, c.lower, c.upper, quick=quick))
     if not {"A0", "A1", "A3", "A4"} & missing:
         return found
@@ -187,7 +202,7 @@ def decide_on_box(c: Constraint, missing: set[str], known: AnswersById, quick: b
     smooth, broken = _find_gradient_jump(c, gradient, delta)
     if broken is not None:
         return found | {id: broken for id in ("A0", "A1", "A3", "A4") if id in missing}
-    turn = ca.jacobian(gradient, c.t)
+    turn = c.rate(gradient)
     if "A3" in missing:
         found["A3"] = _box_bound_answer("M", root_of_supremum(_sup(c, ca.sumsqr(turn), where, quick)))
     if "A4" in missing:
@@ -254,9 +269,9 @@ def _gradient_bound_answers(
 
 def _gradient_bound_by_convexity(c: Constraint, lowest: Any, delta: float) -> float:
     """For convex g and a point q* with g(t, q*) <= -m, m > delta: |grad g| >= (m - delta) / |q - q*| on U_i."""
-    q = np.asarray(lowest.at)[1:]
+    q, (low, high) = np.asarray(lowest.at)[c.t.numel() :], c.states
     over = supremum_over_time(c, ca.substitute(c.g, c.q, ca.DM(q)))
-    reach = float(np.linalg.norm(np.maximum(np.abs(c.lower[1:] - q), np.abs(c.upper[1:] - q))))
+    reach = float(np.linalg.norm(np.maximum(np.abs(low - q), np.abs(high - q))))
     return max((-over.bound - delta) / reach / SUP_ROUNDING_FACTOR - 1e-15 * delta / reach, 0.0)
 
 
@@ -280,17 +295,17 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
     """Convex in q: by the rules of convex functions, else by the least eigenvalue of the Hessian over the box."""
     if c.shape.convex:
         return HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, "a sum of convex terms")
-    if not c.shape.time:
+    if not ca.depends_on(c.g, c.t):
         if rules.global_curvatures(c.g, c.q)[0].convex:
             return HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, "by the rules of convex functions")
-        if rules.curvatures(c.g, c.q, c.lower[1:], c.upper[1:])[0].convex:
+        if rules.curvatures(c.g, c.q, *c.states)[0].convex:
             return HypothesisAnswer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
     elif rules.curvatures(c.g, c.z, c.lower, c.upper)[0].convex:
         return HypothesisAnswer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
     if _hessian_is_sos(c):
         how = "D2g is a sum of squares (exact)" + ("" if not c.shape.time else ", at every time")
         return HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, how)
-    bent = _chord_violation(c)
+    bent = None if c.has_parameters else _chord_violation(c)
     top = extremum.largest_eigenvalue(-H, c.z, c.lower, c.upper, quick=quick, bound_to=0.0)
     if top.at is not None and np.isfinite(top.value) and not jump_nodes(c.g, c.q):
         matrix = np.array(ca.Function("H", [c.z], [ca.densify(H)])(top.at))
@@ -314,15 +329,16 @@ def _convexity_answer(c: Constraint, H: ca.SX, quick: bool) -> HypothesisAnswer:
 
 
 def _hessian_is_sos(c: Constraint) -> bool:
-    """Whether g is a polynomial in q and y'D2g y a sum of squares, where t enters terms that are affine in q alone."""
+    """Whether g is a polynomial in q and y'D2g y a sum of squares; t and parameters enter terms that are affine in q alone."""
     (p,) = polynomial.read_polynomials(c.g, c.z)
     n = c.q.numel()
     if p is None:
         return False
-    bending = {monomial: number for monomial, number in p.items() if sum(power for v, power in monomial if v) > 1}
-    if any(v == 0 for monomial in bending for v, _ in monomial):
+    slow = c.t.numel()
+    bending = {monomial: number for monomial, number in p.items() if sum(power for v, power in monomial if v >= slow) > 1}
+    if any(v < slow for monomial in bending for v, _ in monomial):
         return False
-    shifted = {tuple((v - 1, power) for v, power in monomial): number for monomial, number in bending.items()}
+    shifted = {tuple((v - slow, power) for v, power in monomial): number for monomial, number in bending.items()}
     return polynomial.degree(shifted) <= MAX_SOS_DEGREE and sum_of_squares.is_sos_convex(shifted, n)
 
 

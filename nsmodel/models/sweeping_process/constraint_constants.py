@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -25,7 +26,14 @@ from nsmodel.models.sweeping_process.constraint_bounds import (
     time_invariant_answer,
     vanishing_gradient_answers,
 )
-from nsmodel.models.sweeping_process.constraint_shapes import AffineForm, Offset, Squares, form_hessian, offset_expression
+from nsmodel.models.sweeping_process.constraint_shapes import (
+    AffineForm,
+    Offset,
+    Squares,
+    affine_parts,
+    form_hessian,
+    offset_expression,
+)
 from nsmodel.models.sweeping_process.mfcq_constant import sqrt_above, sqrt_below
 from nsmodel.proof import exact, extremum, interval_bounds
 from nsmodel.proof.domain import DefinednessResult, check_defined_in_time, is_defined_on_box
@@ -46,12 +54,7 @@ def decide_constraint(constraint: Constraint, quick: bool) -> AnswersById:
     delta, with U_i = {g_i > -delta}, is infinite for planes, half the reach r for a distance minus r, and half the depth
     -min g_i otherwise: deeper sets come near to where the gradient vanishes.
     """
-    by_shape: dict[str, Callable[[Constraint], AnswersById | None]] = {
-        "plane": _plane_answers, "distance": _distance_answers, "quadratic": _quadratic_answers,
-    }  # fmt: skip
-    rule = by_shape.get(constraint.shape.kind)
-    known = rule(constraint) if rule is not None else _rotating_plane_answers(constraint)
-    known = dict(known or {}) | _time_jump_answer(constraint) | _gradient_jump_answer(constraint)
+    known = _shape_answers(constraint) | _time_jump_answer(constraint) | _gradient_jump_answer(constraint)
     missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
     known |= decide_on_box(constraint, missing, known, quick) if missing else {}
     if known["A0"].verdict == HOLDS and known["A0"].where == ON_THE_BOX and not _has_no_hole(constraint):
@@ -62,14 +65,63 @@ def decide_constraint(constraint: Constraint, quick: bool) -> AnswersById:
     return _require_finite_in_time(constraint, known)
 
 
-def uniform_shape_answers(c: Constraint) -> AnswersById | None:
-    """The answers of a plane, or of a distance from something with a radius, for all times and parameters; None of others."""
-    if c.shape.kind == "plane":
-        return _plane_answers(c)
-    if c.shape.kind == "distance" and supremum_over_time(c, offset_expression(c.shape.written.affine.offset)).bound < 0:
-        found = _distance_answers(c)
-        return found if found is not None and len(found) > 1 else None
-    return None
+def _shape_answers(c: Constraint) -> AnswersById:
+    """What the shape alone tells."""
+    by_shape: dict[str, Callable[[Constraint], AnswersById | None]] = {
+        "plane": _plane_answers, "distance": _distance_answers, "quadratic": _quadratic_answers,
+    }  # fmt: skip
+    return dict(by_shape.get(c.shape.kind, _rotating_plane_answers)(c) or {})
+
+
+def uniform_answers(c: Constraint, quick: bool) -> AnswersById:
+    """What is proved for all times and parameters, by the shape where it has one, else by bounds over the box; no violations.
+
+    What is proved of g is said of c g, c a function of parameters with 0 < c_0 <= c <= c_1: the sets {g >= 0} and
+    {g > -delta} = {c g > -c delta} are the same, gradients and what moves are c times as large.
+    """
+    both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
+    if jump_nodes(both, c.t) and not interval_bounds.is_continuous(both, c.z, c.lower, c.upper):
+        return {}  # derivatives would not tell
+    if not _is_defined_for_all(c):
+        return {}
+    known = {id: answer for id, answer in _shape_answers(c).items() if answer.verdict == HOLDS}
+    missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
+    found = decide_on_box(c, missing, known, quick) if missing else {}
+    known |= {id: answer for id, answer in found.items() if answer.verdict == HOLDS}
+    if "A0" in known and known["A0"].where == ON_THE_BOX and not _has_no_hole(c):
+        known.pop("A0")
+    return {id: scaled_answer(answer, *c.scale) for id, answer in known.items()}
+
+
+def _is_defined_for_all(c: Constraint) -> bool:
+    """Whether no time and value of the parameters leaves g without a value."""
+    form = c.shape.form
+    if form is None:
+        return is_defined_on_box(c.g, c.t, c.z, c.lower, c.upper)
+    offsets = [offset_expression(a.offset) for a in (*affine_parts(form), *(clip.a for clip in c.shape.clips.values()))]
+    return is_defined_on_box(ca.vertcat(*offsets), c.t, c.t, *c.slow)
+
+
+SCALED_DOWN, SCALED_UP = ("a", "least"), ("b", "M", "M_contact")  # With c_0, and with c_1.
+
+
+def scaled_answer(answer: HypothesisAnswer, low: float, high: float) -> HypothesisAnswer:
+    """The answer of c g, low <= c <= high; what stays as it is are distances, and delta, which is that of g."""
+    if low == high == 1.0:
+        return answer
+    value = {
+        name: number * (low if name in SCALED_DOWN else high if name in SCALED_UP else 1.0)
+        for name, number in answer.value.items()
+    }
+    value = {
+        name: number / SUP_ROUNDING_FACTOR
+        if name in SCALED_DOWN
+        else number * SUP_ROUNDING_FACTOR
+        if name in SCALED_UP
+        else number
+        for name, number in value.items()
+    }
+    return replace(answer, value=value)
 
 
 def _unbounded_rate_answer(c: Constraint) -> HypothesisAnswer | None:
@@ -166,7 +218,7 @@ def _rotating_plane_answers(c: Constraint) -> AnswersById | None:
     known = {
         "S-convex": HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, "affine"),
         "A0": HypothesisAnswer(HOLDS, {"c": np.inf}, EVERYWHERE, text),
-        "A3": bound_answer("M", root_of_supremum(supremum_over_time(c, ca.sumsqr(ca.jacobian(gradient, c.t))))),
+        "A3": bound_answer("M", root_of_supremum(supremum_over_time(c, ca.sumsqr(c.rate(gradient))))),
         "A4": HypothesisAnswer(HOLDS, {"M": 0.0, "M_contact": 0.0}, EVERYWHERE, text),
     }
     if -least.bound > 0 and np.isfinite(largest.bound):
@@ -208,7 +260,7 @@ def _distance_answers(c: Constraint) -> AnswersById | None:
     text = "distance" if c.shape.clips else "the norm of an affine function"
     taken = "; the rounded constants of its nearest point are taken as exact" if c.shape.rounded else ""
     known = {"S-convex": HypothesisAnswer(HOLDS, {"least": 0.0}, EVERYWHERE, f"{text} less a number{taken}")}
-    if least_reach.value >= 0:
+    if least_reach.value >= 0 and not c.has_parameters:
         t = float(np.ravel(not_none(least_reach.at))[0])
         return known | _zero_radius_answers(c, squares, t, -least_reach.value)
     if not reach > 0:
@@ -296,7 +348,7 @@ def _quadratic_answers(c: Constraint) -> AnswersById:
     least = float(values[0]) if sign.definite else 0.0
     known["S-convex"] = HypothesisAnswer(HOLDS, {"least": max(least, 0.0)}, EVERYWHERE, "the constant Hessian is psd (exact)")
     gradient = ca.gradient(c.g, c.q)
-    turn = ca.jacobian(gradient, c.t)
+    turn = c.rate(gradient)
     if not ca.depends_on(turn, c.q):
         known["A3"] = bound_answer("M", root_of_supremum(supremum_over_time(c, ca.sumsqr(turn))))
     if sign.definite and values[0] > 1e-9 * spectral:
@@ -311,20 +363,21 @@ def _definite_quadratic_answers(c: Constraint, H: np.ndarray, values: np.ndarray
     """
     slope = ca.Function("slope", [c.t, c.q], [gradient])
 
-    def minimum(t: float) -> np.ndarray:
+    def minimum(t: np.ndarray) -> np.ndarray:
         q = np.zeros(len(H))
         for _ in range(3):
             q = q - np.linalg.solve(H, np.array(slope(t, q)).ravel())
         return q
 
-    y = ca.DM(minimum(float(c.lower[0] + c.upper[0]) / 2))
+    low, high = c.slow
+    y = ca.DM(minimum((low + high) / 2))
     b, c0 = (ca.substitute(expr, c.q, y) for expr in (gradient, c.g))
     # The inverse is rounded by less than 1e-6, as H is not worse conditioned than 1e9.
     bottom, lowest = (c0 - factor * ca.dot(b, ca.DM(np.linalg.inv(H)) @ b) / 2 for factor in (1 - 1e-6, 1 + 1e-6))
     above = supremum_over_time(c, bottom)  # sup of m
     if above.value >= 0:
-        t = float(np.ravel(not_none(above.at))[0])
-        if float(interval_bounds.enclose(lowest, c.t, np.full(1, t), np.full(1, t))[0].item()) >= 0:
+        t = np.ravel(not_none(above.at))
+        if float(interval_bounds.enclose(lowest, c.t, t, t)[0].item()) >= 0:
             return vanishing_gradient_answers(
                 c, np.append(t, minimum(t)), "the gradient vanishes at its minimum, which is admissible"
             )
@@ -350,7 +403,7 @@ def _definite_quadratic_answers(c: Constraint, H: np.ndarray, values: np.ndarray
 def _stationary_point_answers(c: Constraint, H: np.ndarray) -> AnswersById:
     """Where a quadratic that is not convex is admissible at its stationary point, the gradient vanishes there."""
     f = ca.Function("g", [c.t, c.q], [ca.gradient(c.g, c.q), c.g])
-    for t in np.linspace(c.lower[0], c.upper[0], 33):
+    for t in () if c.has_parameters else np.linspace(c.lower[0], c.upper[0], 33):
         b = np.array(f(t, np.zeros(len(H)))[0]).ravel()
         q = np.linalg.lstsq(H, -b, rcond=None)[0]
         gradient, value = (np.array(item).ravel() for item in f(t, q))

@@ -14,14 +14,14 @@ distance that it occurs in: g is then a minimum over tau of a jointly convex fun
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.proof.exact import definiteness
-from nsmodel.proof.expression_graph import apply_operation, fold_graph
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, symbol_hashes
 from nsmodel.proof.verdict import not_none
 
 Offset = Fraction | ca.SX  # A number, or an expression of time.
@@ -70,6 +70,7 @@ class ConstraintShape:
         form: its form; None for some of kind "other".
         clips: {index: Clip} of the clipped parts in it.
         rounded: whether these are the nearest points up to the rounding of the user's constants only.
+        factor: a function of parameters; all else is then said of g / factor, where that is > 0.
     """
 
     kind: str
@@ -79,6 +80,7 @@ class ConstraintShape:
     form: ConstraintForm | None
     clips: Mapping[int, Clip] = field(default_factory=dict)
     rounded: bool = False
+    factor: ca.SX | None = None
 
     @property
     def written(self) -> ConstraintForm:
@@ -162,7 +164,8 @@ _ZERO, _ONE = Fraction(0), Fraction(1)
 class GraphNodeShape:
     """One node: its form (None where it has none), and what is known of it for all q and t.
 
-    ``moves``: it depends on q; ``time``: it depends on t; ``value`` is the expression itself where it does not depend on q.
+    ``own``: the states that it depends on; ``time``: it depends on t; ``value`` is the expression itself where it does not depend
+    on q. Where there is a ``factor``, a node of parameters alone, all but ``own`` is said of the node divided by it.
     """
 
     form: ConstraintForm | None
@@ -172,6 +175,7 @@ class GraphNodeShape:
     own: frozenset[int] = frozenset()
     time: bool = False
     value: ca.SX | None = None
+    factor: GraphNodeShape | None = None
 
     @property
     def affine(self) -> AffineForm | None:
@@ -185,9 +189,12 @@ class GraphNodeShape:
         return a.offset if a is not None and not a.row and isinstance(a.offset, Fraction) else None
 
 
-def read_shapes(g: ca.SX, q: ca.SX) -> list[ConstraintShape]:
-    """Return the shape of each entry of ``g`` (p, 1) in the states q, for all values of its other symbols (time, parameters)."""
-    reader = _ShapeReader(q)
+def read_shapes(g: ca.SX, q: ca.SX, scales: ca.SX | None = None) -> list[ConstraintShape]:
+    """Return the shape of each entry of ``g`` (p, 1) in the states q, for all values of its other symbols (time, parameters).
+
+    ``scales``: the parameters of which a function may be taken out of g as its factor.
+    """
+    reader = _ShapeReader(q, ca.SX(0, 1) if scales is None else scales)
     return [reader.shape(part) for part in reader.parts(g)]
 
 
@@ -197,7 +204,8 @@ _UNKNOWN_SHAPE = GraphNodeShape(None, False, False, False)
 class _ShapeReader:
     """Runs through the instructions of a constraint's graph once, with :class:`Part` in place of numbers."""
 
-    def __init__(self, q: ca.SX) -> None:
+    def __init__(self, q: ca.SX, scales: ca.SX) -> None:
+        self.scales = symbol_hashes(scales)
         self.place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(q))}
         self.clips: dict[int, Clip] = {}
         self.rounded: set[int] = set()
@@ -228,6 +236,10 @@ class _ShapeReader:
 
     def shape(self, part: GraphNodeShape) -> ConstraintShape:
         """Say what a constraint is."""
+        factor = None if part.factor is None else part.factor.value
+        return replace(self._plain_shape(part), factor=factor)
+
+    def _plain_shape(self, part: GraphNodeShape) -> ConstraintShape:
         own, form = tuple(sorted(part.own)), part.form
         if form is None:
             return ConstraintShape("other", part.convex, own, part.time, None)
@@ -256,9 +268,31 @@ class _ShapeReader:
                 op in (ca.OP_ADD, ca.OP_MUL) and all(part.nonnegative for part in parts)
             )
             return _time_shape(value, nonnegative) if time else _number_shape(float(value))
+        parts, factor = self._factored(op, parts)
         rule = (self.unary if len(parts) == 1 else self.binary).get(op)
         part = _UNKNOWN_SHAPE if rule is None else rule(*parts)
-        return GraphNodeShape(part.form, part.convex, part.concave, part.nonnegative, own, time)
+        return GraphNodeShape(part.form, part.convex, part.concave, part.nonnegative, own, time, None, factor)
+
+    def _factored(self, op: int, parts: list[GraphNodeShape]) -> tuple[list[GraphNodeShape], GraphNodeShape | None]:
+        """The parts without a common factor, which the operation keeps, and that factor; what is added is divided by it."""
+        if op in (ca.OP_MUL, ca.OP_DIV):
+            for place, other in ((0, 1), (1, 0)) if op == ca.OP_MUL else ((1, 0),):
+                if self._is_scale(parts[place]) and parts[other].own:
+                    inner = parts[other].factor or _number_shape(1.0)
+                    rest = [_number_shape(1.0) if k == place else replace(part, factor=None) for k, part in enumerate(parts)]
+                    return rest, _scale_shape(op, inner, parts[place])
+        factor = next((part.factor for part in parts if part.factor is not None), None)
+        if factor is None:
+            return parts, None
+        if op in (ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN) or (op in (ca.OP_MUL, ca.OP_DIV) and any(part.number for part in parts)):
+            return [replace(part, factor=None) for part in parts], factor
+        divided = [_without_factor(part, factor) for part in parts] if op in (ca.OP_ADD, ca.OP_SUB) else [None]
+        if all(part is not None for part in divided):
+            return [part for part in divided if part is not None], factor
+        return [_times_factor(part) for part in parts], None
+
+    def _is_scale(self, part: GraphNodeShape) -> bool:
+        return part.value is not None and part.number is None and symbol_hashes(part.value) <= self.scales
 
     def _scale(self, a: GraphNodeShape, c: Fraction) -> GraphNodeShape:
         convex, concave = (a.convex, a.concave) if c >= 0 else (a.concave, a.convex)
@@ -388,6 +422,30 @@ def _number_shape(value: float) -> GraphNodeShape:
 
 def _time_shape(value: ca.SX, nonnegative: bool) -> GraphNodeShape:
     return GraphNodeShape(ConstraintForm((), AffineForm({}, value), ()), True, True, nonnegative, time=True, value=value)
+
+
+def _scale_shape(op: int, a: GraphNodeShape, b: GraphNodeShape) -> GraphNodeShape:
+    """A product or quotient of functions of parameters."""
+    return _time_shape(apply_operation(op, [not_none(a.value), not_none(b.value)]), a.nonnegative and b.nonnegative)
+
+
+def _without_factor(part: GraphNodeShape, factor: GraphNodeShape) -> GraphNodeShape | None:
+    """A part divided by the factor: what has that factor, or is free of q; None of others."""
+    scale = not_none(factor.value)
+    if part.factor is not None and is_same_expression(not_none(part.factor.value), scale):
+        return replace(part, factor=None)
+    if part.own or part.value is None:
+        return None
+    return part if part.number == 0 else _time_shape(part.value / scale, part.nonnegative and factor.nonnegative)
+
+
+def _times_factor(part: GraphNodeShape) -> GraphNodeShape:
+    """What is known of a part with its factor."""
+    if part.factor is None:
+        return part
+    if not part.factor.nonnegative:
+        return replace(_UNKNOWN_SHAPE, own=part.own, time=part.time)
+    return replace(part, form=None, factor=None)
 
 
 def _as_squares(part: GraphNodeShape) -> Squares | None:

@@ -16,8 +16,9 @@ q + h f on a polyhedron that holds a point within h K_L of q: the same, where rh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -26,6 +27,7 @@ from nsmodel.hypotheses import region as uniform
 from nsmodel.hypotheses.along_run import ROUND_UP_FACTOR
 from nsmodel.hypotheses.findings import (
     HOLDS,
+    SAMPLED,
     UNKNOWN,
     VIOLATED,
     Consequence,
@@ -39,7 +41,7 @@ from nsmodel.hypotheses.findings import (
 from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, InputJump, missing_rate_reason
 from nsmodel.hypotheses.region import ParameterValues, Region, findings_for_box, unaffected_findings
-from nsmodel.models.sweeping_process.admissible_points import build_process
+from nsmodel.models.sweeping_process.admissible_points import build_process, point_of_start_set
 from nsmodel.models.sweeping_process.check import (
     A2,
     A3,
@@ -50,7 +52,6 @@ from nsmodel.models.sweeping_process.check import (
     S_START,
     check,
     joined_finding,
-    known_start_point,
     start_finding,
     sweeping_consequences,
 )
@@ -62,13 +63,15 @@ from nsmodel.models.sweeping_process.constraint_bounds import (
     HypothesisAnswer,
     time_invariant_answer,
 )
-from nsmodel.models.sweeping_process.constraint_constants import uniform_shape_answers
+from nsmodel.models.sweeping_process.constraint_constants import scaled_answer, uniform_answers
 from nsmodel.models.sweeping_process.constraint_shapes import ConstraintShape, read_shapes
 from nsmodel.models.sweeping_process.model import SweepingProcess
 from nsmodel.models.sweeping_process.qualification import RHO_FRACTION, RHO_TRIES
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, bound_gamma_everywhere
 from nsmodel.proof import extremum, interval_bounds
-from nsmodel.proof.jumps import jump_nodes
+from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes, stack_column
+from nsmodel.proof.jumps import SWITCH_OPERATIONS
+from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
 READS = {hypothesis.id: ("g",) for hypothesis in (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE)} | {
@@ -86,12 +89,11 @@ def uniform_findings(model: SweepingProcess, region: Region, quick: bool) -> lis
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     same = unaffected_findings(check, model, region, quick, READS)
     constraints = constraints_with_parameters(model, region)
-    each = [uniform_shape_answers(constraint) if is_smooth_in_time(constraint) else None for constraint in constraints]
-    own: list[Finding | None] = [uniform_velocity_finding(model, region), uniform_start_finding(model, region)]
-    answers = [answer for answer in each if answer is not None]
-    if len(answers) == len(each):
-        own += [joined_finding(hypothesis, constraints, answers, region) for hypothesis in CONSTRAINT_HYPOTHESES]
-        own += _uniform_mfcq(constraints, answers, region)
+    made, each = uniform_shape_findings(constraints, region, quick)
+    start = uniform_start_finding(model, region)
+    own = [uniform_velocity_finding(model, region), start, *made]
+    if _known_start_point(model, region, start).verdict == HOLDS:
+        own += uniform_mfcq(constraints, each, region, partial(bound_gamma_everywhere, moving=True))
     return findings_for_box((item for item in own if item is None or item.verdict == HOLDS), same, region)
 
 
@@ -101,11 +103,21 @@ def uniform_consequences(model: SweepingProcess, region: Region, own: Sequence[F
     if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):
         return []
     start = next(finding for finding in own if finding.id == S_START.id)
-    seen = (build_process(model.bind(values), region, (), 0) for values in uniform.sample_values(region.parameters))
-    answers = (known_start_point(model, region, start, process) for process in seen)
-    first = next(answers)
-    known_point = first if first.verdict == HOLDS else next((answer for answer in answers if answer.verdict == HOLDS), first)
+    known_point = _known_start_point(model, region, start)
     return sweeping_consequences(model, own, (), model.g.numel(), known_point)
+
+
+def _known_start_point(model: SweepingProcess, region: Region, start: Finding | None) -> HypothesisPart:
+    """Whether Q(0) is known to have a point: the start for all values of the parameters, or another one at some of them."""
+    if start is not None and start.verdict == HOLDS:
+        return HypothesisPart(HOLDS, start.how, {}, {})
+    processes = (build_process(model.bind(one), region, (), 0) for one in uniform.sample_values(region.parameters))
+    answers = [point_of_start_set(model, region, next(processes))]
+    while answers[-1].verdict != HOLDS and (process := next(processes, None)) is not None:
+        answers.append(point_of_start_set(model, region, process))
+    found = answers[-1] if answers[-1].verdict == HOLDS else answers[0]
+    unsure = start is not None and start.verdict == SAMPLED and found.verdict == UNKNOWN
+    return found._replace(verdict=SAMPLED) if unsure else found
 
 
 def constraints_with_parameters(
@@ -113,41 +125,73 @@ def constraints_with_parameters(
 ) -> list[Constraint]:
     """The constraints, with (t, p) in the place of time, and u' behind it where inputs are among p."""
     slow, (low, high), (slowest, fastest) = ca.vertcat(model.t, model.p, motion.v), region.parameter_bounds(), motion.rates
-    found = []
-    for name, g, shape in zip(
-        model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q), strict=True
-    ) if model.multiplier_names else ():  # fmt: skip
-        rows = list(shape.own)
-        names = tuple(model.names[i] for i in rows)
-        lower, upper = (
-            np.concatenate([[t], p, v, x[rows]])
-            for t, p, v, x in ((region.t0, low, slowest, region.lower), (region.t1, high, fastest, region.upper))
-        )
-        found.append(
-            Constraint(name, g, _with_time_dependence(shape, g, model), slow, model.q[rows], names, lower, upper, motion)
-        )
-    return found
+    still = stack_column(p for p in ca.vertsplit(model.p) if not ca.depends_on(motion.u, p)) if model.p.numel() else model.p
+    ends = np.concatenate([[region.t0], low, slowest]), np.concatenate([[region.t1], high, fastest])
+    rows = zip(
+        model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q, still), read_shapes(model.g, model.q),
+        strict=True,
+    ) if model.multiplier_names else ()  # fmt: skip
+    return [
+        parametric_constraint(name, g, shapes, slow, ends, model.q, model.names, (region.lower, region.upper), motion)
+        for name, g, *shapes in rows
+    ]
 
 
-def is_smooth_in_time(c: Constraint) -> bool:
-    """Whether neither g nor its gradient jumps with time or with parameters, where derivatives would not tell."""
-    both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
-    return not jump_nodes(both, c.t) or interval_bounds.is_continuous(both, c.z, c.lower, c.upper)
+def parametric_constraint(
+    name: str, g: ca.SX, shapes: Sequence[ConstraintShape], slow: ca.SX, ends: tuple[np.ndarray, np.ndarray], q: ca.SX,
+    names: Sequence[str], box: tuple[np.ndarray, np.ndarray], motion: InputBounds = NO_INPUT_BOUNDS,
+) -> Constraint:  # fmt: skip
+    """A constraint with (t, p) in the place of time, without a factor that is > 0 for all parameters.
+
+    Args:
+        name, g: the constraint.
+        shapes: of g with and without a factor.
+        slow, ends: t first, parameters, and u'; with bounds.
+        q, names, box: the states with bounds.
+        motion: the inputs among the parameters.
+    """
+    read, shape = shapes
+    scale = (1.0, 1.0)
+    if read.factor is not None:
+        least, most = (float(end.item()) for end in interval_bounds.enclose(read.factor, slow, *ends))
+        if 0 < least <= most < np.inf:
+            factor, shape, scale = read.factor, read, (least, most)
+            others = [g.dep(1 - k) for k in (0, 1) if g.op() == ca.OP_MUL and is_same_expression(g.dep(k), factor)]
+            g = (others or [g / factor])[0]
+    shape, own = replace(shape, time=bool(ca.depends_on(g, slow[0]))), list(shape.own)
+    lower, upper = (np.append(end, states[own]) for end, states in zip(ends, box, strict=True))
+    return Constraint(name, g, shape, slow, q[own], tuple(names[i] for i in own), lower, upper, motion, scale)
 
 
-def _with_time_dependence(shape: ConstraintShape, g: ca.SX, model: SweepingProcess) -> ConstraintShape:
-    """The shape with whether it moves in time, of which parameters are none."""
-    return replace(shape, time=bool(ca.depends_on(g, model.t)))
+def uniform_shape_findings(
+    constraints: Sequence[Constraint], region: Region, quick: bool, count: int | None = None
+) -> tuple[list[Finding], list[AnswersById]]:
+    """What is proved of the constraints one by one; ``count``: as many as they stand for."""
+    each = [uniform_answers(constraint, quick) for constraint in constraints]
+    own = [h for h in CONSTRAINT_HYPOTHESES if all(h.id in answers for answers in each)]
+    made = [joined_finding(hypothesis, constraints, each, region) for hypothesis in own]
+    if count is not None:
+        made = [replace(item, how=f"{count} constraints, decided on {len(each)}; {item.how}") for item in made]
+    return made, each
 
 
-def _uniform_mfcq(constraints: Sequence[Constraint], each: Sequence[AnswersById], region: Region) -> list[Finding]:
-    """A5 and A5' by the rules that hold for all states and need no point of the set."""
+def uniform_mfcq(
+    constraints: Sequence[Constraint], each: Sequence[AnswersById], region: Region,
+    bound: Callable[[Sequence[Constraint], float], GammaProof | None],
+) -> list[Finding]:  # fmt: skip
+    """A5 and A5' by the rules that hold for all states and need no point of the set.
+
+    c g <= rho, c >= c_0, has g <= rho / c_0: what is proved within rho of g holds within c_0 rho of c g.
+    """
+    if not all({"A0", "A1"} <= set(answers) for answers in each):
+        return []
     reaches = [2 * answers["A0"].value.get("delta", np.inf) for answers in each]
     across = float(np.max(region.upper - region.lower, initial=0.0))
     reach = min([reach if np.isfinite(reach) else across / 2 for reach in reaches], default=1.0)
-    proofs = [bound_gamma_everywhere(constraints, RHO_FRACTION * reach * 4.0**-k, moving=True) for k in range(RHO_TRIES)]
+    proofs = [bound(constraints, RHO_FRACTION * reach * 4.0**-k) for k in range(RHO_TRIES)]
     near = next((proof for proof in proofs if proof is not None and np.isfinite(proof.gamma)), None)
-    timed = any(constraint.shape.time for constraint in constraints)
+    timed, least = any(c.shape.time for c in constraints), min((c.scale[0] for c in constraints), default=1.0)
+    near = near and near._replace(rho=near.rho * min(least, 1.0))
     return (
         []
         if near is None
@@ -162,27 +206,51 @@ def _uniform_gamma_finding(hypothesis: Hypothesis, proof: GammaProof, region: Re
 
 
 def uniform_velocity_finding(model: SweepingProcess, region: Region, motion: InputBounds = NO_INPUT_BOUNDS) -> Finding | None:
-    """S-f by bounds of f and its derivative over (t, p) and all states, else over (t, p) and the box."""
-    f, (low, high) = model.f, region.parameter_bounds()
-    z, J = ca.vertcat(model.t, model.p, model.q), ca.jacobian(f, model.q)
-    n, timed = model.q.numel(), bool(ca.depends_on(f, model.t))
-    speed, (slowest, fastest) = ca.sumsqr(motion.velocity(f, model.t)), motion.rates
+    """S-f by bounds of f and its derivative over (t, p) and all states, else over (t, p) and the box.
+
+    A switch of time and parameters alone has one value at each of these: it is a number between bounds, and f has no L_t.
+    """
+    n, slow, (low, high) = model.q.numel(), ca.vertcat(model.t, model.p), region.parameter_bounds()
+    now = np.append(region.t0, low), np.append(region.t1, high)
+    nodes: list[tuple[ca.SX, ca.SX]] = []
+
+    def switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if ca.depends_on(old, model.q):
+            return None
+        nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
+        return nodes[-1][0]
+
+    f = rewrite_nodes(model.f, switch, (*SWITCH_OPERATIONS, ca.OP_IF_ELSE_ZERO), slow, "f")
+    s, between = stack_column(one for one, _ in nodes), (np.zeros(0), np.zeros(0))
+    if nodes:
+        between = tuple(np.ravel(end) for end in interval_bounds.enclose(stack_column(old for _, old in nodes), slow, *now))
+    z, J, timed = ca.vertcat(slow, s, model.q), ca.jacobian(f, model.q), bool(ca.depends_on(model.f, model.t))
     wide = np.full(n, np.inf)
     for lower, upper, local in ((-wide, wide, False), (region.lower, region.upper, True)):
-        ends = np.concatenate([[region.t0], low, lower]), np.concatenate([[region.t1], high, upper])
+        ends = tuple(np.concatenate(parts) for parts in zip(now, between, (lower, upper), strict=True))
         if not interval_bounds.is_continuous(f, z, *ends):
             continue
         steep = extremum.spectral_norm(J, z, *ends, quick=not local).bound
         about = ca.substitute(f, model.q, ca.DM.zeros(n)) if not local else f
         size = extremum.supremum(ca.sumsqr(about), z, *ends, quick=not local).bound
-        moving = np.append(ends[0], slowest), np.append(ends[1], fastest)
-        rate = 0.0 if speed.is_zero() else extremum.supremum(speed, ca.vertcat(z, motion.v), *moving, quick=True).bound
+        rate = np.inf if nodes else _velocity_rate(model, region, motion, lower, upper)
         if np.isfinite(steep) and np.isfinite(size):
             K_f, at_0 = max(steep, 0.0) * SUP_ROUNDING_FACTOR, np.sqrt(max(size, 0.0)) * SUP_ROUNDING_FACTOR
             value = {"K_f": K_f, "L_f": at_0 if local else max(K_f, at_0)}
             value |= {"L_t": np.sqrt(rate) * SUP_ROUNDING_FACTOR} if np.isfinite(rate) else {}
             return make_finding(S_F, HOLDS, "bounds of f and of its derivative", value, scope=region.scope(local, timed))
     return None
+
+
+def _velocity_rate(
+    model: SweepingProcess, region: Region, motion: InputBounds, lower: np.ndarray, upper: np.ndarray
+) -> float:  # fmt: skip
+    """A bound of |d f/dt|^2 along the inputs, over these states."""
+    speed, (slowest, fastest) = ca.sumsqr(motion.velocity(model.f, model.t)), motion.rates
+    low, high = region.parameter_bounds()
+    ends = np.concatenate([[region.t0], low, lower, slowest]), np.concatenate([[region.t1], high, upper, fastest])
+    z = ca.vertcat(model.t, model.p, model.q, motion.v)
+    return 0.0 if speed.is_zero() else extremum.supremum(speed, z, *ends, quick=True).bound
 
 
 def uniform_start_finding(model: SweepingProcess, region: Region) -> Finding | None:
@@ -238,17 +306,18 @@ def _speed_findings(model: SweepingProcess, region: Region, motion: InputBounds,
 
 
 def _speed_answers(c: Constraint, model: SweepingProcess, region: Region, motion: InputBounds, quick: bool) -> AnswersById:
-    known = uniform_shape_answers(c) if is_smooth_in_time(c) and not motion.jumping_indices(c.g) else None
+    known = {} if motion.jumping_indices(c.g) else uniform_answers(c, quick)
     made: AnswersById = {}
     for id, part, name in (("A2", c.g, "b"), ("A3", ca.gradient(c.g, c.q), "M")):
         loose = motion.jumping_indices(part)
-        if known is not None and id in known:
+        if id in known:
             made[id] = known[id]
         elif loose:
             nothing = HypothesisAnswer(UNKNOWN, how=missing_rate_reason(motion, loose), witness={"constraint": c.name})
             made[id] = _edge_jump_answer(c, part, name, model, region, motion.edges(loose, region)) or nothing
         else:
             made[id] = _speed_bound_answer(c, part, name, quick) if ca.depends_on(part, c.t) else time_invariant_answer(name)
+            made[id] = scaled_answer(made[id], *c.scale)
     return made
 
 

@@ -1,0 +1,101 @@
+"""Factors of constraints, families with parameters, inclusions that move: over boxes of parameters, against closed forms."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nsmodel import MonotoneInclusion, SweepingProcess, check
+
+p, t = ca.SX.sym("p"), ca.SX.sym("t")
+q = ca.SX.sym("q", 2)
+SHAPES = ("S-convex", "A0", "A1", "A2", "A3", "A4")
+
+
+def sweeping(constraints, q0=(3.0, 0.0), f=(0, 0)):
+    return SweepingProcess(t=t, q=q, f=ca.vertcat(*f), constraints=constraints, q0=q0, t_end=1, step=0.01, parameters={p: 1.0})
+
+
+def over(model, box, **more):
+    return check(model, parameters={"p": box}, quick=True, **more)
+
+
+@pytest.mark.parametrize(
+    "written", [lambda d: p * d, lambda d: d * p**2 / p, lambda d: -(-d * p), lambda d: d / (1 / p), lambda d: (2 * d * p) / 2]
+)
+def test_a_factor_of_a_distance_scales_gradients_and_leaves_distances(written):
+    """g = p (|q - (t, 0)| - 1): |grad g| = p, |d_t g| <= p, |D^2 g| <= p, and the sets are those of p = 1."""
+    report = over(sweeping({"disc": written(ca.norm_2(q - ca.vertcat(t, 0)) - 1)}, q0=(3.0, 1.0)), (0.5, 3))
+    assert {report[id].verdict for id in SHAPES} == {"holds"}
+    assert report["A1"].value["a"] == pytest.approx(0.5, rel=1e-12)
+    assert report["A1"].value["a"] <= 0.5
+    assert 3 <= report["A1"].value["b"] <= 3 * (1 + 1e-9)
+    assert 3 <= report["A2"].value["b"] <= 3 * (1 + 1e-9)
+    assert 3 <= report["A4"].value["M_contact"] <= 3 * (1 + 1e-9)
+    assert report["A0"].value["c"] == pytest.approx(0.5)
+
+
+def test_a_factor_of_one_term_alone_is_divided_out_of_the_others():
+    """p |q| - 1 = p (|q| - 1/p): outside of a disc of radius 1/p, with |grad| = p and |D^2| = p / |q| <= p^2 in contact."""
+    report = over(sweeping({"disc": p * ca.norm_2(q) - 1}), (0.5, 2))
+    assert {report[id].verdict for id in SHAPES} == {"holds"}
+    assert report["A0"].value["c"] == pytest.approx(0.25)  # half of the least radius
+    assert 4 <= report["A4"].value["M_contact"] <= 4 * (1 + 1e-9)
+
+
+def test_a_factor_that_may_be_0_or_below_is_none():
+    for box in ((0, 1), (-1, 1)):
+        assert over(sweeping({"disc": p * (ca.norm_2(q) - 1)}), box)["A1"].verdict != "holds"
+    assert over(sweeping({"disc": p * (ca.norm_2(q) - 1)}), (-2, -1))["S-convex"].verdict == "violated"
+
+
+@pytest.mark.parametrize("low", [Fraction(1, 2), Fraction(9, 10)])
+def test_quadratics_with_a_parameter_are_bounded_on_the_box(low):
+    """p q_0^2 + q_1^2 - 1: convex, and |grad|^2 = 4 p^2 q_0^2 + 4 q_1^2 is least in contact at q_1 = 0, where it is 4 p."""
+    model = sweeping({"ellipse": p * q[0] ** 2 + q[1] ** 2 - 1})
+    report = over(model, (float(low), 1), region={"q": (-3, 3)})
+    assert {report[id].verdict for id in SHAPES} == {"holds"}
+    assert report["A1"].value["a"] ** 2 <= 4 * low
+    assert report["A4"].value["M"] >= 2
+    for at in np.linspace(float(low), 1, 5):
+        single = check(model, parameters={"p": at}, quick=True, region={"q": (-3, 3)})
+        assert single["A1"].value["b"] <= report["A1"].value["b"] * (1 + 1e-9)
+
+
+def test_gamma_within_rho_of_constraints_with_factors():
+    """Two discs times p: g_i <= rho is p g <= rho; where they meet the normals have the gamma of p = 1."""
+    discs = {"left": p * (ca.norm_2(q + ca.vertcat(0.5, 0)) - 1), "right": p * (ca.norm_2(q - ca.vertcat(0.5, 0)) - 1)}
+    report = over(sweeping(discs, q0=(0.0, 3.0)), (0.25, 2))
+    worst = 1 / np.sqrt(1 - 0.5**2)
+    assert report["A5'"].verdict == report["A5"].verdict == "holds"
+    assert worst <= report["A5'"].value["gamma"] * (1 + 1e-12)
+    for at in (0.25, 1.0, 2.0):
+        single = check(sweeping(discs, q0=(0.0, 3.0)), parameters={"p": at}, quick=True)
+        assert single["A5"].value["attained"] <= report["A5"].value["gamma"] * (1 + 1e-12)
+
+
+def test_what_has_no_value_at_some_parameter_is_not_proved():
+    """sqrt((p - 1.3)^2 - 1e-12) is undefined within 1e-6 of p = 1.3, where no value is tried."""
+    hole = ca.sqrt((p - 1.3) ** 2 - 1e-12)
+    for g in (q[0] + hole, ca.norm_2(q) - 1 - hole, q[0] ** 2 + q[1] ** 2 - 1 - hole, (1 + hole) * q[0]):
+        report = over(sweeping({"g": g}), (1, 2))
+        assert not {report[id].verdict for id in ("A0", "A1", "A2", "A4")} & {"holds"}
+
+
+def test_an_inclusion_that_moves_is_decided_for_all_times_and_values():
+    """x' in p cos t - x - N(C(t)), C(t) = [sin(p t), inf): |C'| <= p, the field is contracting."""
+    x = ca.SX.sym("x")
+    model = MonotoneInclusion(
+        t=t, x=x, field=[p * ca.cos(t) - x], lower=[ca.sin(p * t)], x0=[1], t_end=1, step=0.01, parameters={p: 1.0}
+    )
+    report = over(model, (0.5, 2))
+    assert {report[id].verdict for id in ("M-T", "M-C", "M-A1", "M-A2", "M-24", "M-H")} == {"holds"}
+    assert 2 <= report["M-H"].value["kappa"] <= 2 * (1 + 1e-9)
+    assert report["M-24"].value["L"] == -1
+    assert dict(report["M-H"].scope.parameters) == {"p": (0.5, 2)}
+    outside = MonotoneInclusion(t=t, x=x, field=[-x], lower=[p - 1 + t], x0=[0.5], t_end=1, step=0.01, parameters={p: 1.0})
+    made = {item.name: item.verdict for item in over(outside, (0, 2)).consequences}
+    assert made["convergence of the scheme"] == "unknown"  # x0 is outside of C(0) for p > 1.5
