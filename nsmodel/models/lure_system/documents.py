@@ -17,7 +17,6 @@ from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import ROUND_DOWN, StatedNumber, UnprovedFinding, cover_hint, exact_number_text
 from nsmodel.hypotheses.certificates.write import (
     CertificateSubject,
-    Data,
     column_text,
     dense_matrix_text,
     expression_program,
@@ -33,38 +32,44 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.proof import conic, exact
 
 STATED = {"4.1": (StatedNumber("least eigenvalue", ROUND_DOWN, "least"),), "5.2": (StatedNumber("omega"),)}
 
 
-def subject(model: LureSystem, findings: Mapping[str, Finding]) -> CertificateSubject:
+def subject(model: LureSystem, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The model as data."""
     y = ca.SX.sym("y", 0) if model.law is not None else model.y
     data = {
-        "A": expression_program(model.A, model.x, model.names), "B": dense_matrix_text(model.B), "C": dense_matrix_text(model.C),
-        "D": dense_matrix_text(model.D), "f": expression_program(model.f, model.t, ["t"]), "x0": column_text(model.x0),
-        "law": [] if model.law is None else law_data(model.law),
-        "phi": None if model.law is not None else expression_program(model.phi, y, [f"y_{i}" for i in range(y.numel())]),
+        "A": expression_program(model, model.A, model.x, model.names),
+        **{name: dense_matrix_text(model, getattr(model, name)) for name in "BCD"},
+        "f": expression_program(model, model.f, model.t, ["t"]), "x0": column_text(model, model.x0),
+        "law": [] if model.law is None else law_data(model, model.law),
+        "phi": None if model.law is not None else expression_program(model, model.phi, y, [f"y_{i}" for i in range(y.numel())]),
     }  # fmt: skip
     e = (
         {}
         if model.e.is_zero()
-        else {"e": column_text(model.e) if model.e.is_constant() else expression_program(model.e, model.t, ["t"])}
+        else {"e": expression_program(model, model.e, model.t, ["t"]) if _offset_moves(model) else column_text(model, model.e)}
     )
-    return CertificateSubject(model, data | e)
+    return CertificateSubject(model, data | e, ranges=ranges)
+
+
+def _offset_moves(model: LureSystem) -> bool:
+    return bool(ca.depends_on(model.e, model.t))
 
 
 def proofs(
-    model: LureSystem, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: P, a cover where A is not linear, points in ranges."""
-    return [_proof_hint(model, data, finding)]
+    return [_proof_hint(subject, finding)]
 
 
-def _proof_hint(model: LureSystem, data: Data, finding: Finding) -> Any:
+def _proof_hint(subject: CertificateSubject, finding: Finding) -> Any:
+    model: LureSystem = subject.model
     if finding.id in ("5.1", "5.2"):
         name = "P" if finding.id == "5.1" else "P_omega"
         P = finding.witness.get(f"{name} exactly") or finding.witness.get(name)
@@ -72,23 +77,25 @@ def _proof_hint(model: LureSystem, data: Data, finding: Finding) -> Any:
             raise UnprovedFinding("too large a P to write down")
         P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
         return {"P": P} | cover_hint(model.A, model.x)
-    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(data, finding.id):
+    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(subject, finding.id):
         return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
     return {}
 
 
-def _verifier_range_is_whole(data: Data, id: str) -> bool:
+def _verifier_range_is_whole(subject: CertificateSubject, id: str) -> bool:
     with suppress(verify.Unproved):
-        read = verify.LureData(data)
+        read = verify.LureData(subject.data, subject.parameters)
         return read.is_onto() if id == "5.4c" else read.is_wide()
     return False
 
 
 def _check_constant_boxes(model: LureSystem) -> None:
-    if not model.e.is_constant():
+    if _offset_moves(model):
         raise UnprovedFinding("an offset e that moves with time")
+    if any(ca.depends_on(ca.vec(part), model.p) for part in (model.C, model.D, model.e, model.x0)):
+        raise UnprovedFinding("a point that moves with parameters")
     if model.law is None or not model.law.is_box:
         raise UnprovedFinding("a law that is no box")
 
