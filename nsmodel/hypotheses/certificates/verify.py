@@ -1061,13 +1061,13 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
 def qualified(m: SweepingData, s: VerifierStatement) -> str:
     """A5, A5': sum l_i |grad g_i| <= gamma |sum l_i grad g_i| for all l >= 0 and q in Q(t), over the i with g_i <= rho.
     Theorem: it is so where a d, not 0, has <grad g_i, d> >= |grad g_i| |d| / gamma for these i: multiply by l_i, add, and divide
-    by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, or at most one constraint; A5'
-    is with rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
+    by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, without it all i; A5' is with
+    rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
     """
-    gamma, rho, gaps = s.value["gamma"], s.value.get("rho", ZERO), m.gaps
+    gamma, rho, gaps = s.value["gamma"], s.value.get("rho", INF if s.id == "A5" else ZERO), m.gaps
     need(all(g.inputs[1 : g.n] == q for g, ((q, _), *_) in zip(gaps, m.members, strict=True)), "families", UNCHECKED)
     need(gamma >= 1, "gamma < 1")  # 1
-    need(s.id == "A5'" or len(gaps) < 2 or rho > 0, "rho is missing, or not > 0")  # 2
+    need(s.id == "A5'" or rho > 0, "rho is not > 0")  # 2
 
     def escapes(d: dict[str, Q], names: list[str], gradient: Box) -> bool:
         along = sum((x * d[v] for v, x in zip(names, gradient, strict=True)), VerifierInterval(ZERO))
@@ -1125,7 +1125,7 @@ def start(m: SweepingData, s: VerifierStatement) -> str:
     q = dict(zip(m.inputs[1:], m.vector(field(m.data, "q0"), m.n), strict=True))
     for g, members in zip(m.gaps, m.members, strict=True):
         for names, numbers in members:
-            point = [ZERO, *(q[name] for name in names), *numbers, *m.parameters.values()]
+            point = [x + constant(ZERO) for x in (ZERO, *(q[name] for name in names), *numbers, *m.parameters.values())]
             need(defined(g, list(map(span, point))), "g is not defined")  # 1
             (value,) = g.run(point, constant, Atoms().apply)
             need(least(value) >= 0, "g < 0 at the start, or too near to 0")  # 2

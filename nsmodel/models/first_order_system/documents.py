@@ -100,7 +100,7 @@ def _mlcp_hint(subject: CertificateSubject) -> Any:
     M = np.array(m.M, dtype=object).reshape(m.n, m.n)
     hints: dict[str, list[Any]] = {"inverses": [], "T": []}
     for h in m.steps:
-        W = M - h * (m.theta * A + m.gamma * K)
+        W = M + -h * (m.theta * A + m.gamma * K)
         if any(isinstance(entry, verify.Poly) for part in (W, B, C, D) for entry in part.ravel()):
             hints["inverses"].append(None)
             hints["T"].append(None)

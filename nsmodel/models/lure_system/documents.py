@@ -78,6 +78,7 @@ def _proof_hint(subject: CertificateSubject, finding: Finding) -> Any:
         P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
         return {"P": P} | cover_hint(model.A, model.x)
     if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(subject, finding.id):
+        _check_constant_boxes(model)
         return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
@@ -108,7 +109,6 @@ def _point_in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """
     m, n = model.D.shape[0], model.x.numel()
     C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
-    _check_constant_boxes(model)
     low, high = (np.concatenate(ends) for ends in zip(*(block.bounding_box() for block in model.law.blocks), strict=True))
     bounded = np.isfinite(low) & np.isfinite(high)
     S, I = D + D.T, exact.eye(m)

@@ -62,7 +62,7 @@ def proofs(
 
 def family_rows(model: ManyBodies, ranges: IntervalBox) -> list[ConstraintRow]:
     """The families, a row for each thing around the bodies, whose numbers are then exact."""
-    d, states, (slow, slow_names, ends) = model.bodies.d, ca.vertsplit(model.q), sweeping.slow_inputs(model, ranges)
+    d, states, (_, slow_names, ends) = model.bodies.d, ca.vertsplit(model.q), sweeping.slow_inputs(model, ranges)
     found = []
     for name, family in model.constraints.items():
         moving = family.moving
@@ -88,7 +88,7 @@ def family_rows(model: ManyBodies, ranges: IntervalBox) -> list[ConstraintRow]:
             found.append(
                 ConstraintRow(
                     name if item is None else f"{name} {item}", family.g, q, [str(symbol) for symbol in ca.vertsplit(q)],
-                    ca.vertcat(slow[0], *(symbol for *_, symbol in own), slow[1:]),
+                    ca.vertcat(model.t, *(symbol for *_, symbol in own), model.p),
                     [slow_names[0], *(str(symbol) for *_, symbol in own), *slow_names[1:]],
                     np.concatenate([ends[0][:1], numbers.min(axis=1), ends[0][1:]]),
                     np.concatenate([ends[1][:1], numbers.max(axis=1), ends[1][1:]]),

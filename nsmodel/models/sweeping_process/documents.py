@@ -84,7 +84,7 @@ class ConstraintRow(NamedTuple):
     def program(self, expr: ca.SX, states: bool = True) -> Data:
         """A function of time, where asked for of the states, and of the rest."""
         q, names = (self.q, self.names) if states else (ca.SX(0, 1), ())
-        inputs = ca.vertcat(self.slow[0], q, self.slow[1:])
+        inputs = ca.vertcat(self.slow[0], q, self.slow[1:, :])
         return straight_line_program(expr, inputs, ["t", *names, *self.slow_names[1:]], self.exact)
 
     def constant(self, number: Fraction) -> Data:
@@ -162,7 +162,7 @@ def proofs(
     subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: the form of each constraint, covers of the box, directions of escape."""
-    return [_sweeping_hint(subject, constraint_rows(subject.model, subject.ranges), finding, findings, room)]
+    return [_sweeping_hint(subject, finding, findings, value, room)]
 
 
 def constraint_hints(
@@ -173,7 +173,7 @@ def constraint_hints(
 
 
 def _sweeping_hint(
-    subject: CertificateSubject, rows: Sequence[ConstraintRow], finding: Finding, findings: Mapping[str, Finding], room: Fraction
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> Any:
     model: SweepingProcess = subject.model
     if finding.id in ("S-f", "S-start"):
@@ -181,8 +181,9 @@ def _sweeping_hint(
             verify.VerifierProgram(subject.data["f"], parameters=subject.parameters)  # it may not be written down
         return {"time": AdaptiveCover(), "cover": AdaptiveCover()}
     if finding.id in ("A5", "A5'"):
-        return {"cover": AdaptiveCover(_escape_direction_rule(model))}
-    return constraint_hints(subject, rows, finding, findings, room)
+        every = finding.id == "A5" and "rho" not in value
+        return {"cover": AdaptiveCover(_escape_direction_rule(model, np.inf if every else 0.0))}
+    return constraint_hints(subject, constraint_rows(model, subject.ranges), finding, findings, room)
 
 
 def _constraint_form_hint(
@@ -289,8 +290,8 @@ def _time_graph(offset: Any, row: ConstraintRow) -> Any:
     return row.constant(offset) if isinstance(offset, Fraction) else row.program(offset, states=False)
 
 
-def _escape_direction_rule(model: SweepingProcess) -> Callable[[list[Any]], Any]:
-    """A direction of escape for the constraints near the middle of a part."""
+def _escape_direction_rule(model: SweepingProcess, rho: float) -> Callable[[list[Any]], Any]:
+    """A direction of escape for the constraints near the middle of a part, or within rho."""
     z = ca.vertcat(model.t, model.q, model.p)
     slopes = ca.Function("slopes", [z], [ca.densify(ca.jacobian(model.g, model.q)), ca.densify(model.g)])
 
@@ -299,7 +300,7 @@ def _escape_direction_rule(model: SweepingProcess) -> Callable[[list[Any]], Any]
         reach = np.linalg.norm([float(x.hi - x.lo) for x in box])
         G, g = (np.array(item) for item in slopes(middle))
         size = np.linalg.norm(G, axis=1)
-        near = np.flatnonzero((g.ravel() <= reach * np.maximum(size, 1e-300)) & (size > 0))
+        near = np.flatnonzero((g.ravel() <= rho + reach * np.maximum(size, 1e-300)) & (size > 0))
         if len(near) < 2 or not np.isfinite(G[near]).all():
             return [
                 exact_number_text(x)
