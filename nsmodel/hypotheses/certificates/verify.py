@@ -85,22 +85,25 @@ def index(item: Any, count: int) -> int:
     return item
 
 
-def number(item: Any, infinite: bool = False) -> Any:
-    """A finite number, "-3/4" or "7"; also "inf" and "-inf" where that is allowed."""
+def number(item: Any, infinite: bool = False, parameters: Parameters | None = None) -> Any:
+    """A finite number, "-3/4" or "7"; where it is allowed also "inf", "-inf", or a function of parameters alone, as a Poly."""
     if infinite and item in ("inf", "-inf"):
         return float(item)
+    if parameters is not None and type(item) is dict:
+        need(defined(program := VerifierProgram(item, [], 1, parameters), []), "a number without value")
+        return plain(Atoms().read(program)[0])
     need(type(item) is str and NUMBER.fullmatch(item) is not None, "a number is not written as a fraction")
     return Q(item)
 
 
-def vector(item: Any, count: int | None = None, infinite: bool = False) -> list[Any]:
+def vector(item: Any, count: int | None = None, parameters: Parameters | None = None, infinite: bool = False) -> list[Any]:
     """A list of numbers."""
-    return [number(entry, infinite) for entry in entries(item, count)]
+    return [number(entry, infinite, parameters) for entry in entries(item, count)]
 
 
-def matrix(item: Any, rows: int | None, columns: int) -> Matrix:
+def matrix(item: Any, rows: int | None, columns: int, parameters: Parameters | None = None) -> Matrix:
     """The rows of a matrix of this size."""
-    return [vector(row, columns) for row in entries(item, rows)]
+    return [vector(row, columns, parameters) for row in entries(item, rows)]
 
 
 def vanishes(A: Matrix) -> bool:
@@ -178,11 +181,6 @@ def psd(M: Matrix, definite: bool = False) -> bool:
     return True
 
 
-def symmetric_below(A: Matrix, P: Matrix, L: Q) -> bool:
-    """Whether P A + A'P <= 2 L P, P symmetric."""
-    return psd(plus([[L * x for x in row] for row in P], times(P, A), -1)) if P else True
-
-
 def rounded(x: Any, up: bool = False) -> Any:
     """The number x rounded down or up to BITS bits; beyond BIG to infinity."""
     if abs(x) > BIG:
@@ -231,10 +229,6 @@ class VerifierInterval:
         left, right = "[" if self.lo > -INF else "(", "]" if self.hi < INF else ")"
         return f"{left}{written(self.lo, UP)}, {written(self.hi, DOWN)}{right}"
 
-    def within(self, bound: Any) -> bool:
-        """Whether |x| <= bound."""
-        return -bound <= self.lo and self.hi <= bound
-
     def clipped(self, bound: Q) -> VerifierInterval:
         """What is known where |x| <= bound too."""
         return VerifierInterval(max(self.lo, -bound), min(self.hi, bound))
@@ -253,24 +247,16 @@ class VerifierInterval:
         """The power x^n, n a fraction."""
         n = Q(n)
         if n.denominator > 1:
-            if self.lo < 0 or (n < 0 and self.lo == 0):
-                raise Unproved("a power of what may be negative, or of 0", NO)
+            need(self.lo > 0 or (self.lo == 0 and n > 0), "a power of what may be negative, or of 0")
             if n.denominator == 2:
                 return self.rising(root_of).power(n.numerator)
             high = (log_of(self.hi) * n).rising(exp_of).hi if self.hi > 0 else ZERO
-            return (self.log() * n).rising(exp_of) if self.lo > 0 else VerifierInterval(ZERO, high)
+            return (self.rising(log_of) * n).rising(exp_of) if self.lo > 0 else VerifierInterval(ZERO, high)
         if n < 0:
-            if self.lo <= 0 <= self.hi:
-                raise Unproved("a division by what may be 0", NO)
+            need(self.lo > 0 or self.hi < 0, "a division by what may be 0")
             return VerifierInterval(*(ZERO if abs(x) == INF else 1 / x for x in (self.hi, self.lo))).power(-n)
         ends = sorted((self.lo**n.numerator, self.hi**n.numerator)) if n else [ONE, ONE]
         return VerifierInterval(ZERO if n and n % 2 == 0 and self.lo < 0 < self.hi else ends[0], ends[1])
-
-    def log(self) -> VerifierInterval:
-        """The logarithm of x > 0."""
-        if self.lo <= 0:
-            raise Unproved("a logarithm of what may not be positive", NO)
-        return self.rising(log_of)
 
     def sin(self, quarters: int = 0) -> VerifierInterval:
         """The sine of x + quarters pi/2, quarters 0 or 1: the value in the middle, and the slope 1."""
@@ -310,7 +296,8 @@ def exp_of(x: Any) -> VerifierInterval:
 
 
 def log_of(x: Any) -> VerifierInterval:
-    """The logarithm of an end > 0."""
+    """The logarithm of an end, which is > 0."""
+    need(x > 0, "a logarithm of what may not be positive")
     value = ZERO if x == INF else Q(CONTEXT.ln(rounded_by(CONTEXT, x)))
     return VerifierInterval(value, INF if x == INF else value, slack=Q(int(x != 1), 2**150))
 
@@ -321,7 +308,7 @@ def atan_of(x: Any) -> VerifierInterval:
     near = math.atan(x)
     y, at = VerifierInterval(Q(near)), VerifierInterval(x)
     e = (at * y.sin(1) + -y.sin()) * (y.sin(1) + at * y.sin()).power(-1)
-    need(abs(near) < 1.6 and near * x >= 0 and e.within(Q(1, 2**40)), "an arctangent that the machine gets wrong")
+    need(abs(near) < 1.6 and near * x >= 0 and max(-e.lo, e.hi) <= Q(1, 2**40), "an arctangent that the machine gets wrong")
     return y + VerifierInterval(e.lo, e.hi, slack=Q(int(x != 0), 2**110))
 
 
@@ -330,7 +317,7 @@ IntervalMatrix = list[list[VerifierInterval]]
 UNIT, ALL = VerifierInterval(ONE), VerifierInterval(-INF, INF)
 FUNCTIONS: dict[str, Callable[[VerifierInterval], tuple[VerifierInterval, ...]]] = {  # f(x), f'(x), f''(x)
     "exp": lambda x: (x.rising(exp_of),) * 3,
-    "log": lambda x: (x.log(), x.power(-1), -x.power(-2)),
+    "log": lambda x: (x.rising(log_of), x.power(-1), -x.power(-2)),
     "sin": lambda x: (x.sin(), x.sin(1), -x.sin()),
     "cos": lambda x: (x.sin(1), -x.sin(), -x.sin(1)),
     # 1 - 2/(e^2x + 1), in which x occurs once.
@@ -344,6 +331,11 @@ FUNCTIONS: dict[str, Callable[[VerifierInterval], tuple[VerifierInterval, ...]]]
 def length(row: Iterable[VerifierInterval]) -> VerifierInterval:
     """The Euclidean length."""
     return sum((x.power(2) for x in row), VerifierInterval(ZERO)).power(HALF)
+
+
+def symmetric_below(A: Matrix, P: Matrix, L: Q) -> bool:
+    """Whether P A + A'P <= 2 L P, P symmetric."""
+    return psd(plus([[L * x for x in row] for row in P], times(P, A), -1)) if P else True
 
 
 def interval_psd(H: IntervalMatrix) -> bool:
@@ -743,22 +735,10 @@ def positive(p: Poly, atoms: Atoms) -> bool:
 
 
 def defined(program: VerifierProgram, box: Box) -> bool:
-    """True where each step is defined on the whole box; raises else. The polynomials alone do not see a 0/0 that cancels."""
-    return len(jets(program, box, 0)) == len(program.outputs)
-
-
-def varying(item: Any, parameters: Parameters) -> Any:
-    """A number, or a function of parameters alone as a polynomial of units."""
-    if type(item) is not dict:
-        return number(item)
-    program = VerifierProgram(item, [], 1, parameters)
-    need(defined(program, []), "a number without value")
-    return plain(Atoms().read(program)[0])
-
-
-def defined_at(program: VerifierProgram, box: Box) -> bool:
-    """The same for all values of the inputs but the first one and the parameters, which are in a box."""
-    return defined(program, [box[0], *[ALL] * (program.n - 1), *box[1:]])
+    """True where each step is defined for all values of the parameters, and of the inputs of which the box has no intervals;
+    raises else. The polynomials alone do not see a 0/0 that cancels.
+    """
+    return len(jets(program, [*box, *[ALL] * (program.n - len(box))], 0)) == len(program.outputs)
 
 
 class VerifierModel:
@@ -784,18 +764,6 @@ class VerifierModel:
         """A function of ``inputs``."""
         return self.read(field(self.data, name), self.inputs, outputs)
 
-    def number(self, item: Any, infinite: bool = False) -> Any:
-        """A number, or a polynomial of units."""
-        return varying(item, self.parameters) if type(item) is dict else number(item, infinite)
-
-    def vector(self, item: Any, count: int | None = None, infinite: bool = False) -> list[Any]:
-        """A list of such numbers."""
-        return [self.number(entry, infinite) for entry in entries(item, count)]
-
-    def matrix(self, item: Any, rows: int | None, columns: int) -> Matrix:
-        """The rows of a matrix of such numbers."""
-        return [self.vector(row, columns) for row in entries(item, rows)]
-
 
 class VerifierStatement:
     """A statement of a certificate: its id, its numbers, the box that it speaks of, and the hints of its proof.
@@ -811,7 +779,7 @@ class VerifierStatement:
         need(set(scope) <= {"states", "time", "parameters"}, "a scope of something else")
         states, ranges = (record({} if scope.get(part) is None else scope[part]) for part in ("states", "parameters"))
         ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
-        self.box = {name: VerifierInterval(*vector(entries(pair, 2), 2, infinite=True)) for name, pair in ends.items()}
+        self.box = {name: VerifierInterval(*vector(pair, 2, infinite=True)) for name, pair in ends.items()}
         need(not set(ranges) & set(ends), "a parameter has the name of an input")
         self.ranges = {name: vector(pair, 2) for name, pair in ranges.items()}
         need(all(low <= high for low, high in self.ranges.values()), "the interval of a parameter is empty")
@@ -856,7 +824,7 @@ def inside(program: VerifierProgram, point: Sequence[Q], strictly: bool = True) 
 def concave_rows(program: VerifierProgram) -> bool:
     """Whether all rows are defined and concave everywhere, by the rules: then {rows >= 0} is closed and convex."""
     n, atoms = list(range(program.n)), Atoms()
-    return defined(program, [ALL] * len(n)) and all(convex(-p, n, atoms) for p in atoms.read(program))
+    return defined(program, []) and all(convex(-p, n, atoms) for p in atoms.read(program))
 
 
 def curved(program: VerifierProgram, s: VerifierStatement, hint: dict[str, Any]) -> bool:
@@ -864,7 +832,7 @@ def curved(program: VerifierProgram, s: VerifierStatement, hint: dict[str, Any])
     n, atoms = list(range(program.n)), Atoms()
     if "cover" in hint:
         return on_cover(program, s, hint["cover"], 2, lambda found: interval_psd(found[0].H))
-    return defined(program, [ALL] * len(n)) and convex(atoms.read(program)[0], n, atoms, hint.get("squares"))
+    return defined(program, []) and convex(atoms.read(program)[0], n, atoms, hint.get("squares"))
 
 
 def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q, factor: int = 1) -> bool:
@@ -874,7 +842,7 @@ def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q
     n, atoms = range(len(P)), Atoms()
     found = None if "cover" in s.proof else affine(atoms.read(program), n, atoms)
     if found is not None:
-        return defined(program, [ALL] * len(n)) and symmetric_below([[factor * x for x in row] for row in found[0]], P, L)
+        return defined(program, []) and symmetric_below([[factor * x for x in row] for row in found[0]], P, L)
     leaf = lambda j: form_below([[x * factor for x in y.g] for y in j], P, L)  # noqa: E731
     return on_cover(program, s, field(s.proof, "cover"), 1, leaf)
 
@@ -936,8 +904,8 @@ class NormForm:
 
     def __init__(self, g: VerifierProgram, hint: dict[str, Any]) -> None:
         own, atoms = list(range(1, g.n)), Atoms()
-        self.g, self.time, self.w = g, hint.get("time"), varying(field(hint, "w"), g.parameters)
-        self.A = [[varying(x, g.parameters) for x in entries(row, len(own))] for row in entries(field(hint, "A"))]
+        self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"), parameters=g.parameters)
+        self.A = matrix(field(hint, "A"), None, len(own), g.parameters)
         parts = (
             VerifierProgram(part, ["t"], 1, g.parameters) for part in [*entries(field(hint, "c"), len(self.A)), hint["offset"]]
         )
@@ -947,8 +915,7 @@ class NormForm:
         *c, offset = (atoms.read(part)[0] for part in [*self.centre, self.offset])
         y = [sum((variable(k) * x for k, x in zip(own, row, strict=True)), entry) for row, entry in zip(self.A, c, strict=True)]
         if "along" in hint:
-            e = [varying(x, g.parameters) for x in entries(hint["along"], len(y))]
-            need(all(type(x) is Q for x in e) and any(e), "a segment that moves, or without direction")
+            e = vector(hint["along"], len(y))
             s = self.clip(sum((v * x for v, x in zip(y, e, strict=True)), Poly({})) * (1 / dot(e, e)), hint["ends"], atoms)
             u = [v + s * -x for v, x in zip(y, e, strict=True)]
         else:
@@ -976,7 +943,7 @@ class NormForm:
 
         def part(box: Box, _: Any) -> bool:
             *c, offset = (jets(p, box, 1)[0] for p in [*self.centre, self.offset])
-            return defined_at(self.g, box) and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
+            return defined(self.g, box[:1]) and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
 
         return cover(self.time, s.intervals(["t"], self.g), part)
 
@@ -992,7 +959,7 @@ def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
         if kind == "norm":
             need(NormForm(g, hint).in_time(s, lambda *_: True), "g is not defined")  # 1, 2
         elif kind == "rules":
-            need(cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g: defined_at(g, t)), "g is not defined")  # 1
+            need(cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g: defined(g, t[:1])), "g is not defined")  # 1
             need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
         else:
             whole = on_cover(g, s, hint.get("cover"), 2, lambda j: interval_psd([row[1:] for row in j[0].H[1:]]))
@@ -1030,7 +997,7 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
         return {
             "A0": lambda: delta is None or (0 < c and c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
             "A1": lambda: a <= size.lo and size.hi <= b,
-            "A2": lambda: g.g[0].within(speed),
+            "A2": lambda: max(-g.g[0].lo, g.g[0].hi) <= speed,
             "A3": lambda: length(g.H[0][1:]).hi <= turn,
             "A4": lambda: norm_below(H, M) and (g.v.hi < 0 or norm_below(H, near)),
         }[s.id]()
@@ -1111,7 +1078,7 @@ def velocity(m: SweepingData, s: VerifierStatement) -> str:
         need(norm_below(A, K), "K_f")  # 2
         need(norm_below(A, L), "L_f")  # 3
         zero = [VerifierInterval(ZERO)] * m.n
-        leaf = lambda t, _: defined_at(f, t) and small(jets(f, [t[0], *zero, *t[1:]], 1, [0]), ZERO)  # noqa: E731
+        leaf = lambda t, _: defined(f, t[:1]) and small(jets(f, [t[0], *zero, *t[1:]], 1, [0]), ZERO)  # noqa: E731
         need(cover(s.proof.get("time"), s.intervals(["t"], f), leaf), "f, L_f or L_t")  # 1
     else:
         need(cover(field(s.proof, "cover"), s.intervals(m.inputs, f), part), "K_f, L_f or L_t")
@@ -1122,7 +1089,7 @@ def velocity(m: SweepingData, s: VerifierStatement) -> str:
 
 def start(m: SweepingData, s: VerifierStatement) -> str:
     """S-start: g_i(0, q_0) >= 0. Premises: 1. g is defined there; 2. each value, which is a number or a polynomial of units."""
-    q = dict(zip(m.inputs[1:], m.vector(field(m.data, "q0"), m.n), strict=True))
+    q = dict(zip(m.inputs[1:], vector(field(m.data, "q0"), m.n, m.parameters), strict=True))
     for g, members in zip(m.gaps, m.members, strict=True):
         for names, numbers in members:
             point = [x + constant(ZERO) for x in (ZERO, *(q[name] for name in names), *numbers, *m.parameters.values())]
@@ -1173,7 +1140,7 @@ def friction(m: OscillatorData, s: VerifierStatement) -> str:
             need(bend == first + variable(0) * second, "theta'' is another")  # 3
     damping = field(m.data, "damping")
     if damping != []:
-        need(psd(m.matrix(damping, m.n, m.n)), "the damping is not psd")  # 4
+        need(psd(matrix(damping, m.n, m.n, m.parameters)), "the damping is not psd")  # 4
     drag = "; the symmetric part of the damping is positive semidefinite" if damping != [] else ""
     return f"theta_j is C1, convex and nondecreasing on [0, inf), for each of {len(frictions)} j{drag}"
 
@@ -1189,7 +1156,7 @@ def potential(m: OscillatorData, s: VerifierStatement) -> str:
     need(concave_rows(C), "a row is not concave by the rules")  # 1
     need(inside(C, vector(field(hint, "interior"), m.n)), "the point is not inside")  # 2
     need(curved(g, s, hint), "g is not convex")  # 3
-    need(defined(g, [ALL] * m.n), "g is not defined")  # 4
+    need(defined(g, []), "g is not defined")  # 4
     (p,) = atoms.read(g)
     if "mu" in hint:
         mu, half = number(hint["mu"]), sum((variable(i) * variable(i, HALF) for i in range(m.n)), constant(ZERO))
@@ -1215,7 +1182,7 @@ def dry(m: OscillatorData, s: VerifierStatement) -> str:
     need(r > 0, "r is not > 0")  # 1
     gram = eye(m.n, -r * r)
     for theta, entry in zip(frictions, entries(field(m.data, "H"), len(frictions)), strict=True):
-        H, low = m.matrix(entry, None, m.n), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
+        H, low = matrix(entry, None, m.n, m.parameters), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
         need(low >= 0, "theta'(0) < 0")  # 2
         gram = plus(gram, times(transpose(H), H), low * low)
     need(psd(gram), "the radius")  # 3
@@ -1248,12 +1215,12 @@ class VerifierLaw:
         need(sum(index(field(block, "size"), count + 1) for block in blocks) == count, "the law has another size")
         for block in blocks:
             if block["kind"] == "box":
-                lower, upper = (m.vector(field(block, name), block["size"], infinite=True) for name in ("lower", "upper"))
+                lower, upper = (vector(field(block, name), block["size"], m.parameters, True) for name in ("lower", "upper"))
                 self.ends += zip(lower, upper, strict=True)
         need(
             all(gap(low, high) >= 0 and low != INF and high != -INF for low, high in self.ends), "an interval of the law is empty"
         )
-        need(all(least(m.number(field(block, "radius"))) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
+        need(all(number(field(block, "radius")) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
         self.nonempty = all(x <= 0 for block in blocks if block["kind"] == "polyhedron" for x in vector(field(block, "K")))
         self.bounded = self.kinds <= {"box", "ball"} and all(
             isinstance(x, Poly) or abs(x) < INF for pair in self.ends for x in pair
@@ -1270,7 +1237,7 @@ class FirstOrderData(VerifierModel):
         self.n = len(entries(field(data, "x0")))
         self.m = len(self.inputs) - 1 - self.n
         need(self.inputs[:1] == ["t"] and self.m >= 0, "f has other inputs than t, states and multipliers")
-        self.M, self.steps = self.matrix(field(data, "M"), self.n, self.n), vector(field(data, "steps"))
+        self.M, self.steps = matrix(field(data, "M"), self.n, self.n, parameters), vector(field(data, "steps"))
         self.theta, self.gamma = number(field(data, "theta")), number(field(data, "gamma"))
         need(all(step > 0 for step in self.steps), "a step is not > 0")
 
@@ -1326,7 +1293,7 @@ def complementarity(m: FirstOrderData, s: VerifierStatement) -> str:
     found = [affine(atoms.read(p), both, atoms) for p in programs]
     need(None not in found, "f, g or h is not affine", UNCHECKED)  # 1
     (A, _), (K, B), (C, D) = ([[row[:n] for row in pair[0]], [row[n:] for row in pair[0]]] for pair in found if pair)
-    leaf = lambda t, _: all(defined_at(p, t) for p in programs)  # noqa: E731
+    leaf = lambda t, _: all(defined(p, t[:1]) for p in programs)  # noqa: E731
     need(cover(s.proof.get("time"), s.intervals(["t"], *programs), leaf), "f, g or h is not defined")  # 2
     hints = (entries(field(s.proof, name), len(m.steps)) for name in ("inverses", "T"))
     for step, entry, T in zip(m.steps, *hints, strict=True):
@@ -1359,8 +1326,10 @@ class LureData(VerifierModel):
     def __init__(self, data: Any, parameters: Parameters) -> None:
         super().__init__(data, parameters)
         self.m = len(entries(field(data, "D")))
-        self.B, self.C = self.matrix(field(data, "B"), self.n, self.m), self.matrix(field(data, "C"), self.m, self.n)
-        self.D = self.matrix(data["D"], self.m, self.m)
+        self.B, self.C = (
+            matrix(field(data, name), *size, parameters) for name, size in (("B", (self.n, self.m)), ("C", (self.m, self.n)))
+        )
+        self.D = matrix(data["D"], self.m, self.m, parameters)
         self.phi = None if field(data, "phi") is None else self.read(data["phi"], outputs=1)
         need(self.phi is None or self.phi.n == self.m, "phi has another number of inputs")
         self.law = None if self.phi else VerifierLaw(self, field(data, "law"), self.m)
@@ -1374,14 +1343,14 @@ class LureData(VerifierModel):
         """The e of y, where it does not move."""
         e = self.data.get("e", ["0"] * self.m)
         need(type(e) is list, "an offset e that moves with time", UNCHECKED)
-        return self.vector(e, self.m)
+        return vector(e, self.m, self.parameters)
 
     def is_wide(self) -> bool:
         """Whether dom Y* is the whole space, and there is a K.
         So it is where Xi grows faster than linear functions, as K is bounded, or Phi is finite and convex; and where D + D' > 0.
         """
         if self.phi is not None:
-            return defined(self.phi, [ALL] * self.m) and convex((atoms := Atoms()).read(self.phi)[0], range(self.m), atoms)
+            return defined(self.phi, []) and convex((atoms := Atoms()).read(self.phi)[0], range(self.m), atoms)
         return self.law is not None and self.law.nonempty and (self.law.bounded or psd(self.D, definite=True))
 
     def is_onto(self) -> bool:
@@ -1407,7 +1376,7 @@ def feedthrough(m: LureData, s: VerifierStatement) -> str:
 
 def storage(m: LureData, s: VerifierStatement) -> str:
     """5.1: there is P = P' > 0 with P B = C'. Premises, of d P: 1. it is symmetric, 2. > 0; 3. d > 0, d P B = d C'."""
-    P, d = m.matrix(field(s.proof, "P"), m.n, m.n), m.number(s.proof.get("d", "1"))
+    P, d = matrix(field(s.proof, "P"), m.n, m.n, m.parameters), number(s.proof.get("d", "1"), parameters=m.parameters)
     need(P == transpose(P), "P is not symmetric")  # 1
     need(psd(P, definite=True), "P is not positive definite")  # 2
     need(least(d) > 0 and (m.m == 0 or vanishes(plus(times(P, m.B), transpose(m.C), -d))), "P B = C' fails")  # 3
@@ -1420,7 +1389,7 @@ def growth(m: LureData, s: VerifierStatement) -> str:
     of ``storage``; 2. the inequality, and that A is defined (``slopes_below``).
     """
     known, omega, local = storage(m, s), s.value["omega"], "cover" in s.proof  # 1
-    need(slopes_below(m.program("A", m.n), s, m.matrix(s.proof["P"], m.n, m.n), omega), "omega")  # 2
+    need(slopes_below(m.program("A", m.n), s, matrix(s.proof["P"], m.n, m.n, m.parameters), omega), "omega")  # 2
     place = s.where(m.inputs) + ", the same of y" if local else "for all x, y"
     return f"{known}, and <P(A(x) - A(y)), x - y> <= {written(omega, UP)} <P(x - y), x - y> {place}"
 
@@ -1430,7 +1399,7 @@ def domain_point(m: LureData, s: VerifierStatement, x: Sequence[Q]) -> None:
     3. k is inside K; 4. y > 0 where only the lower end of l is finite, < 0 where only the upper one is, any number where both
     are: -y is in the interior of the polar of K's recession cone. Where neither is, that has no interior, and nothing is known.
     """
-    k, y, v = (m.vector(field(s.proof, name), m.m) for name in ("k", "y", "v"))
+    k, y, v = (vector(field(s.proof, name), m.m, m.parameters) for name in ("k", "y", "v"))
     need(psd(m.D), "D is not psd")  # 1
     parts = [[dot(row, z) for row in A] for A, z in ((transpose(m.D), k), (m.D, v), (transpose(m.D), v))]
     left = [dot(row, x) + e for row, e in zip(m.C, m.offset(), strict=True)]
@@ -1450,7 +1419,7 @@ def range_meets_domain(m: LureData, s: VerifierStatement) -> str:
     space; 2. or a point of S (``domain_point``), of 5.4a one in R(C) + e, of 5.x0 C x_0 + e.
     """
     if not (m.is_onto() if s.id == "5.4c" else m.is_wide()):  # 1
-        domain_point(m, s, m.vector(m.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), m.n))  # 2
+        domain_point(m, s, vector(m.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), m.n, m.parameters))  # 2
     if s.id == "5.4c":
         return "D'(rint dom dXi) - int dom Y* and R(D + dXi) have the same affine hull, the whole space"
     return f"{'R(C) + e meets' if s.id == '5.4a' else 'C x_0 + e is in'} D'(rint dom dXi) - int dom Y*"
@@ -1499,11 +1468,11 @@ class InclusionData(VerifierModel):
         """The switches. Premises: 1. the argument is a'x + c everywhere, a not 0; 2. the weights are w a, w >= 0."""
         found = []
         for entry in entries(field(self.data, "switches")):
-            weights, program = self.vector(entries(entry, 2)[0], self.n), self.read(entry[1], self.inputs, 1)
+            weights, program = vector(entries(entry, 2)[0], self.n, self.parameters), self.read(entry[1], self.inputs, 1)
             (a,), (c,) = self.affine(atoms.read(program), atoms)
             w = dot(weights, a) * (1 / dot(a, a))
             along = least(w) >= 0 and vanishes([[x + w * -y for x, y in zip(weights, a, strict=True)]])
-            need(along and defined(program, [ALL] * self.n), "no subdifferential")  # 1, 2
+            need(along and defined(program, []), "no subdifferential")  # 1, 2
             found.append((w, a, c))
         return found
 
@@ -1518,7 +1487,7 @@ class InclusionData(VerifierModel):
         Premises: 1. all functions are defined everywhere; 2. each max has a weight > 0, and u - v is affine.
         """
         V, switches = atoms.read(F := self.program("F", self.n)), self.switches(atoms)
-        need(all(defined(p, [ALL] * self.n) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
+        need(all(defined(p, []) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
         if self.S is not None:
             V = [v + -p for v, p in zip(V, atoms.read(self.S), strict=True)]
         if self.phi is None:
@@ -1651,24 +1620,6 @@ NUMBERS = {  # Those that a statement has; all others have none.
 OPTIONAL = {"A0": ("c",), "A5": ("rho",), "S-f": ("L_t",)}
 
 
-def prove(model: Any, statement: Any, id: str) -> str:
-    """The sentence that is proved by the rule of this id: at once, or for both halves of a parameter's interval."""
-    (reader, rule), s = STATEMENTS[id], VerifierStatement(statement, id)
-    if "halved" not in s.proof:
-        m = reader(model, s.parameters)
-        need(set(s.box) <= {"t", *m.inputs}, "the scope has other inputs")
-        return rule(m, s)
-    name, ranges = s.proof["halved"], statement["scope"]["parameters"]
-    (low, high), middle = s.ranges[name], str(sum(s.ranges[name]) / 2)
-    ends = (str(low), middle), (middle, str(high))
-    said = set()
-    for pair, proof in zip(ends, entries(field(s.proof, "proofs"), 2), strict=True):
-        scope = {**statement["scope"], "parameters": {**ranges, name: list(pair)}}
-        said.add(prove(model, {**statement, "scope": scope, "proof": proof}, id))
-    need(len(said) == 1, "the halves say different things")
-    return said.pop()
-
-
 def answer(model: Any, statement: Any) -> tuple[str, str]:
     """Prove a statement of a model anew: "yes" and the sentence that was proved, "no" or "not checkable" and a reason."""
     Atoms.units.clear()
@@ -1676,7 +1627,10 @@ def answer(model: Any, statement: Any) -> tuple[str, str]:
         id = field(statement, "id")
         need(type(id) is str and id in STATEMENTS, "no proof of this kind is known here", UNCHECKED)
         need(statement.get("proof") is not None, f"there is no proof: {escaped(statement.get('why'))}", UNCHECKED)
-        return YES, prove(model, statement, id) + VerifierStatement(statement, id).parameters_in_words()
+        (reader, rule), s = STATEMENTS[id], VerifierStatement(statement, id)
+        m = reader(model, s.parameters)
+        need(set(s.box) <= {"t", *m.inputs}, "the scope has other inputs")
+        return YES, rule(m, s) + s.parameters_in_words()
     except Unproved as reason:
         return reason.args[1], reason.args[0]
     except Exception as reason:  # Whatever else is wrong with a certificate.
