@@ -34,6 +34,8 @@ PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
 MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS = 1000, 16, 20000, 200000
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]
+Names = Sequence[str] | None
+Leaf = Callable[..., bool]
 Monomial = tuple[tuple[int, int], ...]
 Parameters = dict[str, "Poly"]  # low + (high - low) unit of each.
 Switch = tuple[Q, list[Q], Q]  # w, a, c of w l a with l in Sgn(a'x + c), w >= 0: the subdifferential of w |a'x + c|.
@@ -54,22 +56,17 @@ def need(true: bool, text: str, kind: str = NO) -> None:
         raise Unproved(text, kind)
 
 
-def record(item: Any) -> dict[str, Any]:
-    """A JSON object."""
-    need(type(item) is dict, "an object is missing")
+def entries(item: Any, count: int | None = None, kind: type = list) -> Any:
+    """A JSON array (or object), of so many entries where that is given."""
+    need(type(item) is kind and count in (None, len(item)), "a list or an object is missing, or has another length")
     return item
 
 
-def entries(item: Any, count: int | None = None) -> list[Any]:
-    """A JSON array, of so many entries where that is given."""
-    need(type(item) is list and count in (None, len(item)), "a list is missing, or has another length")
-    return item
-
-
-def field(item: Any, name: str) -> Any:
-    """An entry of a JSON object."""
-    need(name in record(item), f"'{name}' is missing")
-    return item[name]
+def field(item: Any, name: str, kind: type | None = None) -> Any:
+    """An entry of a JSON object; where ``kind`` is given, of this type, and empty where it is missing or null."""
+    value = entries(item, kind=dict).get(name)
+    need(name in item or kind is not None, f"'{name}' is missing")
+    return value if kind is None else entries(kind() if value is None else value, kind=kind)
 
 
 def names_of(item: Any) -> list[str]:
@@ -367,17 +364,14 @@ class VerifierProgram:
     file's docstring, and exponents are at most MAX_EXPONENT.
     """
 
-    def __init__(
-        self, data: Any, inputs: Sequence[str] | None = None, outputs: int | None = None, parameters: Parameters | None = None
-    ) -> None:
-        self.inputs, self.parameters = names_of(field(data, "inputs")), parameters or {}
-        self.n = len(self.inputs) - len(self.parameters)
-        need(self.inputs[max(self.n, 0) :] == list(self.parameters), "a function leaves out a parameter")
-        need(inputs is None or self.inputs[: self.n] == inputs, "a function has other inputs")
+    def __init__(self, data: Any, inputs: Names, outputs: int | None, parameters: Parameters) -> None:
+        self.inputs, self.parameters = names_of(field(data, "inputs")), parameters
+        self.own, self.n = self.inputs[: len(self.inputs) - len(parameters)], len(self.inputs) - len(parameters)
+        need([*self.own, *parameters] == self.inputs, "a function leaves out a parameter")
+        need(inputs is None or self.own == inputs, "a function has other inputs")
         need("steps" in data, f"a function that is not written down: {escaped(data.get('why'))}", UNCHECKED)
         self.steps: list[tuple[str, Any, Any]] = []
-        for step in entries(data["steps"]):
-            self.steps.append(self._read_step(*entries(step)))
+        self.steps.extend(self._read_step(*entries(step)) for step in entries(data["steps"]))
         self.outputs = [index(k, len(self.steps)) for k in entries(field(data, "outputs"), outputs)]
         self.used = {i for op, i, _ in self.steps if op == "in"}
 
@@ -441,9 +435,10 @@ class VerifierJet:
         return VerifierJet(VerifierInterval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
 
 
-def jets(
-    program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False
-) -> list[VerifierJet]:
+Jets = list[VerifierJet]
+
+
+def jets(program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False) -> Jets:
     """The jet of each value on a closed box, for all values of the parameters where the box has none; derivatives up to
     ``order`` by the inputs ``wrt`` (None: all that are no parameters).
     It returns only if the function is defined on the whole box, and, with order 2, or ``smooth`` and order 1, has continuous
@@ -756,13 +751,9 @@ class VerifierModel:
         self.inputs = inputs[: len(inputs) - len(parameters)]
         self.n = len(self.inputs)
 
-    def read(self, data: Any, inputs: Sequence[str] | None = None, outputs: int | None = None) -> VerifierProgram:
-        """A function."""
-        return VerifierProgram(data, inputs, outputs, self.parameters)
-
     def program(self, name: str, outputs: int | None = None) -> VerifierProgram:
         """A function of ``inputs``."""
-        return self.read(field(self.data, name), self.inputs, outputs)
+        return VerifierProgram(field(self.data, name), self.inputs, outputs, self.parameters)
 
 
 class VerifierStatement:
@@ -772,19 +763,18 @@ class VerifierStatement:
     """
 
     def __init__(self, data: Any, id: str) -> None:
-        self.id, value, names = id, record(field(data, "value")), NUMBERS.get(id, ())
+        self.id, value, names = id, entries(field(data, "value"), kind=dict), NUMBERS.get(id, ())
         need(set(names) <= set(value) <= {*names, *OPTIONAL.get(id, ())}, "a number is missing, or one has no place here")
         self.value = {name: number(value[name]) for name in value}
-        scope = record({} if field(data, "scope") is None else data["scope"])
-        need(set(scope) <= {"states", "time", "parameters"}, "a scope of something else")
-        states, ranges = (record({} if scope.get(part) is None else scope[part]) for part in ("states", "parameters"))
+        need("scope" in data and set(scope := field(data, "scope", dict)) <= {"states", "time", "parameters"}, "another scope")
+        states, ranges = (field(scope, part, dict) for part in ("states", "parameters"))
         ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
         self.box = {name: VerifierInterval(*vector(pair, 2, infinite=True)) for name, pair in ends.items()}
         need(not set(ranges) & set(ends), "a parameter has the name of an input")
         self.ranges = {name: vector(pair, 2) for name, pair in ranges.items()}
         need(all(low <= high for low, high in self.ranges.values()), "the interval of a parameter is empty")
         self.parameters = {name: between(k, *self.ranges[name]) for k, name in enumerate(self.ranges)}
-        self.proof = record(field(data, "proof"))
+        self.proof = field(data, "proof", dict)
 
     def intervals(self, names: Sequence[str], *programs: VerifierProgram) -> Box:
         """The box of some inputs and of the programs' parameters; 0 for those at which no step of these looks."""
@@ -806,13 +796,9 @@ class VerifierStatement:
         return "".join(f"; for every {one}" for one in ranges)
 
 
-def on_cover(
-    program: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Callable[..., bool], smooth: bool = False
-) -> bool:
+def on_cover(g: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Leaf, smooth: bool = False) -> bool:
     """Whether ``leaf(jets)`` holds on each part of the scope's box."""
-    return cover(
-        tree, s.intervals(program.inputs[: program.n], program), lambda part, _: leaf(jets(program, part, order, None, smooth))
-    )
+    return cover(tree, s.intervals(g.own, g), lambda part, _: leaf(jets(g, part, order, None, smooth)))
 
 
 def inside(program: VerifierProgram, point: Sequence[Q], strictly: bool = True) -> bool:
@@ -857,35 +843,24 @@ class SweepingData(VerifierModel):
 
     def __init__(self, data: Any, parameters: Parameters) -> None:
         super().__init__(data, parameters)
-        rows = entries(field(data, "constraints"))
-        self.gaps, self.members = [list(column) for column in zip(*map(self.read_row, rows), strict=True)] or ([], [])
-        self.deltas = [number(row["delta"]) if "delta" in row else None for row in rows]
+        rows = [self.read_row(row) for row in entries(field(data, "constraints"))]
+        self.gaps, self.members, self.deltas = ([row[k] for row in rows] for k in range(3))
         self.n -= 1
-        need(self.inputs[:1] == ["t"], "f does not begin with t")
+        need(all(p.own[:1] == ["t"] for p in self.gaps) and self.inputs[:1] == ["t"], "t is not the first input")
 
-    def read_row(self, row: Any) -> tuple[VerifierProgram, list[tuple[list[str], list[Q]]]]:
-        """The function g of a row, and the states and numbers of each constraint that it stands for."""
-        if "members" not in row:
-            g = self.read(field(row, "graph"), outputs=1)
-            need(set(g.inputs[: g.n]) <= set(self.inputs), "a constraint has other inputs")
-            members = [(g.inputs[1 : g.n], [])]
-        else:
-            names = names_of(field(row, "numbers"))
-            members = [
-                (names_of(field(one, "states")), vector(field(one, "numbers"), len(names))) for one in entries(row["members"])
-            ]
-            need(
-                members != [] and not set(names) & set(self.parameters), "a family without members, or a number with another name"
-            )
-            ends = ((min(column), max(column)) for column in transpose([numbers for _, numbers in members]))
-            hulls = {
-                name: between(len(self.parameters) + k, *pair) for k, (name, pair) in enumerate(zip(names, ends, strict=True))
-            }
-            g = VerifierProgram(field(row, "graph"), None, 1, {**hulls, **self.parameters})
-            need(not set(g.inputs[1:]) & set(self.inputs[1:]), "an input of a family has the name of a state")
-            need(all(len(q) == g.n - 1 and set(q) <= set(self.inputs[1:]) for q, _ in members), "a member has other states")
-        need(g.inputs[:1] == ["t"], "a constraint does not begin with t")
-        return g, members
+    def read_row(self, row: Any) -> tuple[VerifierProgram, list[tuple[list[str], list[Q]]], Q | None]:
+        """The function g of a row, the states and numbers of each constraint that it stands for, and delta."""
+        names, family, known = names_of(field(row, "numbers", list)), "members" in row, set(self.inputs)
+        members = [
+            (names_of(field(one, "states")), vector(field(one, "numbers"), len(names))) for one in field(row, "members", list)
+        ]
+        hulls = [(min(column), max(column)) for column in transpose([numbers for _, numbers in members])]
+        units = {name: between(len(self.parameters) + k, *hulls[k]) for k, name in enumerate(names)}
+        g = VerifierProgram(field(row, "graph"), None, 1, {**units, **self.parameters})
+        members = members if family else [(g.own[1:], [])]
+        need(not set(names) & set(self.parameters) and not (family and known & set(g.own[1:])), "a name of a family is known")
+        need(members != [] and all(len(q) == g.n - 1 and set(q) <= known for q, _ in members), "a constraint has other states")
+        return g, members, number(row["delta"]) if "delta" in row else None
 
     def where(self, s: VerifierStatement, local: bool = True) -> str:
         """For which t, q and i, and what the U_i are, in words."""
@@ -906,10 +881,8 @@ class NormForm:
         own, atoms = list(range(1, g.n)), Atoms()
         self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"), parameters=g.parameters)
         self.A = matrix(field(hint, "A"), None, len(own), g.parameters)
-        parts = (
-            VerifierProgram(part, ["t"], 1, g.parameters) for part in [*entries(field(hint, "c"), len(self.A)), hint["offset"]]
-        )
-        *self.centre, self.offset = parts
+        parts = [*entries(field(hint, "c"), len(self.A)), field(hint, "offset")]
+        *self.centre, self.offset = (VerifierProgram(part, ["t"], 1, g.parameters) for part in parts)
         self.b, self.reach = (number(hint.get(name, "0")) for name in ("b", "reach"))
         need(least(self.w) > 0, "w is not > 0")
         *c, offset = (atoms.read(part)[0] for part in [*self.centre, self.offset])
@@ -1032,7 +1005,7 @@ def qualified(m: SweepingData, s: VerifierStatement) -> str:
     rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
     """
     gamma, rho, gaps = s.value["gamma"], s.value.get("rho", INF if s.id == "A5" else ZERO), m.gaps
-    need(all(g.inputs[1 : g.n] == q for g, ((q, _), *_) in zip(gaps, m.members, strict=True)), "families", UNCHECKED)
+    need(all(g.own[1:] == q for g, ((q, _), *_) in zip(gaps, m.members, strict=True)), "families", UNCHECKED)
     need(gamma >= 1, "gamma < 1")  # 1
     need(s.id == "A5'" or rho > 0, "rho is not > 0")  # 2
 
@@ -1042,7 +1015,7 @@ def qualified(m: SweepingData, s: VerifierStatement) -> str:
 
     def leaf(box: Box, hint: Any) -> bool:
         own = dict(zip([*m.inputs, *m.parameters], box, strict=True))
-        found = [(g.inputs[1 : g.n], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
+        found = [(g.own[1:], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
         near = [(names, g.g[1:]) for names, g in found if g.v.lo <= rho]
         if len(near) <= 1 or any(g.v.hi < 0 for _, g in found):
             return True
@@ -1107,7 +1080,7 @@ class OscillatorData(VerifierModel):
 
     def frictions(self) -> list[VerifierProgram]:
         """The friction of each element, of the speed."""
-        found = [self.read(part, outputs=1) for part in entries(field(self.data, "theta"))]
+        found = [VerifierProgram(part, None, 1, self.parameters) for part in entries(field(self.data, "theta"))]
         need(all(part.n == 1 for part in found), "theta has other inputs than the speed")
         return found
 
@@ -1126,7 +1099,8 @@ def friction(m: OscillatorData, s: VerifierStatement) -> str:
     line, frictions = [VerifierInterval(ZERO, INF), *map(span, m.parameters.values())], m.frictions()
     for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
         need(
-            cover(record(hint).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1), "theta'"
+            cover(entries(hint, kind=dict).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1),
+            "theta'",
         )  # 1
         need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
         if "cover" in hint:
@@ -1330,7 +1304,7 @@ class LureData(VerifierModel):
             matrix(field(data, name), *size, parameters) for name, size in (("B", (self.n, self.m)), ("C", (self.m, self.n)))
         )
         self.D = matrix(data["D"], self.m, self.m, parameters)
-        self.phi = None if field(data, "phi") is None else self.read(data["phi"], outputs=1)
+        self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], None, 1, self.parameters)
         need(self.phi is None or self.phi.n == self.m, "phi has another number of inputs")
         self.law = None if self.phi else VerifierLaw(self, field(data, "law"), self.m)
 
@@ -1441,7 +1415,7 @@ def at_rest(m: LureData, s: VerifierStatement) -> str:
     """7.1: x = 0, l = 0, y = 0 is at rest, and 0 is an admissible start.
     Premises: 1. A(0) = 0, exactly; 2. f = 0 at all times; 3. e = 0; 4. 0 is in K, a box; 5. as of 5.x0, with x_0 = 0.
     """
-    A, f = m.program("A", m.n), m.read(field(m.data, "f"), ["t"], m.n)
+    A, f = m.program("A", m.n), VerifierProgram(field(m.data, "f"), ["t"], m.n, m.parameters)
     need(all(x.v.lo == 0 == x.v.hi for x in jets(A, [VerifierInterval(ZERO)] * m.n, 0)), "A(0) is not 0")  # 1
     need(not any(Atoms().read(f)) and defined(f, s.intervals(["t"], f)), "f is not 0")  # 2
     need(not any(m.offset()), "e is not 0")  # 3
@@ -1468,7 +1442,10 @@ class InclusionData(VerifierModel):
         """The switches. Premises: 1. the argument is a'x + c everywhere, a not 0; 2. the weights are w a, w >= 0."""
         found = []
         for entry in entries(field(self.data, "switches")):
-            weights, program = vector(entries(entry, 2)[0], self.n, self.parameters), self.read(entry[1], self.inputs, 1)
+            weights, program = (
+                vector(entries(entry, 2)[0], self.n, self.parameters),
+                VerifierProgram(entry[1], self.inputs, 1, self.parameters),
+            )
             (a,), (c,) = self.affine(atoms.read(program), atoms)
             w = dot(weights, a) * (1 / dot(a, a))
             along = least(w) >= 0 and vanishes([[x + w * -y for x, y in zip(weights, a, strict=True)]])
@@ -1652,12 +1629,12 @@ def read_certificate(path: str) -> dict[str, Any]:
     with open(path, encoding="utf-8") as file:
         certificate = json.load(file, object_pairs_hook=unique)
     need(field(certificate, "format") == FORMAT, f"its format is not {FORMAT}")
-    return {**certificate, "model": record(field(certificate, "model")), "statements": entries(field(certificate, "statements"))}
+    return {**certificate, "model": field(certificate, "model", dict), "statements": field(certificate, "statements", list)}
 
 
 def formulas(data: Any) -> str:
     """A function as formulas of its inputs; parts that are long are left out."""
-    program, nodes = VerifierProgram(data), []
+    program, nodes = VerifierProgram(data, None, None, {}), []
     for op, i, w in program.steps:
         u, v = nodes[i] if op not in ("in", "const") else "", nodes[w] if op in ("add", "mul", "fmax") else w
         forms = {"add": f"{u} + {v}", "mul": f"({u}) ({v})", "fmax": f"max({u}, {v})", "pow": f"({u})^({v})"}

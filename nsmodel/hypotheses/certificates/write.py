@@ -40,6 +40,7 @@ from nsmodel.modeling.laws import Law
 from nsmodel.modeling.parts import Part
 
 Data = dict[str, Any]
+MAX_CORNER_PARAMETERS = 6
 
 
 class CertificateSubject(NamedTuple):
@@ -121,19 +122,28 @@ def dense_matrix_text(model: Model, entries: Any) -> list[list[str | Data]]:
     return [[whole[i + rows * j] for j in range(columns)] for i in range(rows)]
 
 
-def _array_text(model: Model, value: Any) -> Any:
+def _array_text(model: Model, value: Any, ranges: IntervalBox) -> Any:
     if isinstance(value, ca.SX):
-        return column_text(model, value)
+        return [_end_text(model, entry, ranges) for entry in ca.vertsplit(value)]
     array = np.asarray(value, float)
     if array.ndim > 1:
         return exact_matrix_text(array)
     return [exact_number_text(number) for number in array] if array.ndim else exact_number_text(float(array))
 
 
-def law_data(model: Model, law: Law) -> list[Data]:
+def _end_text(model: Model, end: ca.SX, ranges: IntervalBox) -> str | Data:
+    """An end of an interval; what is infinite at all corners of the parameters' box is infinite."""
+    corners = [ca.DM(corner) for corner in product(*ranges.values())] if len(ranges) <= MAX_CORNER_PARAMETERS else []
+    value = ca.Function("end", [model.p], [end])
+    found = {float(value(corner)) for corner in corners} if model.p.numel() else set()
+    return exact_number_text(found.pop()) if found in ({np.inf}, {-np.inf}) else entry_text(model, end)
+
+
+def law_data(model: Model, law: Law, ranges: IntervalBox) -> list[Data]:
     """The blocks of a law."""
     return [
-        {"kind": block.kind, "size": block.size} | {name: _array_text(model, value) for name, value in block.data().items()}
+        {"kind": block.kind, "size": block.size}
+        | {name: _array_text(model, value, ranges) for name, value in block.data().items()}
         for block in law.blocks
     ]
 

@@ -54,7 +54,7 @@ def subject(model: FirstOrderSystem, findings: Mapping[str, Finding], ranges: In
         **{name: expression_program(model, getattr(model, name), z, names) for name in "fgh"},
         "M": dense_matrix_text(model, model.M), "theta": exact_number_text(model.theta), "gamma": exact_number_text(model.gamma),
         "x0": column_text(model, model.x0), "steps": sorted(set(step_sizes_text(model)), key=Fraction),
-        "law": law_data(model, model.law),
+        "law": law_data(model, model.law, ranges),
     }  # fmt: skip
     ends = (model.law.lower, model.law.upper)
     bounds = [interval_bounds.enclose(ca.SX(side), model.p, *np.array([*ranges.values()]).reshape(-1, 2).T) for side in ends]

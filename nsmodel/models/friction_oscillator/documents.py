@@ -79,7 +79,7 @@ def proofs(
         return [{}]
     model: FrictionOscillator = subject.model
     atoms, n = verify.Atoms(), list(range(model.x.numel()))
-    (p,) = atoms.read(verify.VerifierProgram(subject.data["g"], parameters=subject.parameters))
+    (p,) = atoms.read(verify.VerifierProgram(subject.data["g"], None, None, subject.parameters))
     hint = interior_point_hint(subject, finding) | convexity_hint(p, n, atoms)
     proofs = []
     if "lower bound of g" in value:
@@ -116,7 +116,7 @@ def _potential_minimum(subject: CertificateSubject) -> tuple[np.ndarray, float]:
 def _friction_hint(subject: CertificateSubject, program: Any) -> dict[str, Any]:
     """What shows that one theta is convex: squares of the second derivative of what the rules leave, else a cover."""
     atoms = verify.Atoms(nonnegative=[0])
-    (p,) = atoms.read(verify.VerifierProgram(program, parameters=subject.parameters))
+    (p,) = atoms.read(verify.VerifierProgram(program, None, None, subject.parameters))
     pairs = [_bend_squares(q, atoms) for q in verify.at_corners(p)]
     return {"slope": AdaptiveCover()} | ({"cover": AdaptiveCover()} if None in pairs else {"squares": corner_hints(pairs)})
 

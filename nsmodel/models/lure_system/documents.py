@@ -5,7 +5,8 @@ The class in LaTeX.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from typing import Any
@@ -19,6 +20,7 @@ from nsmodel.hypotheses.certificates.write import (
     CertificateSubject,
     column_text,
     dense_matrix_text,
+    entry_text,
     expression_program,
     law_data,
 )
@@ -46,7 +48,7 @@ def subject(model: LureSystem, findings: Mapping[str, Finding], ranges: Interval
         "A": expression_program(model, model.A, model.x, model.names),
         **{name: dense_matrix_text(model, getattr(model, name)) for name in "BCD"},
         "f": expression_program(model, model.f, model.t, ["t"]), "x0": column_text(model, model.x0),
-        "law": [] if model.law is None else law_data(model, model.law),
+        "law": [] if model.law is None else law_data(model, model.law, ranges),
         "phi": None if model.law is not None else expression_program(model, model.phi, y, [f"y_{i}" for i in range(y.numel())]),
     }  # fmt: skip
     e = (
@@ -73,16 +75,51 @@ def _proof_hint(subject: CertificateSubject, finding: Finding) -> Any:
     if finding.id in ("5.1", "5.2"):
         name = "P" if finding.id == "5.1" else "P_omega"
         P = finding.witness.get(f"{name} exactly") or finding.witness.get(name)
+        if P is None and subject.ranges:
+            return _diagonal_energy_hint(subject) | cover_hint(model.A, model.x)
         if P is None:
             raise UnprovedFinding("too large a P to write down")
         P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
         return {"P": P} | cover_hint(model.A, model.x)
     if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(subject, finding.id):
-        _check_constant_boxes(model)
+        _check_constant_boxes(model, finding.id)
         return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
     return {}
+
+
+def _diagonal_energy_hint(subject: CertificateSubject) -> dict[str, Any]:
+    """d P, a diagonal of functions of the parameters, and d: P(p) B(p) = C(p)' row by row, and from row to row by A."""
+    model: LureSystem = subject.model
+    A, B, C = ca.densify(ca.jacobian(model.A, model.x)), ca.densify(model.B), ca.densify(model.C)
+    n, parts = model.x.numel(), {}
+    for i in range(n):
+        j = next((j for j in range(B.shape[1]) if not B[i, j].is_zero()), None)
+        if j is not None:
+            parts[i] = C[j, i], B[i, j]
+    while len(parts) < n:
+        links = ((i, k) for i in parts for k in range(n) if k not in parts and not (A[i, k].is_zero() or A[k, i].is_zero()))
+        i, k = next(links, (None, next(k for k in range(n) if k not in parts)))
+        parts[k] = (ca.SX(1), ca.SX(1)) if i is None else (-parts[i][0] * A[i, k], parts[i][1] * A[k, i])
+    if any(ca.depends_on(ca.vertcat(*pair), model.x) for pair in parts.values()):
+        raise UnprovedFinding("no diagonal P that is free of the states")
+    bottoms = {k: bottom for k, (_, bottom) in parts.items() if ca.symvar(bottom)}
+    scaled = [
+        top * product_of([*(one for k, one in bottoms.items() if k != i)]) / (1 if i in bottoms else bottom)
+        for i, (top, bottom) in ((i, parts[i]) for i in range(n))
+    ]
+    d = product_of([*bottoms.values()])
+    at = ca.DM([(low + high) / 2 for low, high in subject.ranges.values()])
+    sign = float(np.sign(float(ca.Function("d", [model.p], [d])(at))))
+    zero = ca.SX(0)
+    P = [[entry_text(model, sign * scaled[i] if i == k else zero) for k in range(n)] for i in range(n)]
+    return {"P": P, "d": entry_text(model, sign * d)}
+
+
+def product_of(factors: Sequence[ca.SX]) -> ca.SX:
+    """The product of expressions."""
+    return math.prod(factors, start=ca.SX(1))
 
 
 def _verifier_range_is_whole(subject: CertificateSubject, id: str) -> bool:
@@ -92,10 +129,11 @@ def _verifier_range_is_whole(subject: CertificateSubject, id: str) -> bool:
     return False
 
 
-def _check_constant_boxes(model: LureSystem) -> None:
+def _check_constant_boxes(model: LureSystem, id: str) -> None:
     if _offset_moves(model):
         raise UnprovedFinding("an offset e that moves with time")
-    if any(ca.depends_on(ca.vec(part), model.p) for part in (model.C, model.D, model.e, model.x0)):
+    parts = (model.C, model.D, model.e, model.x0 if id == "5.x0" else ca.SX(0))
+    if any(ca.depends_on(ca.vec(part), model.p) for part in parts):
         raise UnprovedFinding("a point that moves with parameters")
     if model.law is None or not model.law.is_box:
         raise UnprovedFinding("a law that is no box")

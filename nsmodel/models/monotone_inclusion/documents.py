@@ -86,7 +86,7 @@ def proofs(
         if model.phi is None:
             return [cover_hint(model.operator, model.x)]
         atoms = verify.Atoms()
-        (phi,) = atoms.read(verify.VerifierProgram(subject.data["phi"], parameters=subject.parameters))
+        (phi,) = atoms.read(verify.VerifierProgram(subject.data["phi"], None, None, subject.parameters))
         return [convexity_hint(phi, range(model.x.numel()), atoms)]
     if finding.id == "M-A2":
         return [{}]

@@ -178,7 +178,7 @@ def _sweeping_hint(
     model: SweepingProcess = subject.model
     if finding.id in ("S-f", "S-start"):
         if finding.id == "S-f":
-            verify.VerifierProgram(subject.data["f"], parameters=subject.parameters)  # it may not be written down
+            verify.VerifierProgram(subject.data["f"], None, None, subject.parameters)  # it may not be written down
         return {"time": AdaptiveCover(), "cover": AdaptiveCover()}
     if finding.id in ("A5", "A5'"):
         every = finding.id == "A5" and "rho" not in value
@@ -200,7 +200,7 @@ def _constraint_form_hint(
     local = finding.scope is not None and bool(finding.scope.states)
     if finding.id == "S-convex":
         program, atoms = (
-            verify.VerifierProgram(subject.data["constraints"][k]["graph"], parameters=row.parameters(subject)),
+            verify.VerifierProgram(subject.data["constraints"][k]["graph"], None, None, row.parameters(subject)),
             verify.Atoms(),
         )
         (p,) = atoms.read(program)
@@ -225,7 +225,7 @@ def _norm_form_hint(subject: CertificateSubject, row: ConstraintRow, shape: Cons
         "reach": exact_number_text(radius_lower_bound(row, shape)),
     }  # fmt: skip
     if len(shape.clips) == 1:
-        program = verify.VerifierProgram(subject.data["constraints"][k]["graph"], parameters=row.parameters(subject))
+        program = verify.VerifierProgram(subject.data["constraints"][k]["graph"], None, None, row.parameters(subject))
         n = row.q.numel()
         hint |= {"A": exact_matrix_text(exact.eye(n)), "b": exact_number_text(weight)}
         for line in segment_hints(program):
