@@ -894,8 +894,8 @@ class NormForm:
         else:
             clips = entries(hint.get("clips", [None] * len(y)), len(y))
             u = [v if clip is None else v + -self.clip(v, clip, atoms) for v, clip in zip(y, clips, strict=True)]
-        norm = atoms.of("pow", sum((x * x for x in u), Poly({})), HALF)
-        need(atoms.read(g)[0] == norm * self.w + offset, "g is not w |u| + offset")
+        norms = [atoms.of("pow", sum((x * x for x in u), Poly({})), HALF), *(atoms.of("fmax", x, -x) for x in u if len(u) == 1)]
+        need(atoms.read(g)[0] in [norm * self.w + offset for norm in norms], "g is not w |u| + offset")
 
     @staticmethod
     def clip(x: Poly, ends: Any, atoms: Atoms) -> Poly:

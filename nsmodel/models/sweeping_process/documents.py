@@ -264,8 +264,8 @@ def segment_hints(g: verify.VerifierProgram) -> Iterator[dict[str, Any]]:
     """What a norm of q - a - s e, s the nearest point to <q - a, e>/|e|^2 of an interval, may be: a as c, e as along."""
     atoms, own = verify.Atoms(), range(1, g.n)
     (p,) = atoms.read(g)
-    meanings = [atoms.meaning[v] for m in p for v, _ in m if v in atoms.meaning]
-    inner = next((u for op, u, *rest in meanings if op == "pow"), None)
+    meanings = [atoms.meaning[v] for m in p for v, _ in m if v in atoms.meaning and len(atoms.meaning[v]) > 2]
+    inner = next((u if op == "pow" else u * u for op, u, w in meanings if op == "pow" or (op == "fmax" and w == -u)), None)
     if inner is None:
         return
     c = [-inner.get(((v, 1),), Fraction(0)) / -2 for v in own]
