@@ -79,8 +79,6 @@ def _run_check(arguments: argparse.Namespace) -> int:
     bounds = unique_by_name(map(_parse_bound, arguments.bound), "--bound")
     if twice := set(boxes) & set(unique_by_name(map(parse_setting, arguments.set), "--set")):
         raise UsageError(f"'{min(twice)}' is given with --set and with --parameters; keep one")
-    if boxes and arguments.certificate:
-        raise UsageError("--certificate: certificates are of numbers; give the parameters values with --set")
     reports: list[tuple[str, Report | None, int]] = []
     documents = []
     for file in arguments.files:

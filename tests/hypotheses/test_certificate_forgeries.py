@@ -7,12 +7,9 @@ import subprocess
 import sys
 
 import casadi as ca
-import pytest
 
-from nsmodel import LureSystem, SweepingProcess, UsageError, check, relay
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import straight_line_program
-from nsmodel.hypotheses.certificates.write import certificate_of, write_certificate
 
 t, s, x, y, q = (ca.SX.sym(name) for name in "tsxyq")
 z = ca.SX.sym("z", 2)
@@ -296,21 +293,6 @@ def test_programs_that_take_for_ever_are_not_read():
     assert verify.answer(model, claim("M-A2", a_1="1", a_2="1"))[0] != "yes"
     model = with_steps(inclusion(), "F", ("in", 0), ("pow", 0, "1000000000000"))
     assert verify.answer(model, claim("M-A1", {"cover": None}, {"x": ["2", "3"]}))[0] != "yes"
-
-
-# -- boxes of parameters -------------------------------------------------------------------------------------------------------
-
-
-def test_a_report_over_a_box_of_parameters_has_no_certificate(tmp_path):
-    p = ca.SX.sym("p")
-    model = LureSystem(A=[[-1]], B=[p], C=[1], law=relay(1), x0=[1], t_end=1, step=0.1, parameters={p: 1.0})
-    swept = SweepingProcess(q=q, f=[0], constraints={"wall": q + p}, q0=[1], t_end=1, step=0.1, parameters={p: 1.0})
-    for one in (model, swept):
-        with pytest.raises(UsageError, match="give a value to p"):
-            certificate_of(check(one, parameters={"p": (0.5, 2)}, quick=True))
-    with pytest.raises(UsageError, match="give a value to p"):
-        write_certificate(check(model, parameters={"p": (0.5, 2)}, quick=True), tmp_path)
-    assert certificate_of(check(model, quick=True))["statements"]
 
 
 # -- a search at random, and the checker with a premise dropped --------------------------------------------------------------

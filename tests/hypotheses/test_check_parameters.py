@@ -213,7 +213,6 @@ def test_the_command_line(tmp_path, capsys):
         (["--parameters", "p=2"], "expected NAME=LOW:HIGH"),
         (["--parameters", "p=1:2", "--set", "p=1"], "given with --set and with --parameters"),
         (["--parameters", "r=1:2"], "'r'"),
-        (["--parameters", "p=1:2", "--certificate", str(tmp_path / "c")], "certificates are of numbers"),
     ):
         assert main(["check", str(path), *wrong]) == 2
         assert words in capsys.readouterr().err

@@ -8,8 +8,9 @@ A CasADi expression as a straight-line program of few operations, its numbers as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -40,13 +41,18 @@ def exact_matrix_text(entries: Any) -> list[list[str]]:
     return [[exact_number_text(entry) for entry in row] for row in np.atleast_2d(entries)]
 
 
-def straight_line_program(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> ProgramGraph:
-    """The program of the entries of ``expr`` in the symbols ``inputs`` (n, 1), called ``names``.
+def straight_line_program(
+    expr: ca.SX, inputs: ca.SX, names: Sequence[str], values: Mapping[ca.SX, float] = MappingProxyType({})
+) -> ProgramGraph:
+    """The program of the entries of ``expr`` in the symbols ``inputs`` (n, 1), called ``names``; ``values`` of other symbols.
 
     Raises:
         NoProgram: an operation without counterpart, or another symbol.
     """
-    writer = _ProgramWriter({symbol.element_hash(): k for k, symbol in enumerate(ca.vertsplit(inputs))} if inputs.numel() else {})
+    writer = _ProgramWriter(
+        {symbol.element_hash(): k for k, symbol in enumerate(ca.vertsplit(inputs))} if inputs.numel() else {},
+        {symbol.element_hash(): value for symbol, value in values.items()},
+    )
     outputs = fold_graph(ca.densify(ca.vec(ca.SX(expr))), writer.symbol, writer.number, writer.apply) if expr.numel() else []
     return {"inputs": list(names), "steps": writer.steps, "outputs": outputs}
 
@@ -54,8 +60,8 @@ def straight_line_program(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> P
 class _ProgramWriter:
     """Steps, each written once."""
 
-    def __init__(self, places: dict[int, int]) -> None:
-        self.places, self.steps, self.known = places, [], {}
+    def __init__(self, places: dict[int, int], values: dict[int, float]) -> None:
+        self.places, self.values, self.steps, self.known = places, values, [], {}
         neg, sub, mul, add, power = self._neg, self._sub, self._mul, self._add, self._pow
         one, two = Fraction(1), Fraction(2)
         self.rules: dict[int, Callable[..., int]] = {
@@ -89,6 +95,8 @@ class _ProgramWriter:
         }
 
     def symbol(self, symbol: ca.SX) -> int:
+        if symbol.element_hash() in self.values:
+            return self.number(self.values[symbol.element_hash()])
         if symbol.element_hash() not in self.places:
             raise UnsupportedOperation(f"the symbol {symbol} has no value")
         return self._append_step("in", self.places[symbol.element_hash()])
@@ -277,31 +285,48 @@ def gram_matrix_hint(p: verify.Poly) -> dict[str, Any] | None:
     return None if found is None else _gram_hint(found, names)
 
 
+def corner_hints(hints: Sequence[Any]) -> Any:
+    """The hints of all corners of the parameters; of one corner its own."""
+    return hints[0] if len(hints) == 1 else {"corners": list(hints)}
+
+
 def nonnegativity_hint(p: verify.Poly, atoms: verify.Atoms) -> dict[str, Any] | None:
     """A Gram matrix of p less terms that are >= 0 and no polynomials."""
 
     def is_nonnegative_term(m: Any, a: Fraction) -> bool:
         return bool(set(dict(m)) & set(atoms.meaning)) and verify.positive(verify.Poly({m: a}), atoms)
 
-    return gram_matrix_hint(verify.Poly({m: a for m, a in p.items() if not is_nonnegative_term(m, a)}))
+    found = [
+        gram_matrix_hint(verify.Poly({m: a for m, a in q.items() if not is_nonnegative_term(m, a)})) for q in verify.at_corners(p)
+    ]
+    return None if None in found else corner_hints(found)
 
 
 def convexity_hint(p: verify.Poly, own: Sequence[int], atoms: verify.Atoms) -> dict[str, Any]:
     """What shows that p is convex: nothing, by the rules; a Gram matrix of y'D2p y; else a cover."""
     if verify.convex(p, own, atoms):
         return {}
+    found = [_convexity_squares(q, own, atoms) for q in verify.at_corners(p)]
+    return {"cover": AdaptiveCover()} if None in found else {"squares": corner_hints(found)}
+
+
+def _convexity_squares(p: verify.Poly, own: Sequence[int], atoms: verify.Atoms) -> dict[str, Any] | None:
+    """A Gram matrix of y'D2p y; None where none is found."""
     q = {m: a for m, a in p.items() if m and all(v in own for v, _ in m)}
     found = sum_of_squares.sos_convexity_decompositions(q)
     if found is None:
-        return {"cover": AdaptiveCover()}
+        return None
     parts = [_gram_hint(part, [*names, *(-1 - v for v in names)]) for names, part in found]
     G = block_diag(*(part.G for _, part in found)) if parts else []
     rows = [[exact_number_text(Fraction(x)) for x in row] for row in np.asarray(G, dtype=object)]
     one = {"monomials": [m for part in parts for m in part["monomials"]], "G": rows}
-    return {"squares": one} if verify.convex(p, own, atoms, one) else {"cover": AdaptiveCover()}
+    return one if verify.convex(p, own, atoms, one) else None
 
 
-def interior_point_hint(model: Any, finding: Finding) -> dict[str, Any]:
-    """A point inside a set of states."""
-    point = finding.witness.get("interior point", np.array(ca.DM(model.x0)).ravel())
+def interior_point_hint(subject: Any, finding: Finding) -> dict[str, Any]:
+    """A point inside a set of states: that of the finding, or the start for parameters in the middle."""
+    point = finding.witness.get("interior point")
+    if point is None:
+        at = ca.DM([(low + high) / 2 for low, high in subject.ranges.values()])
+        point = np.array(ca.Function("start", [subject.model.p], [ca.densify(subject.model.x0)])(at))
     return {"interior": [exact_number_text(entry) for entry in np.ravel(point)]}

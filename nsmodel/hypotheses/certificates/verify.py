@@ -23,7 +23,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction as Q
-from itertools import pairwise, product
+from itertools import accumulate, pairwise, product
 from typing import Any
 
 FORMAT = 3
@@ -34,12 +34,16 @@ PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
 MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS = 1000, 16, 20000, 200000
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]
+Names = Sequence[str] | None
+Leaf = Callable[..., bool]
 Monomial = tuple[tuple[int, int], ...]
+Parameters = dict[str, "Poly"]  # low + (high - low) unit of each.
 Switch = tuple[Q, list[Q], Q]  # w, a, c of w l a with l in Sgn(a'x + c), w >= 0: the subdifferential of w |a'x + c|.
 NUMBER = re.compile(r"-?[0-9]{1,4000}(/[1-9][0-9]{0,3999})?", re.ASCII)
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,40}", re.ASCII)
 UP, DOWN = decimal.ROUND_CEILING, decimal.ROUND_FLOOR
-FIRST_ATOM = 10**6  # Variables of polynomials: inputs 0, 1, ..., atoms from here on.
+FIRST_UNIT, FIRST_ATOM = 10**5, 10**6  # Variables of polynomials: inputs 0, 1, ..., units and atoms from here on.
+MAX_PARAMETERS, MAX_CORNERS = 1000, 4096
 
 
 class Unproved(Exception):
@@ -52,22 +56,17 @@ def need(true: bool, text: str, kind: str = NO) -> None:
         raise Unproved(text, kind)
 
 
-def record(item: Any) -> dict[str, Any]:
-    """A JSON object."""
-    need(type(item) is dict, "an object is missing")
+def entries(item: Any, count: int | None = None, kind: type = list) -> Any:
+    """A JSON array (or object), of so many entries where that is given."""
+    need(type(item) is kind and count in (None, len(item)), "a list or an object is missing, or has another length")
     return item
 
 
-def entries(item: Any, count: int | None = None) -> list[Any]:
-    """A JSON array, of so many entries where that is given."""
-    need(type(item) is list and count in (None, len(item)), "a list is missing, or has another length")
-    return item
-
-
-def field(item: Any, name: str) -> Any:
-    """An entry of a JSON object."""
-    need(name in record(item), f"'{name}' is missing")
-    return item[name]
+def field(item: Any, name: str, kind: type | None = None) -> Any:
+    """An entry of a JSON object; where ``kind`` is given, of this type, and empty where it is missing or null."""
+    value = entries(item, kind=dict).get(name)
+    need(name in item or kind is not None, f"'{name}' is missing")
+    return value if kind is None else entries(kind() if value is None else value, kind=kind)
 
 
 def names_of(item: Any) -> list[str]:
@@ -83,22 +82,30 @@ def index(item: Any, count: int) -> int:
     return item
 
 
-def number(item: Any, infinite: bool = False) -> Any:
-    """A finite number, "-3/4" or "7"; also "inf" and "-inf" where that is allowed."""
+def number(item: Any, infinite: bool = False, parameters: Parameters | None = None) -> Any:
+    """A finite number, "-3/4" or "7"; where it is allowed also "inf", "-inf", or a function of parameters alone, as a Poly."""
     if infinite and item in ("inf", "-inf"):
         return float(item)
+    if parameters is not None and type(item) is dict:
+        need(defined(program := VerifierProgram(item, [], 1, parameters), []), "a number without value")
+        return plain(Atoms().read(program)[0])
     need(type(item) is str and NUMBER.fullmatch(item) is not None, "a number is not written as a fraction")
     return Q(item)
 
 
-def vector(item: Any, count: int | None = None, infinite: bool = False) -> list[Any]:
+def vector(item: Any, count: int | None = None, parameters: Parameters | None = None, infinite: bool = False) -> list[Any]:
     """A list of numbers."""
-    return [number(entry, infinite) for entry in entries(item, count)]
+    return [number(entry, infinite, parameters) for entry in entries(item, count)]
 
 
-def matrix(item: Any, rows: int | None, columns: int) -> Matrix:
+def matrix(item: Any, rows: int | None, columns: int, parameters: Parameters | None = None) -> Matrix:
     """The rows of a matrix of this size."""
-    return [vector(row, columns) for row in entries(item, rows)]
+    return [vector(row, columns, parameters) for row in entries(item, rows)]
+
+
+def vanishes(A: Matrix) -> bool:
+    """Whether all entries are 0."""
+    return not any(x for row in A for x in row)
 
 
 def escaped(item: Any) -> str:
@@ -140,9 +147,26 @@ def eye(n: int, entry: Any = 1) -> Matrix:
     return [[Q(entry) if i == j else ZERO for j in range(n)] for i in range(n)]
 
 
+def adjugate(W: Matrix) -> tuple[Matrix, Any]:
+    """V and d with W V = d, the adjugate and the determinant with one sign, by the recursion of Faddeev and Le Verrier."""
+    V, WV = eye(len(W)), W
+    for k in range(1, len(W)):
+        V = plus(WV, eye(len(W)), sum((WV[i][i] for i in range(len(W))), ZERO) * Q(-1, k))
+        WV = times(W, V)
+    d = WV[0][0] if W else ONE
+    sign = 1 if least(d) > 0 else -1
+    return [[x * sign for x in row] for row in V], d * sign
+
+
 def psd(M: Matrix, definite: bool = False) -> bool:
-    """Whether M + M' is positive semidefinite (or definite): its LDL' factorisation with the largest pivots first."""
-    S, left = plus(M, transpose(M)) if M else [], list(range(len(M)))
+    """Whether M + M' is positive semidefinite (or definite): its LDL' factorisation with the largest pivots first.
+    With parameters: it is so of all matrices in whose convex hull M lies.
+    """
+    n, S = len(M), plus(M, transpose(M)) if M else []
+    if any(isinstance(x, Poly) for row in M for x in row):
+        found = corners([x for row in M for x in row])
+        return all(psd([c[i * n : (i + 1) * n] for i in range(n)], definite) for c in found)
+    left = list(range(n))
     while left:
         k = max(left, key=lambda i: S[i][i])
         if S[k][k] <= 0:
@@ -152,11 +176,6 @@ def psd(M: Matrix, definite: bool = False) -> bool:
             factor = S[i][k] / S[k][k]
             S[i] = [x - factor * y for x, y in zip(S[i], S[k], strict=True)] if factor else S[i]
     return True
-
-
-def symmetric_below(A: Matrix, P: Matrix, L: Q) -> bool:
-    """Whether P A + A'P <= 2 L P, P symmetric."""
-    return psd(plus([[L * x for x in row] for row in P], times(P, A), -1)) if P else True
 
 
 def rounded(x: Any, up: bool = False) -> Any:
@@ -197,7 +216,8 @@ class VerifierInterval:
     def __neg__(self) -> VerifierInterval:
         return VerifierInterval(-self.hi, -self.lo)
 
-    def __mul__(self, other: VerifierInterval) -> VerifierInterval:
+    def __mul__(self, other: Any) -> VerifierInterval:
+        other = span(other)
         ends = [end_product(a, b) for a in (self.lo, self.hi) for b in (other.lo, other.hi)]
         return VerifierInterval(min(ends), max(ends))
 
@@ -205,14 +225,6 @@ class VerifierInterval:
         """An interval inside this one, and this one but for rounding."""
         left, right = "[" if self.lo > -INF else "(", "]" if self.hi < INF else ")"
         return f"{left}{written(self.lo, UP)}, {written(self.hi, DOWN)}{right}"
-
-    def scaled(self, c: Q) -> VerifierInterval:
-        """The interval times a number."""
-        return self * VerifierInterval(c)
-
-    def within(self, bound: Any) -> bool:
-        """Whether |x| <= bound."""
-        return -bound <= self.lo and self.hi <= bound
 
     def clipped(self, bound: Q) -> VerifierInterval:
         """What is known where |x| <= bound too."""
@@ -232,24 +244,16 @@ class VerifierInterval:
         """The power x^n, n a fraction."""
         n = Q(n)
         if n.denominator > 1:
-            if self.lo < 0 or (n < 0 and self.lo == 0):
-                raise Unproved("a power of what may be negative, or of 0", NO)
+            need(self.lo > 0 or (self.lo == 0 and n > 0), "a power of what may be negative, or of 0")
             if n.denominator == 2:
                 return self.rising(root_of).power(n.numerator)
-            high = log_of(self.hi).scaled(n).rising(exp_of).hi if self.hi > 0 else ZERO
-            return self.log().scaled(n).rising(exp_of) if self.lo > 0 else VerifierInterval(ZERO, high)
+            high = (log_of(self.hi) * n).rising(exp_of).hi if self.hi > 0 else ZERO
+            return (self.rising(log_of) * n).rising(exp_of) if self.lo > 0 else VerifierInterval(ZERO, high)
         if n < 0:
-            if self.lo <= 0 <= self.hi:
-                raise Unproved("a division by what may be 0", NO)
+            need(self.lo > 0 or self.hi < 0, "a division by what may be 0")
             return VerifierInterval(*(ZERO if abs(x) == INF else 1 / x for x in (self.hi, self.lo))).power(-n)
         ends = sorted((self.lo**n.numerator, self.hi**n.numerator)) if n else [ONE, ONE]
         return VerifierInterval(ZERO if n and n % 2 == 0 and self.lo < 0 < self.hi else ends[0], ends[1])
-
-    def log(self) -> VerifierInterval:
-        """The logarithm of x > 0."""
-        if self.lo <= 0:
-            raise Unproved("a logarithm of what may not be positive", NO)
-        return self.rising(log_of)
 
     def sin(self, quarters: int = 0) -> VerifierInterval:
         """The sine of x + quarters pi/2, quarters 0 or 1: the value in the middle, and the slope 1."""
@@ -289,7 +293,8 @@ def exp_of(x: Any) -> VerifierInterval:
 
 
 def log_of(x: Any) -> VerifierInterval:
-    """The logarithm of an end > 0."""
+    """The logarithm of an end, which is > 0."""
+    need(x > 0, "a logarithm of what may not be positive")
     value = ZERO if x == INF else Q(CONTEXT.ln(rounded_by(CONTEXT, x)))
     return VerifierInterval(value, INF if x == INF else value, slack=Q(int(x != 1), 2**150))
 
@@ -300,7 +305,7 @@ def atan_of(x: Any) -> VerifierInterval:
     near = math.atan(x)
     y, at = VerifierInterval(Q(near)), VerifierInterval(x)
     e = (at * y.sin(1) + -y.sin()) * (y.sin(1) + at * y.sin()).power(-1)
-    need(abs(near) < 1.6 and near * x >= 0 and e.within(Q(1, 2**40)), "an arctangent that the machine gets wrong")
+    need(abs(near) < 1.6 and near * x >= 0 and max(-e.lo, e.hi) <= Q(1, 2**40), "an arctangent that the machine gets wrong")
     return y + VerifierInterval(e.lo, e.hi, slack=Q(int(x != 0), 2**110))
 
 
@@ -309,20 +314,25 @@ IntervalMatrix = list[list[VerifierInterval]]
 UNIT, ALL = VerifierInterval(ONE), VerifierInterval(-INF, INF)
 FUNCTIONS: dict[str, Callable[[VerifierInterval], tuple[VerifierInterval, ...]]] = {  # f(x), f'(x), f''(x)
     "exp": lambda x: (x.rising(exp_of),) * 3,
-    "log": lambda x: (x.log(), x.power(-1), -x.power(-2)),
+    "log": lambda x: (x.rising(log_of), x.power(-1), -x.power(-2)),
     "sin": lambda x: (x.sin(), x.sin(1), -x.sin()),
     "cos": lambda x: (x.sin(1), -x.sin(), -x.sin(1)),
     # 1 - 2/(e^2x + 1), in which x occurs once.
     "tanh": lambda x: (
-        t := UNIT + (x.scaled(Q(2)).rising(exp_of) + UNIT).power(-1).scaled(Q(-2)), d := UNIT + -t.power(2), (t * d).scaled(Q(-2))
+        t := UNIT + ((x * 2).rising(exp_of) + UNIT).power(-1) * -2, d := UNIT + -t.power(2), t * d * -2
     ),
-    "atan": lambda x: (x.rising(atan_of), d := (UNIT + x.power(2)).power(-1), ((x * d).clipped(HALF) * d).scaled(Q(-2))),
+    "atan": lambda x: (x.rising(atan_of), d := (UNIT + x.power(2)).power(-1), (x * d).clipped(HALF) * d * -2),
 }  # fmt: skip
 
 
 def length(row: Iterable[VerifierInterval]) -> VerifierInterval:
     """The Euclidean length."""
     return sum((x.power(2) for x in row), VerifierInterval(ZERO)).power(HALF)
+
+
+def symmetric_below(A: Matrix, P: Matrix, L: Q) -> bool:
+    """Whether P A + A'P <= 2 L P, P symmetric."""
+    return psd(plus([[L * x for x in row] for row in P], times(P, A), -1)) if P else True
 
 
 def interval_psd(H: IntervalMatrix) -> bool:
@@ -344,22 +354,24 @@ def norm_below(J: IntervalMatrix, K: Q) -> bool:
 def form_below(J: IntervalMatrix, P: Matrix, L: Q) -> bool:
     """Whether P J + J'P <= 2 L P for all J in an interval matrix."""
     n = range(len(P))
-    PJ = [[sum((J[k][b].scaled(P[a][k]) for k in n), VerifierInterval(ZERO)) for b in n] for a in n]
-    return interval_psd([[VerifierInterval(2 * L * P[a][b]) + -PJ[a][b] + -PJ[b][a] for b in n] for a in n])
+    PJ = [[sum((J[k][b] * P[a][k] for k in n), VerifierInterval(ZERO)) for b in n] for a in n]
+    return interval_psd([[span(2 * L * P[a][b]) + -PJ[a][b] + -PJ[b][a] for b in n] for a in n])
 
 
 class VerifierProgram:
     """A function of named inputs, from JSON: its steps, each of earlier ones, and which of them are its values.
-    The inputs have different names, the steps have the forms of this file's docstring, and exponents are at most MAX_EXPONENT.
+    The inputs have different names, the last are the parameters, and the first n the others; the steps have the forms of this
+    file's docstring, and exponents are at most MAX_EXPONENT.
     """
 
-    def __init__(self, data: Any, inputs: Sequence[str] | None = None, outputs: int | None = None) -> None:
-        self.inputs = names_of(field(data, "inputs"))
-        need(inputs is None or self.inputs == inputs, "a function has other inputs")
+    def __init__(self, data: Any, inputs: Names, outputs: int | None, parameters: Parameters) -> None:
+        self.inputs, self.parameters = names_of(field(data, "inputs")), parameters
+        self.own, self.n = self.inputs[: len(self.inputs) - len(parameters)], len(self.inputs) - len(parameters)
+        need([*self.own, *parameters] == self.inputs, "a function leaves out a parameter")
+        need(inputs is None or self.own == inputs, "a function has other inputs")
         need("steps" in data, f"a function that is not written down: {escaped(data.get('why'))}", UNCHECKED)
         self.steps: list[tuple[str, Any, Any]] = []
-        for step in entries(data["steps"]):
-            self.steps.append(self._read_step(*entries(step)))
+        self.steps.extend(self._read_step(*entries(step)) for step in entries(data["steps"]))
         self.outputs = [index(k, len(self.steps)) for k in entries(field(data, "outputs"), outputs)]
         self.used = {i for op, i, _ in self.steps if op == "in"}
 
@@ -423,14 +435,16 @@ class VerifierJet:
         return VerifierJet(VerifierInterval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
 
 
-def jets(
-    program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False
-) -> list[VerifierJet]:
-    """The jet of each value on a closed box; derivatives up to ``order`` by the inputs ``wrt`` (None: all).
+Jets = list[VerifierJet]
+
+
+def jets(program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False) -> Jets:
+    """The jet of each value on a closed box, for all values of the parameters where the box has none; derivatives up to
+    ``order`` by the inputs ``wrt`` (None: all that are no parameters).
     It returns only if the function is defined on the whole box, and, with order 2, or ``smooth`` and order 1, has continuous
     derivatives of this order at each point of the box. With order 1 alone gradients hold all limits of gradients at kinks.
     """
-    own = list(range(len(program.inputs)) if wrt is None else wrt)
+    own = list(range(program.n) if wrt is None else wrt)
     zero = [VerifierInterval(ZERO)] * len(own) if order else []
     flat = [zero] * len(own) if order > 1 else []
 
@@ -439,10 +453,11 @@ def jets(
             return u.larger(w, smooth)
         if op == "pow":
             factors = [w, w * (w - 1)][:order]
-            slopes = [u.v.power(w - 1 - k).scaled(f) if f else zero[0] for k, f in enumerate(factors)]
+            slopes = [u.v.power(w - 1 - k) * f if f else zero[0] for k, f in enumerate(factors)]
             return u.chain(u.v.power(w), *slopes, *[None] * (2 - order))
         return u.chain(*FUNCTIONS[op](u.v))
 
+    box = [*box, *map(span, program.parameters.values())] if len(box) == program.n else box
     need(len(box) == len(program.inputs), "a box has another size")
     units = [[VerifierInterval(ONE if k == i else ZERO) for i in own] if order else [] for k in range(len(box))]
     inputs = [VerifierJet(x, unit, flat) for x, unit in zip(box, units, strict=True)]
@@ -470,13 +485,15 @@ class Poly(dict[Monomial, Q]):
             need(all(type(v) is int and type(n) is int and n > 0 for v, n in m), "an exponent is no integer > 0")
             need(all(a < b for (a, _), (b, _) in pairwise(m)), "a monomial names a variable twice")
 
-    def __add__(self, o: Poly) -> Poly:
+    def __add__(self, o: Any) -> Poly:
+        o = o if isinstance(o, Poly) else constant(o)
         return Poly({m: self.get(m, ZERO) + o.get(m, ZERO) for m in {**self, **o}})
 
     def __neg__(self) -> Poly:
-        return self.scaled(-ONE)
+        return Poly({m: -a for m, a in self.items()})
 
-    def __mul__(self, o: Poly) -> Poly:
+    def __mul__(self, o: Any) -> Poly:
+        o = o if isinstance(o, Poly) else constant(o)
         need(len(self) * len(o) <= 50 * MAX_TERMS, "a polynomial that is too long", UNCHECKED)
         terms: dict[Monomial, Q] = {}
         for (m, a), (k, b) in product(self.items(), o.items()):
@@ -487,9 +504,7 @@ class Poly(dict[Monomial, Q]):
             terms[both] = terms.get(both, ZERO) + a * b
         return Poly(terms)
 
-    def scaled(self, c: Any) -> Poly:
-        """The polynomial times a number."""
-        return Poly({m: a * c for m, a in self.items()})
+    __radd__, __rmul__ = __add__, __mul__
 
     def number(self) -> Q | None:
         """Its value where it is a constant."""
@@ -506,10 +521,72 @@ def variable(v: int, c: Any = 1) -> Poly:
     return Poly({((v, 1),): Q(c)})
 
 
-class Atoms:
-    """Each operation that is no polynomial is a new variable, the same for the same operation on the same polynomials.
-    ``nonnegative`` has inputs that are >= 0.
+def is_unit(v: int) -> bool:
+    """Whether a variable is a unit: a number between 0 and 1 that a parameter with values between low and high moves with, which
+    is low + (high - low) unit; or what a function of parameters moves with in the same way, as if it varied independently.
     """
+    return FIRST_UNIT <= v < FIRST_ATOM
+
+
+def between(k: int, low: Q, high: Q) -> Poly:
+    """What moves from low to high with unit k."""
+    need(k < MAX_PARAMETERS, "too many parameters", UNCHECKED)
+    return variable(FIRST_UNIT + k, high - low) + low
+
+
+def corners(polys: Sequence[Any]) -> list[list[Q]]:
+    """Points in whose convex hull (p_1, p_2, ...) lies, of numbers and polynomials of units, for all values of these: the
+    coefficients in Bernstein's polynomials, which are >= 0 on [0, 1] and have the sum 1.
+    """
+    terms = [x if isinstance(x, Poly) else constant(x) for x in polys]
+    degrees: dict[int, int] = {}
+    for v, n in (pair for p in terms for m in p for pair in m):
+        degrees[v] = max(n, degrees.get(v, 0))
+    few = all(map(is_unit, degrees)) and math.prod(n + 1 for n in degrees.values()) <= MAX_CORNERS
+    need(few, "more than polynomials of a few parameters", UNCHECKED)
+    found = []
+    for corner in product(*(range(n + 1) for n in degrees.values())):
+        at = dict(zip(degrees, corner, strict=True))
+        share = lambda m, at=at: math.prod((Q(math.comb(at[v], n), math.comb(degrees[v], n)) for v, n in m), start=ONE)  # noqa: E731
+        found.append([sum((a * share(m) for m, a in p.items()), ZERO) for p in terms])
+    return found
+
+
+def at_corners(p: Poly) -> list[Poly]:
+    """Polynomials without units in whose convex hull p lies for all values of the units, those in its atoms aside."""
+    parts: dict[Monomial, dict[Monomial, Q]] = {}
+    for m, a in p.items():
+        units = tuple(pair for pair in m if is_unit(pair[0]))
+        parts.setdefault(tuple(pair for pair in m if pair not in units), {})[units] = a
+    return [Poly(dict(zip(parts, corner, strict=True))) for corner in corners([Poly(part) for part in parts.values()])]
+
+
+def at_each(hint: Any, count: int) -> list[Any]:
+    """The hints of so many corners, which may be one for all."""
+    return entries(hint["corners"], count) if type(hint) is dict and "corners" in hint else [hint] * count
+
+
+def least(x: Any) -> Any:
+    """A number that x, a number or a polynomial of units, is not below."""
+    return min(c for (c,) in corners([x])) if isinstance(x, Poly) else x
+
+
+def span(x: Any) -> VerifierInterval:
+    """The values of an interval, a number, or a polynomial of units."""
+    return x if isinstance(x, VerifierInterval) else VerifierInterval(least(x), -least(-x))
+
+
+def plain(p: Poly) -> Any:
+    """The polynomial, as a number where it is one."""
+    return p if (c := p.number()) is None else c
+
+
+class Atoms:
+    """Each operation that is no polynomial is a new variable, the same for the same operation on the same polynomials: of
+    parameters alone a unit, else an atom. ``nonnegative`` has inputs that are >= 0.
+    """
+
+    units: dict[Any, Poly] = {}  # noqa: RUF012  What functions of units are: the same for all models.
 
     def __init__(self, nonnegative: Iterable[int] = ()) -> None:
         self.known: dict[Any, int] = {}
@@ -517,9 +594,21 @@ class Atoms:
         self.nonnegative = set(nonnegative)
 
     def of(self, op: str, *args: Any) -> Poly:
-        """The atom of an operation."""
-        key = [frozenset(part.items()) if isinstance(part, Poly) else part for part in args]
-        v = self.known.setdefault((op, frozenset(key)) if op == "fmax" else (op, *key), FIRST_ATOM + len(self.known))
+        """The atom of an operation; of units alone low + (high - low) unit, as the operation has values from low to high."""
+        parts = [frozenset(part.items()) if isinstance(part, Poly) else part for part in args]
+        key = (op, frozenset(parts)) if op == "fmax" else (op, *parts)
+        if all(is_unit(v) for part in args if isinstance(part, Poly) for m in part for v, _ in m):
+            if key not in self.units:
+                x, y = span(args[0]), span(args[-1])
+                if op == "fmax":
+                    x = VerifierInterval(max(x.lo, y.lo), max(x.hi, y.hi))
+                else:
+                    x = x.power(args[1]) if op == "pow" else FUNCTIONS[op](x)[0]
+                v = FIRST_UNIT + MAX_PARAMETERS + len(self.units)
+                need(x.lo > -INF and x.hi < INF and v < FIRST_ATOM, "an infinite number", UNCHECKED)
+                self.units[key] = variable(v, x.hi - x.lo) + x.lo
+            return self.units[key]
+        v = self.known.setdefault(key, FIRST_ATOM + len(self.known))
         self.meaning[v] = (op, *args)
         return variable(v)
 
@@ -532,7 +621,7 @@ class Atoms:
 
     def read(self, program: VerifierProgram) -> list[Poly]:
         """The values of a program as polynomials: equal to it wherever it is defined."""
-        return program.run([variable(k) for k in range(len(program.inputs))], constant, self.apply)
+        return program.run([*map(variable, range(program.n)), *program.parameters.values()], constant, self.apply)
 
     def inputs(self, *polys: Poly) -> set[int]:
         """The inputs that polynomials depend on, through atoms too."""
@@ -565,26 +654,36 @@ def squares(hint: Any) -> Poly:
     need(all(type(x) is int for one in pairs for pair in one for x in pair), "a monomial has no integers")
     m, G = [Poly({tuple(sorted(one)): ONE}) for one in pairs], matrix(field(hint, "G"), len(pairs), len(pairs))
     need(psd(G), "G is not psd")
-    return sum(((a * b).scaled(G[i][j]) for (i, a), (j, b) in product(enumerate(m), enumerate(m))), Poly({}))
+    return sum((a * b * G[i][j] for (i, a), (j, b) in product(enumerate(m), enumerate(m))), Poly({}))
 
 
 def affine(polys: Iterable[Poly], own: Sequence[int], atoms: Atoms) -> tuple[Matrix, list[Poly]] | None:
-    """A and b: the polynomials are A own + b, b free of these inputs; None where they are not so."""
+    """A and b: the polynomials are A own + b, b free of these inputs, A of all but units; None where they are not so."""
     A, b = [], []
     for p in polys:
-        rest = Poly({m: a for m, a in p.items() if len(m) != 1 or m[0][1] != 1 or m[0][0] not in own})
-        if atoms.inputs(rest) & set(own):
+        row: dict[int, dict[Monomial, Q]] = {v: {} for v in own}
+        rest = dict(p)
+        for m in p:
+            factor = tuple(pair for pair in m if pair[1] > 1 or pair[0] not in row)
+            if len(factor) == len(m) - 1 and all(is_unit(v) for v, _ in factor):
+                (v,) = (pair[0] for pair in m if pair not in factor)
+                row[v][factor] = rest.pop(m)
+        if atoms.inputs(left := Poly(rest)) & set(own):
             return None
-        A.append([p.get(((v, 1),), ZERO) for v in own])
-        b.append(rest)
+        A.append([plain(Poly(row[v])) for v in own])
+        b.append(left)
     return A, b
 
 
 def convex(p: Poly, own: Sequence[int], atoms: Atoms, hint: Any = None) -> bool:
-    """Whether p is convex in the inputs ``own``, at all values that these can have, wherever p is defined.
+    """Whether p is convex in the inputs ``own``, at all values that the others can have, wherever p is defined.
     A sum of convex terms with weights >= 0 (see ``bends``) and of a rest, a polynomial in ``own``: of degree 2 with a psd
-    Hessian, or, with a hint, of any degree where y'D2p y, y_k the variable -1 - k, is the sum of squares of the hint.
+    Hessian, or, with a hint, of any degree where y'D2p y, y_k the variable -1 - k, is the sum of squares of the hint. With units:
+    it is so at all corners.
     """
+    if any(is_unit(v) for m in p for v, _ in m):
+        found = at_corners(p)
+        return all(convex(q, own, atoms, part) for q, part in zip(found, at_each(hint, len(found)), strict=True))
     rest = {}
     for m, a in p.items():
         inner = [(v, n) for v, n in m if atoms.feels(v, own)]
@@ -625,52 +724,64 @@ def positive(p: Poly, atoms: Atoms) -> bool:
         op, u, *more = atoms.meaning.get(v, ("in", None))
         if op == "fmax":
             return u == -more[0] or positive(u, atoms) or positive(more[0], atoms)
-        return v in atoms.nonnegative or op == "exp" or (op == "pow" and more[0].denominator > 1)
+        return v in atoms.nonnegative or is_unit(v) or op == "exp" or (op == "pow" and more[0].denominator > 1)
 
     return all(a >= 0 and all(n % 2 == 0 or is_nonnegative(v) for v, n in m) for m, a in p.items())
 
 
 def defined(program: VerifierProgram, box: Box) -> bool:
-    """True where each step is defined on the whole box; raises else. The polynomials alone do not see a 0/0 that cancels."""
-    return len(jets(program, box, 0)) == len(program.outputs)
+    """True where each step is defined for all values of the parameters, and of the inputs of which the box has no intervals;
+    raises else. The polynomials alone do not see a 0/0 that cancels.
+    """
+    return len(jets(program, [*box, *[ALL] * (program.n - len(box))], 0)) == len(program.outputs)
 
 
 class VerifierModel:
-    """The data of a model. ``inputs`` are those of the function that is named first; states are among them."""
+    """The data of a model. ``inputs`` are those of the function that is named first but for the parameters, ``n`` their number;
+    states are among them. Each of its functions has all parameters, and a number may be a function of these alone.
+    """
 
     name, first = "", ""
 
-    def __init__(self, data: Any) -> None:
+    def __init__(self, data: Any, parameters: Parameters) -> None:
         need(field(data, "class") == self.name, "a hypothesis of another class of models")
-        self.data, self.inputs = data, names_of(field(field(data, self.first), "inputs"))
+        need(names_of(data.get("parameters", [])) == list(parameters), "the scope has other parameters")
+        self.data, self.parameters = data, parameters
+        inputs = names_of(field(field(data, self.first), "inputs"))
+        self.inputs = inputs[: len(inputs) - len(parameters)]
         self.n = len(self.inputs)
 
     def program(self, name: str, outputs: int | None = None) -> VerifierProgram:
-        """A function of these inputs."""
-        return VerifierProgram(field(self.data, name), self.inputs, outputs)
+        """A function of ``inputs``."""
+        return VerifierProgram(field(self.data, name), self.inputs, outputs, self.parameters)
 
 
 class VerifierStatement:
     """A statement of a certificate: its id, its numbers, the box that it speaks of, and the hints of its proof.
     The numbers are those that the hypothesis has, no others, all finite. The box gives intervals for names of inputs, and for t;
-    all other inputs may have any value.
+    all other inputs may have any value. It is said for all values of the parameters between their ends, all finite.
     """
 
     def __init__(self, data: Any, id: str) -> None:
-        self.id, value, names = id, record(field(data, "value")), NUMBERS.get(id, ())
+        self.id, value, names = id, entries(field(data, "value"), kind=dict), NUMBERS.get(id, ())
         need(set(names) <= set(value) <= {*names, *OPTIONAL.get(id, ())}, "a number is missing, or one has no place here")
         self.value = {name: number(value[name]) for name in value}
-        scope = record({} if field(data, "scope") is None else data["scope"])
-        need(set(scope) <= {"states", "time"}, "a scope of parameters", UNCHECKED)
-        states = record({} if scope.get("states") is None else scope["states"])
+        need("scope" in data and set(scope := field(data, "scope", dict)) <= {"states", "time", "parameters"}, "another scope")
+        states, ranges = (field(scope, part, dict) for part in ("states", "parameters"))
         ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
-        self.box = {name: VerifierInterval(*vector(entries(pair, 2), 2, infinite=True)) for name, pair in ends.items()}
-        self.proof = record(field(data, "proof"))
+        self.box = {name: VerifierInterval(*vector(pair, 2, infinite=True)) for name, pair in ends.items()}
+        need(not set(ranges) & set(ends), "a parameter has the name of an input")
+        self.ranges = {name: vector(pair, 2) for name, pair in ranges.items()}
+        need(all(low <= high for low, high in self.ranges.values()), "the interval of a parameter is empty")
+        self.parameters = {name: between(k, *self.ranges[name]) for k, name in enumerate(self.ranges)}
+        self.proof = field(data, "proof", dict)
 
     def intervals(self, names: Sequence[str], *programs: VerifierProgram) -> Box:
-        """The box of some inputs; 0 for those at which no step of the programs looks."""
+        """The box of some inputs and of the programs' parameters; 0 for those at which no step of these looks."""
         used = {program.inputs[k] for program in programs for k in program.used}
-        return [self.box.get(name, ALL) if name in used else VerifierInterval(ZERO) for name in names]
+        box = {name: self.box.get(name, ALL) for name in names}
+        box |= {name: span(p) for program in programs for name, p in program.parameters.items()}
+        return [x if name in used else VerifierInterval(ZERO) for name, x in box.items()]
 
     def where(self, names: Sequence[str]) -> str:
         """For all values of some inputs, in words."""
@@ -679,12 +790,15 @@ class VerifierStatement:
         every = f"for all {', '.join(rest) if len(rest) <= 6 else f'{rest[0]}, ..., {rest[-1]}'}" if rest else "for all values"
         return f"{every} with {boxed}" if boxed else every
 
+    def parameters_in_words(self) -> str:
+        """For which parameters."""
+        ranges = (f"{escaped(name)} in [{written(low, UP)}, {written(high, DOWN)}]" for name, (low, high) in self.ranges.items())
+        return "".join(f"; for every {one}" for one in ranges)
 
-def on_cover(
-    program: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Callable[..., bool], smooth: bool = False
-) -> bool:
+
+def on_cover(g: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Leaf, smooth: bool = False) -> bool:
     """Whether ``leaf(jets)`` holds on each part of the scope's box."""
-    return cover(tree, s.intervals(program.inputs, program), lambda part, _: leaf(jets(program, part, order, None, smooth)))
+    return cover(tree, s.intervals(g.own, g), lambda part, _: leaf(jets(g, part, order, None, smooth)))
 
 
 def inside(program: VerifierProgram, point: Sequence[Q], strictly: bool = True) -> bool:
@@ -695,16 +809,16 @@ def inside(program: VerifierProgram, point: Sequence[Q], strictly: bool = True) 
 
 def concave_rows(program: VerifierProgram) -> bool:
     """Whether all rows are defined and concave everywhere, by the rules: then {rows >= 0} is closed and convex."""
-    n, atoms = list(range(len(program.inputs))), Atoms()
-    return defined(program, [ALL] * len(n)) and all(convex(-p, n, atoms) for p in atoms.read(program))
+    n, atoms = list(range(program.n)), Atoms()
+    return defined(program, []) and all(convex(-p, n, atoms) for p in atoms.read(program))
 
 
 def curved(program: VerifierProgram, s: VerifierStatement, hint: dict[str, Any]) -> bool:
     """Whether a function is defined and convex: its Hessian is psd on a cover of the box; or everywhere, by rules and squares."""
-    n, atoms = list(range(len(program.inputs))), Atoms()
+    n, atoms = list(range(program.n)), Atoms()
     if "cover" in hint:
         return on_cover(program, s, hint["cover"], 2, lambda found: interval_psd(found[0].H))
-    return defined(program, [ALL] * len(n)) and convex(atoms.read(program)[0], n, atoms, hint.get("squares"))
+    return defined(program, []) and convex(atoms.read(program)[0], n, atoms, hint.get("squares"))
 
 
 def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q, factor: int = 1) -> bool:
@@ -714,69 +828,95 @@ def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q
     n, atoms = range(len(P)), Atoms()
     found = None if "cover" in s.proof else affine(atoms.read(program), n, atoms)
     if found is not None:
-        return defined(program, [ALL] * len(n)) and symmetric_below([[factor * x for x in row] for row in found[0]], P, L)
-    leaf = lambda j: form_below([[x.scaled(Q(factor)) for x in y.g] for y in j], P, L)  # noqa: E731
+        return defined(program, []) and symmetric_below([[factor * x for x in row] for row in found[0]], P, L)
+    leaf = lambda j: form_below([[x * factor for x in y.g] for y in j], P, L)  # noqa: E731
     return on_cover(program, s, field(s.proof, "cover"), 1, leaf)
 
 
 class SweepingData(VerifierModel):
     """The model q' + N(Q(t), q) ∋ f(t, q), Q(t) = {q : g_i(t, q) >= 0 for all i}; g_i looks at t and some of the states.
-    U_i is {g_i > -delta_i}, and the whole space where no delta is given.
+    U_i is {g_i > -delta_i}, and the whole space where no delta is given. A row with ``members`` is a family: one g_i for each
+    member, which lists the states and the numbers that g_i has as inputs behind t; these are proved as parameters, in any states.
     """
 
     name, first = "SweepingProcess", "f"
 
-    def __init__(self, data: Any) -> None:
-        super().__init__(data)
-        rows = entries(field(data, "constraints"))
-        self.gaps = [VerifierProgram(field(row, "graph"), outputs=1) for row in rows]
-        self.deltas = [number(row["delta"]) if "delta" in row else None for row in rows]
+    def __init__(self, data: Any, parameters: Parameters) -> None:
+        super().__init__(data, parameters)
+        rows = [self.read_row(row) for row in entries(field(data, "constraints"))]
+        self.gaps, self.members, self.deltas = ([row[k] for row in rows] for k in range(3))
         self.n -= 1
-        need(all(p[:1] == ["t"] and set(p) <= set(self.inputs) for p in [self.inputs, *(g.inputs for g in self.gaps)]), "no t")
+        need(all(p.own[:1] == ["t"] for p in self.gaps) and self.inputs[:1] == ["t"], "t is not the first input")
+
+    def read_row(self, row: Any) -> tuple[VerifierProgram, list[tuple[list[str], list[Q]]], Q | None]:
+        """The function g of a row, the states and numbers of each constraint that it stands for, and delta."""
+        names, family, known = names_of(field(row, "numbers", list)), "members" in row, set(self.inputs)
+        members = [
+            (names_of(field(one, "states")), vector(field(one, "numbers"), len(names))) for one in field(row, "members", list)
+        ]
+        hulls = [(min(column), max(column)) for column in transpose([numbers for _, numbers in members])]
+        units = {name: between(len(self.parameters) + k, *hulls[k]) for k, name in enumerate(names)}
+        g = VerifierProgram(field(row, "graph"), None, 1, {**units, **self.parameters})
+        members = members if family else [(g.own[1:], [])]
+        need(not set(names) & set(self.parameters) and not (family and known & set(g.own[1:])), "a name of a family is known")
+        need(members != [] and all(len(q) == g.n - 1 and set(q) <= known for q, _ in members), "a constraint has other states")
+        return g, members, number(row["delta"]) if "delta" in row else None
 
     def where(self, s: VerifierStatement, local: bool = True) -> str:
         """For which t, q and i, and what the U_i are, in words."""
-        finite = [f"{written(delta)} (i = {i + 1})" for i, delta in enumerate(self.deltas) if delta is not None and local]
+        ends = list(accumulate(map(len, self.members), initial=0))
+        spans = [f"{a + 1}" if b == a + 1 else f"{a + 1}, ..., {b}" for a, b in pairwise(ends)]
+        finite = [f"{written(d)} (i = {i})" for i, d in zip(spans, self.deltas, strict=True) if d is not None and local]
         deltas = f"; delta_i = {', '.join(finite[:8])}{', ...' * (len(finite) > 8)}" if finite else ""
-        return f"{s.where(self.inputs)}, for each of {len(self.gaps)} i{deltas}"
+        return f"{s.where(self.inputs)}, for each of {ends[-1]} i{deltas}"
 
 
 class NormForm:
-    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = A q + c(t); or rows of u are q_k - min(max(q_k, low), high).
-    Then w |u| is the distance to a product of intervals and points, and the gradient w A'n, n = u/|u|.
+    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = y - Pi(y), y = A q + c(t), Pi the projection on a convex set: on 0, on
+    a product of intervals, or on the points s e with s between two numbers; |u| is the distance to that set.
+    A distance d is convex, and off the set C1 with the gradient n = u/|u|, the derivatives of which lie between 0 and 1/d.
     """
 
     def __init__(self, g: VerifierProgram, hint: dict[str, Any]) -> None:
-        own, atoms = list(range(1, len(g.inputs))), Atoms()
-        self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"))
-        self.A, self.units = matrix(field(hint, "A"), None, len(own)), eye(len(own))
-        self.centre = [VerifierProgram(part, ["t"], 1) for part in entries(field(hint, "c"), len(self.A))]
-        self.offset = VerifierProgram(field(hint, "offset"), ["t"], 1)
+        own, atoms = list(range(1, g.n)), Atoms()
+        self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"), parameters=g.parameters)
+        self.A = matrix(field(hint, "A"), None, len(own), g.parameters)
+        parts = [*entries(field(hint, "c"), len(self.A)), field(hint, "offset")]
+        *self.centre, self.offset = (VerifierProgram(part, ["t"], 1, g.parameters) for part in parts)
         self.b, self.reach = (number(hint.get(name, "0")) for name in ("b", "reach"))
-        need(self.w > 0, "w is not > 0")
+        need(least(self.w) > 0, "w is not > 0")
         *c, offset = (atoms.read(part)[0] for part in [*self.centre, self.offset])
-        u = [sum(map(variable, own, row), entry) for row, entry in zip(self.A, c, strict=True)]
-        for k, clip in enumerate(entries(hint.get("clips", [None] * len(u)), len(u))):
-            if clip is not None:
-                low, high = vector(clip, 2)
-                need(all(row in self.units and self.A.count(row) == 1 for row in self.A), "q has other coordinates")
-                need(not c[k], "a distance to an interval that moves")
-                u[k] = u[k] + atoms.of("fmax", -atoms.of("fmax", u[k], constant(low)), constant(-high))
-        norm = atoms.of("pow", sum((x * x for x in u), Poly({})), HALF)
-        need(atoms.read(g)[0] == norm.scaled(self.w) + offset, "g is not w |u| + offset")
+        y = [sum((variable(k) * x for k, x in zip(own, row, strict=True)), entry) for row, entry in zip(self.A, c, strict=True)]
+        if "along" in hint:
+            e = vector(hint["along"], len(y))
+            s = self.clip(sum((v * x for v, x in zip(y, e, strict=True)), Poly({})) * (1 / dot(e, e)), hint["ends"], atoms)
+            u = [v + s * -x for v, x in zip(y, e, strict=True)]
+        else:
+            clips = entries(hint.get("clips", [None] * len(y)), len(y))
+            u = [v if clip is None else v + -self.clip(v, clip, atoms) for v, clip in zip(y, clips, strict=True)]
+        norms = [atoms.of("pow", sum((x * x for x in u), Poly({})), HALF), *(atoms.of("fmax", x, -x) for x in u if len(u) == 1)]
+        need(atoms.read(g)[0] in [norm * self.w + offset for norm in norms], "g is not w |u| + offset")
+
+    @staticmethod
+    def clip(x: Poly, ends: Any, atoms: Atoms) -> Poly:
+        """The nearest point to x of an interval [low, high]: max(x, low), then min with high; or the other way round."""
+        low, high = vector(entries(ends)[:2], 2, infinite=True)
+        need(low <= high, "an interval is empty")
+        for end, sign in ((low, 1), (high, -1)) if len(ends) == 2 else ((high, -1), (low, 1)):
+            x = atoms.of("fmax", x * sign, constant(end) * sign) * sign if abs(end) < INF else x
+        return x
 
     def between(self, a: Q, b: Q) -> bool:
         """Whether a <= |w A'n| <= b for all n with |n| = 1, 0 <= a, 0 <= b."""
-        AA, w = times(self.A, transpose(self.A)), self.w
-        return b >= 0 and psd(plus(AA, eye(len(AA), (a / w) ** 2), -1)) and psd(plus(eye(len(AA), (b / w) ** 2), AA, -1))
+        AA = times([[x * self.w * self.w for x in row] for row in self.A], transpose(self.A))
+        return b >= 0 and psd(plus(AA, eye(len(AA), a * a), -1)) and psd(plus(eye(len(AA), b * b), AA, -1))
 
     def in_time(self, s: VerifierStatement, leaf: Callable[..., bool]) -> bool:
         """Whether g is defined for all q, and ``leaf(|c'|, offset', offset)`` holds, at all times of the scope."""
 
         def part(box: Box, _: Any) -> bool:
             *c, offset = (jets(p, box, 1)[0] for p in [*self.centre, self.offset])
-            whole = defined(self.g, [*box, *[ALL] * (len(self.g.inputs) - 1)])
-            return whole and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
+            return defined(self.g, box[:1]) and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
 
         return cover(self.time, s.intervals(["t"], self.g), part)
 
@@ -788,12 +928,11 @@ def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
     w > 0), or is convex by the rules; 3. or the Hessian is psd on parts that cover the box.
     """
     for g, hint in zip(m.gaps, entries(field(s.proof, "constraints"), len(m.gaps)), strict=True):
-        own, atoms, kind = list(range(1, len(g.inputs))), Atoms(), field(hint, "form")
+        own, atoms, kind = list(range(1, g.n)), Atoms(), field(hint, "form")
         if kind == "norm":
             need(NormForm(g, hint).in_time(s, lambda *_: True), "g is not defined")  # 1, 2
         elif kind == "rules":
-            whole = cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g, own=own: defined(g, [*t, *[ALL] * len(own)]))
-            need(whole, "g is not defined")  # 1
+            need(cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g: defined(g, t[:1])), "g is not defined")  # 1
             need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
         else:
             whole = on_cover(g, s, hint.get("cover"), 2, lambda j: interval_psd([row[1:] for row in j[0].H[1:]]))
@@ -817,7 +956,7 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
     need(all(x > 0 or (x == 0 and name not in ("a", "c")) for name, x in s.value.items()), "a number is not > 0, or < 0")  # 1
 
     def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
-        w, left = form.w, form.reach - delta
+        w, left = -least(-form.w), form.reach - delta
         return {
             "A0": lambda: 0 < c and c * form.b <= delta,
             "A1": lambda: form.between(a, b),
@@ -831,7 +970,7 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
         return {
             "A0": lambda: delta is None or (0 < c and c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
             "A1": lambda: a <= size.lo and size.hi <= b,
-            "A2": lambda: g.g[0].within(speed),
+            "A2": lambda: max(-g.g[0].lo, g.g[0].hi) <= speed,
             "A3": lambda: length(g.H[0][1:]).hi <= turn,
             "A4": lambda: norm_below(H, M) and (g.v.hi < 0 or norm_below(H, near)),
         }[s.id]()
@@ -862,20 +1001,21 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
 def qualified(m: SweepingData, s: VerifierStatement) -> str:
     """A5, A5': sum l_i |grad g_i| <= gamma |sum l_i grad g_i| for all l >= 0 and q in Q(t), over the i with g_i <= rho.
     Theorem: it is so where a d, not 0, has <grad g_i, d> >= |grad g_i| |d| / gamma for these i: multiply by l_i, add, and divide
-    by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, or at most one constraint; A5'
-    is with rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
+    by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, without it all i; A5' is with
+    rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
     """
-    gamma, rho, gaps = s.value["gamma"], s.value.get("rho", ZERO), m.gaps
+    gamma, rho, gaps = s.value["gamma"], s.value.get("rho", INF if s.id == "A5" else ZERO), m.gaps
+    need(all(g.own[1:] == q for g, ((q, _), *_) in zip(gaps, m.members, strict=True)), "families", UNCHECKED)
     need(gamma >= 1, "gamma < 1")  # 1
-    need(s.id == "A5'" or len(gaps) < 2 or rho > 0, "rho is missing, or not > 0")  # 2
+    need(s.id == "A5'" or rho > 0, "rho is not > 0")  # 2
 
     def escapes(d: dict[str, Q], names: list[str], gradient: Box) -> bool:
-        along = sum((x.scaled(d[v]) for v, x in zip(names, gradient, strict=True)), VerifierInterval(ZERO))
+        along = sum((x * d[v] for v, x in zip(names, gradient, strict=True)), VerifierInterval(ZERO))
         return end_product(gamma, along.lo) >= (length(gradient) * length(map(VerifierInterval, d.values()))).hi
 
     def leaf(box: Box, hint: Any) -> bool:
-        own = dict(zip(m.inputs, box, strict=True))
-        found = [(g.inputs[1:], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
+        own = dict(zip([*m.inputs, *m.parameters], box, strict=True))
+        found = [(g.own[1:], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
         near = [(names, g.g[1:]) for names, g in found if g.v.lo <= rho]
         if len(near) <= 1 or any(g.v.hi < 0 for _, g in found):
             return True
@@ -904,14 +1044,14 @@ def velocity(m: SweepingData, s: VerifierStatement) -> str:
 
     def part(box: Box, _: Any) -> bool:
         j = jets(f, box, 1)  # 1
-        return small(j, length(box[1:]).lo) and norm_below([x.g[1:] for x in j], K)  # 2
+        return small(j, length(box[1 : m.n + 1]).lo) and norm_below([x.g[1:] for x in j], K)  # 2
 
     if found is not None:
-        A = [[VerifierInterval(x) for x in row] for row in found[0]]
+        A = [[span(x) for x in row] for row in found[0]]
         need(norm_below(A, K), "K_f")  # 2
         need(norm_below(A, L), "L_f")  # 3
         zero = [VerifierInterval(ZERO)] * m.n
-        leaf = lambda t, _: defined(f, [*t, *[ALL] * m.n]) and small(jets(f, [*t, *zero], 1, [0]), ZERO)  # noqa: E731
+        leaf = lambda t, _: defined(f, t[:1]) and small(jets(f, [t[0], *zero, *t[1:]], 1, [0]), ZERO)  # noqa: E731
         need(cover(s.proof.get("time"), s.intervals(["t"], f), leaf), "f, L_f or L_t")  # 1
     else:
         need(cover(field(s.proof, "cover"), s.intervals(m.inputs, f), part), "K_f, L_f or L_t")
@@ -921,11 +1061,16 @@ def velocity(m: SweepingData, s: VerifierStatement) -> str:
 
 
 def start(m: SweepingData, s: VerifierStatement) -> str:
-    """S-start: g_i(0, q_0) >= 0. Premise: 1. each value, in intervals."""
-    point = dict(zip(m.inputs, [ZERO, *vector(field(m.data, "q0"), m.n)], strict=True))
-    for g in m.gaps:
-        need(inside(g, [point[name] for name in g.inputs], strictly=False), "g < 0 at the start, or too near to 0")  # 1
-    return f"g_i(0, q_0) >= 0 for each of {len(m.gaps)} i, q_0 = ({', '.join(written(point[name]) for name in m.inputs[1:])})"
+    """S-start: g_i(0, q_0) >= 0. Premises: 1. g is defined there; 2. each value, which is a number or a polynomial of units."""
+    q = dict(zip(m.inputs[1:], vector(field(m.data, "q0"), m.n, m.parameters), strict=True))
+    for g, members in zip(m.gaps, m.members, strict=True):
+        for names, numbers in members:
+            point = [x + constant(ZERO) for x in (ZERO, *(q[name] for name in names), *numbers, *m.parameters.values())]
+            need(defined(g, list(map(span, point))), "g is not defined")  # 1
+            (value,) = g.run(point, constant, Atoms().apply)
+            need(least(value) >= 0, "g < 0 at the start, or too near to 0")  # 2
+    start = ", ".join(written(x) if type(x) is Q else f"a number in {span(x)}" for x in list(q.values())[:100])
+    return f"g_i(0, q_0) >= 0 for each of {sum(map(len, m.members))} i, q_0 = ({start}{', ...' * (m.n > 100)})"
 
 
 class OscillatorData(VerifierModel):
@@ -935,8 +1080,8 @@ class OscillatorData(VerifierModel):
 
     def frictions(self) -> list[VerifierProgram]:
         """The friction of each element, of the speed."""
-        found = [VerifierProgram(part, outputs=1) for part in entries(field(self.data, "theta"))]
-        need(all(len(part.inputs) == 1 for part in found), "theta has other inputs than the speed")
+        found = [VerifierProgram(part, None, 1, self.parameters) for part in entries(field(self.data, "theta"))]
+        need(all(part.n == 1 for part in found), "theta has other inputs than the speed")
         return found
 
 
@@ -951,22 +1096,25 @@ def friction(m: OscillatorData, s: VerifierStatement) -> str:
     theta'(0) >= 0; 3. it is convex for s >= 0: theta'' >= 0 on a cover, or it is a sum of convex terms and of a polynomial whose
     second derivative is a + s b with sums of squares a, b; 4. the damping is psd.
     """
-    line, frictions = [VerifierInterval(ZERO, INF)], m.frictions()
+    line, frictions = [VerifierInterval(ZERO, INF), *map(span, m.parameters.values())], m.frictions()
     for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
         need(
-            cover(record(hint).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1), "theta'"
+            cover(entries(hint, kind=dict).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1),
+            "theta'",
         )  # 1
         need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
         if "cover" in hint:
             need(cover(hint["cover"], line, lambda box, _, p=theta: jets(p, box)[0].H[0][0].lo >= 0), "theta'' < 0")  # 3
             continue
         atoms = Atoms(nonnegative=[0])
-        first, second = (squares(part) for part in entries(field(hint, "squares"), 2))
-        rest = leftover(atoms.read(theta)[0], atoms)
-        need(slope(slope(rest, 0, atoms), 0, atoms) == first + variable(0) * second, "theta'' is another")  # 3
+        found = at_corners(atoms.read(theta)[0])
+        for p, part in zip(found, at_each(field(hint, "squares"), len(found)), strict=True):
+            first, second = map(squares, entries(part, 2))
+            bend = slope(slope(leftover(p, atoms), 0, atoms), 0, atoms)
+            need(bend == first + variable(0) * second, "theta'' is another")  # 3
     damping = field(m.data, "damping")
     if damping != []:
-        need(psd(matrix(damping, m.n, m.n)), "the damping is not psd")  # 4
+        need(psd(matrix(damping, m.n, m.n, m.parameters)), "the damping is not psd")  # 4
     drag = "; the symmetric part of the damping is positive semidefinite" if damping != [] else ""
     return f"theta_j is C1, convex and nondecreasing on [0, inf), for each of {len(frictions)} j{drag}"
 
@@ -982,16 +1130,18 @@ def potential(m: OscillatorData, s: VerifierStatement) -> str:
     need(concave_rows(C), "a row is not concave by the rules")  # 1
     need(inside(C, vector(field(hint, "interior"), m.n)), "the point is not inside")  # 2
     need(curved(g, s, hint), "g is not convex")  # 3
-    need(defined(g, [ALL] * m.n), "g is not defined")  # 4
+    need(defined(g, []), "g is not defined")  # 4
     (p,) = atoms.read(g)
     if "mu" in hint:
         mu, half = number(hint["mu"]), sum((variable(i) * variable(i, HALF) for i in range(m.n)), constant(ZERO))
         need(mu > 0, "mu is not > 0")  # 6
-        need(convex(p + half.scaled(-mu), range(m.n), atoms), "g - mu |x|^2/2 is not convex")  # 6
+        need(convex(p + half * -mu, range(m.n), atoms), "g - mu |x|^2/2 is not convex")  # 6
         (at,) = jets(g, [VerifierInterval(x) for x in vector(field(hint, "least"), m.n)], 1)
         need(at.v.lo - end_product(1 / (2 * mu), length(at.g).power(2).hi) >= bound, "inf g")  # 7
     else:
-        need(positive(p + constant(-bound) + -squares(field(hint, "bound")), atoms), "inf g")  # 5
+        found = at_corners(p + -bound)
+        for q, part in zip(found, at_each(field(hint, "bound"), len(found)), strict=True):
+            need(positive(q + -squares(part), atoms), "inf g")  # 5
     whole = f"g is convex {s.where(m.inputs)}" if "cover" in hint else "g is convex"
     domain = "{x : C_i(x) >= 0} is closed and convex, and has interior points"
     return f"{whole}; g >= {written(bound, DOWN)} everywhere; {domain}"
@@ -1006,9 +1156,9 @@ def dry(m: OscillatorData, s: VerifierStatement) -> str:
     need(r > 0, "r is not > 0")  # 1
     gram = eye(m.n, -r * r)
     for theta, entry in zip(frictions, entries(field(m.data, "H"), len(frictions)), strict=True):
-        H, least = matrix(entry, None, m.n), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
-        need(least >= 0, "theta'(0) < 0")  # 2
-        gram = plus(gram, times(transpose(H), H), least * least)
+        H, low = matrix(entry, None, m.n, m.parameters), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
+        need(low >= 0, "theta'(0) < 0")  # 2
+        gram = plus(gram, times(transpose(H), H), low * low)
     need(psd(gram), "the radius")  # 3
     return f"sum_j theta_j'(0) |H_j d| >= {written(r, DOWN)} |d| for all d"
 
@@ -1021,25 +1171,34 @@ def steps_grow(m: OscillatorData, s: VerifierStatement) -> str:
     return f"0 < h_1 <= h_2 <= ... of all {len(steps)} steps, from {written(steps[0])} to {written(steps[-1])}"
 
 
+def gap(low: Any, high: Any) -> Any:
+    """A number that high - low is not below, of ends."""
+    return INF if low == -INF or high == INF else least(high + -low)
+
+
 class VerifierLaw:
     """A product K of closed convex sets in R^count; ``ends`` of its intervals.
     ``bounded`` and ``nonempty`` are True where that is known: of boxes, of balls and second-order cones, and of polyhedra {H l >=
     K} and ellipsoids that hold 0.
     """
 
-    def __init__(self, data: Any, count: int) -> None:
+    def __init__(self, m: VerifierModel, data: Any, count: int) -> None:
         blocks = entries(data)
         self.kinds, self.ends = {field(block, "kind") for block in blocks}, []
         need(self.kinds <= {"box", "ball", "second-order cone", "polyhedron", "ellipsoid"}, "another law", UNCHECKED)
         need(sum(index(field(block, "size"), count + 1) for block in blocks) == count, "the law has another size")
         for block in blocks:
             if block["kind"] == "box":
-                lower, upper = (vector(field(block, name), block["size"], infinite=True) for name in ("lower", "upper"))
+                lower, upper = (vector(field(block, name), block["size"], m.parameters, True) for name in ("lower", "upper"))
                 self.ends += zip(lower, upper, strict=True)
-        need(all(low <= high and low < INF and high > -INF for low, high in self.ends), "an interval of the law is empty")
+        need(
+            all(gap(low, high) >= 0 and low != INF and high != -INF for low, high in self.ends), "an interval of the law is empty"
+        )
         need(all(number(field(block, "radius")) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
         self.nonempty = all(x <= 0 for block in blocks if block["kind"] == "polyhedron" for x in vector(field(block, "K")))
-        self.bounded = self.kinds <= {"box", "ball"} and all(abs(x) < INF for pair in self.ends for x in pair)
+        self.bounded = self.kinds <= {"box", "ball"} and all(
+            isinstance(x, Poly) or abs(x) < INF for pair in self.ends for x in pair
+        )
 
 
 class FirstOrderData(VerifierModel):
@@ -1047,19 +1206,19 @@ class FirstOrderData(VerifierModel):
 
     name, first = "FirstOrderSystem", "f"
 
-    def __init__(self, data: Any) -> None:
-        super().__init__(data)
+    def __init__(self, data: Any, parameters: Parameters) -> None:
+        super().__init__(data, parameters)
         self.n = len(entries(field(data, "x0")))
         self.m = len(self.inputs) - 1 - self.n
         need(self.inputs[:1] == ["t"] and self.m >= 0, "f has other inputs than t, states and multipliers")
-        self.M, self.steps = matrix(field(data, "M"), self.n, self.n), vector(field(data, "steps"))
+        self.M, self.steps = matrix(field(data, "M"), self.n, self.n, parameters), vector(field(data, "steps"))
         self.theta, self.gamma = number(field(data, "theta")), number(field(data, "gamma"))
         need(all(step > 0 for step in self.steps), "a step is not > 0")
 
     def programs(self) -> list[VerifierProgram]:
         """The functions f, which looks at no multiplier, g and h."""
         f, g, h = self.program("f", self.n), self.program("g", self.n), self.program("h", self.m)
-        need(all(k <= self.n for k in f.used), "f looks at a multiplier")
+        need(not any(self.n < k < f.n for k in f.used), "f looks at a multiplier")
         return [f, g, h]
 
 
@@ -1075,18 +1234,21 @@ def smooth_system(m: FirstOrderData, s: VerifierStatement) -> str:
 
 def step_bound(m: FirstOrderData, s: VerifierStatement) -> str:
     """F-step, F-W: M - s(theta f_x + gamma g_x) is regular for all 0 <= s <= h, and h is not below any step.
-    Theorem: with X = M^-1 (theta f_x + gamma g_x), <v, X v> < |v|^2 / s for v not 0 leaves no v with v = s X v. Premises: 1. the
-    inverse of M; 2. h > 0 is not below a step; 3. <v, X v> <= |v|^2 (1 - 2^-30)/h on parts that cover the box.
+    Theorem: with a matrix R and J = theta f_x + gamma g_x, <v, R(M - s J) v> is affine in s; where it is > 0 for s = 0 and s = h
+    and all v, not 0, no v has (M - s J) v = 0. Premises: 1. h > 0 is not below a step; 2. R M + M'R' > 0; 3. R(M - h J) + its
+    transpose >= 2^-30 on parts that cover the box.
     """
-    n, h, programs, inverse = m.n, s.value["h"], m.programs()[:2], matrix(field(s.proof, "inverse"), m.n, m.n)
-    need(times(m.M, inverse) == eye(n), "M has another inverse")  # 1
-    need(h >= max(m.steps), "h is below a step")  # 2
+    n, h, programs, R = m.n, s.value["h"], m.programs()[:2], matrix(field(s.proof, "R"), m.n, m.n)
+    need(h >= max(m.steps) > 0, "h is below a step")  # 1
+    RM = times(R, m.M) if n else []
+    need(psd(RM, definite=True), "R M is not definite")  # 2
 
     def part(box: Box, _: Any) -> bool:
         F, G = ([j.g for j in jets(p, box, 1, range(1, n + 1))] for p in programs)
-        J = [[F[i][k].scaled(m.theta) + G[i][k].scaled(m.gamma) for k in range(n)] for i in range(n)]
-        X = [[sum((J[i][k].scaled(row[i]) for i in range(n)), VerifierInterval(ZERO)) for k in range(n)] for row in inverse]
-        return form_below(X, eye(n), (1 - Q(1, 2**30)) / h)  # 3
+        J = [[F[i][k] * m.theta + G[i][k] * m.gamma for k in range(n)] for i in range(n)]
+        RJ = [[sum((J[i][k] * row[i] for i in range(n)), VerifierInterval(ZERO)) for k in range(n)] for row in R]
+        left = [[span(RM[a][b]) + RJ[a][b] * -h for b in range(n)] for a in range(n)]
+        return interval_psd([[left[a][b] + left[b][a] + span(Q(-(a == b), 2**30)) for b in range(n)] for a in range(n)])  # 3
 
     need(cover(field(s.proof, "cover"), s.intervals(m.inputs, *programs), part), "the bound fails on a part")
     matrices = f"M - s({written(m.theta)} f_x + {written(m.gamma)} g_x) is regular for 0 <= s <= {written(h, DOWN)}"
@@ -1098,27 +1260,30 @@ def complementarity(m: FirstOrderData, s: VerifierStatement) -> str:
     Theorems: -y in N_K(l), y = W_mlcp l + q, has one solution for every q where W_mlcp is definite and K closed, convex and not
     empty. It has one where K is bounded too; two differ by a d with <d, W_mlcp d> <= 0; where W_mlcp is psd (W_mlcp + W_mlcp')d =
     0, and then B d = T (W_mlcp + W_mlcp')d = 0: x is the same. Premises: 1. f = A x + ..., g = K x + B l + ..., h = C x + D l +
-    ..., the rest in t alone; 2. they are defined at all times; 3. W has this inverse; 4. W_mlcp is psd; F-unique: 5. K is not
-    empty; 6. W_mlcp is definite, 7. or K is bounded, 8. and B = T (W_mlcp + W_mlcp').
+    ..., the rest in t alone; 2. they are defined at all times; 3. W has the inverse V/d, d > 0; 4. W_mlcp, times d, is psd;
+    F-unique: 5. K is not empty; 6. W_mlcp is definite, 7. or K is bounded, 8. and B = T d (W_mlcp + W_mlcp').
     """
-    n, both, programs, law, atoms = m.n, range(1, m.n + m.m + 1), m.programs(), VerifierLaw(field(m.data, "law"), m.m), Atoms()
+    n, both, programs, law, atoms = m.n, range(1, m.n + m.m + 1), m.programs(), VerifierLaw(m, field(m.data, "law"), m.m), Atoms()
     found = [affine(atoms.read(p), both, atoms) for p in programs]
     need(None not in found, "f, g or h is not affine", UNCHECKED)  # 1
     (A, _), (K, B), (C, D) = ([[row[:n] for row in pair[0]], [row[n:] for row in pair[0]]] for pair in found if pair)
-    leaf = lambda t, _: all(defined(p, [*t, *[ALL] * len(both)]) for p in programs)  # noqa: E731
+    leaf = lambda t, _: all(defined(p, t[:1]) for p in programs)  # noqa: E731
     need(cover(s.proof.get("time"), s.intervals(["t"], *programs), leaf), "f, g or h is not defined")  # 2
     hints = (entries(field(s.proof, name), len(m.steps)) for name in ("inverses", "T"))
     for step, entry, T in zip(m.steps, *hints, strict=True):
-        inverse = matrix(entry, n, n)
-        need(times(plus(plus(m.M, A, -step * m.theta), K, -step * m.gamma), inverse) == eye(n), "W has another inverse")  # 3
-        W_mlcp = plus(D, times(times(C, inverse), B), step * m.gamma) if m.m else []
+        W = plus(plus(m.M, A, -step * m.theta), K, -step * m.gamma)
+        V, d = (matrix(entry, n, n), ONE) if entry is not None else adjugate(W)
+        need(least(d) > 0 and vanishes(plus(times(W, V), eye(n), -d)) if n else True, "W has another inverse")  # 3
+        W_mlcp = plus([[x * d for x in row] for row in D], times(times(C, V), B), step * m.gamma) if m.m else []
         need(psd(W_mlcp), "W_mlcp is not psd", UNCHECKED)  # 4
         if s.id == "F-unique":
             need(law.nonempty, "a K that may be empty", UNCHECKED)  # 5
             if not psd(W_mlcp, definite=True):  # 6
                 need(law.bounded, "W_mlcp is not definite, and K may be unbounded", UNCHECKED)  # 7
                 need(T is not None, "W_mlcp lets x vary", UNCHECKED)
-                need(times(matrix(T, n, m.m), plus(W_mlcp, transpose(W_mlcp))) == B, "B is not T (W + W')")  # 8
+                need(
+                    vanishes(plus(times(matrix(T, n, m.m), plus(W_mlcp, transpose(W_mlcp))), B, -1)), "B is not T d (W + W')"
+                )  # 8
     steps = f"a step h of each of {len(m.steps)} lengths from {written(min(m.steps))} to {written(max(m.steps))}"
     if s.id == "F-mlcp":
         return f"W = M - h (theta f_x + gamma g_x) is regular, and h gamma C W^-1 B + D positive semidefinite, for {steps}"
@@ -1132,14 +1297,16 @@ class LureData(VerifierModel):
 
     name, first = "LureSystem", "A"
 
-    def __init__(self, data: Any) -> None:
-        super().__init__(data)
+    def __init__(self, data: Any, parameters: Parameters) -> None:
+        super().__init__(data, parameters)
         self.m = len(entries(field(data, "D")))
-        self.B, self.C = matrix(field(data, "B"), self.n, self.m), matrix(field(data, "C"), self.m, self.n)
-        self.D = matrix(data["D"], self.m, self.m)
-        self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], outputs=1)
-        need(self.phi is None or len(self.phi.inputs) == self.m, "phi has another number of inputs")
-        self.law = None if self.phi else VerifierLaw(field(data, "law"), self.m)
+        self.B, self.C = (
+            matrix(field(data, name), *size, parameters) for name, size in (("B", (self.n, self.m)), ("C", (self.m, self.n)))
+        )
+        self.D = matrix(data["D"], self.m, self.m, parameters)
+        self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], None, 1, self.parameters)
+        need(self.phi is None or self.phi.n == self.m, "phi has another number of inputs")
+        self.law = None if self.phi else VerifierLaw(self, field(data, "law"), self.m)
 
     def intervals(self) -> list[tuple[Any, Any]]:
         """The ends of K, which is a box."""
@@ -1150,14 +1317,14 @@ class LureData(VerifierModel):
         """The e of y, where it does not move."""
         e = self.data.get("e", ["0"] * self.m)
         need(type(e) is list, "an offset e that moves with time", UNCHECKED)
-        return vector(e, self.m)
+        return vector(e, self.m, self.parameters)
 
     def is_wide(self) -> bool:
         """Whether dom Y* is the whole space, and there is a K.
         So it is where Xi grows faster than linear functions, as K is bounded, or Phi is finite and convex; and where D + D' > 0.
         """
         if self.phi is not None:
-            return defined(self.phi, [ALL] * self.m) and convex((atoms := Atoms()).read(self.phi)[0], range(self.m), atoms)
+            return defined(self.phi, []) and convex((atoms := Atoms()).read(self.phi)[0], range(self.m), atoms)
         return self.law is not None and self.law.nonempty and (self.law.bounded or psd(self.D, definite=True))
 
     def is_onto(self) -> bool:
@@ -1169,24 +1336,24 @@ class LureData(VerifierModel):
 
 def interior_of_law(m: LureData, s: VerifierStatement) -> str:
     """3.1: K has an interior point. Premise: 1. it is a box whose intervals have a length."""
-    need(all(a < b for a, b in m.intervals()), "K has no interior")  # 1
+    need(all(gap(*pair) > 0 for pair in m.intervals()), "K has no interior")  # 1
     return f"K, a product of {m.m} intervals, has interior points: Xi is continuous at one"
 
 
 def feedthrough(m: LureData, s: VerifierStatement) -> str:
     """4.1: <D z, z> >= least |z|^2, least >= 0. Premises: 1. least >= 0; 2. D - least is psd."""
-    least = s.value["least"]
-    need(least >= 0, "least < 0")  # 1
-    need(psd(plus(m.D, eye(m.m, -least))), "D - least is not psd")  # 2
-    return f"<D z, z> >= {written(least, DOWN)} |z|^2 for all z"
+    low = s.value["least"]
+    need(low >= 0, "least < 0")  # 1
+    need(psd(plus(m.D, eye(m.m, -low))), "D - least is not psd")  # 2
+    return f"<D z, z> >= {written(low, DOWN)} |z|^2 for all z"
 
 
 def storage(m: LureData, s: VerifierStatement) -> str:
-    """5.1: there is P = P' > 0 with P B = C'. Premises: 1. P = P'; 2. P > 0; 3. P B = C'."""
-    P = matrix(field(s.proof, "P"), m.n, m.n)
+    """5.1: there is P = P' > 0 with P B = C'. Premises, of d P: 1. it is symmetric, 2. > 0; 3. d > 0, d P B = d C'."""
+    P, d = matrix(field(s.proof, "P"), m.n, m.n, m.parameters), number(s.proof.get("d", "1"), parameters=m.parameters)
     need(P == transpose(P), "P is not symmetric")  # 1
     need(psd(P, definite=True), "P is not positive definite")  # 2
-    need(m.m == 0 or times(P, m.B) == transpose(m.C), "P B = C' fails")  # 3
+    need(least(d) > 0 and (m.m == 0 or vanishes(plus(times(P, m.B), transpose(m.C), -d))), "P B = C' fails")  # 3
     return "there is P = P' > 0 with P B = C'"
 
 
@@ -1196,7 +1363,7 @@ def growth(m: LureData, s: VerifierStatement) -> str:
     of ``storage``; 2. the inequality, and that A is defined (``slopes_below``).
     """
     known, omega, local = storage(m, s), s.value["omega"], "cover" in s.proof  # 1
-    need(slopes_below(m.program("A", m.n), s, matrix(s.proof["P"], m.n, m.n), omega), "omega")  # 2
+    need(slopes_below(m.program("A", m.n), s, matrix(s.proof["P"], m.n, m.n, m.parameters), omega), "omega")  # 2
     place = s.where(m.inputs) + ", the same of y" if local else "for all x, y"
     return f"{known}, and <P(A(x) - A(y)), x - y> <= {written(omega, UP)} <P(x - y), x - y> {place}"
 
@@ -1206,14 +1373,17 @@ def domain_point(m: LureData, s: VerifierStatement, x: Sequence[Q]) -> None:
     3. k is inside K; 4. y > 0 where only the lower end of l is finite, < 0 where only the upper one is, any number where both
     are: -y is in the interior of the polar of K's recession cone. Where neither is, that has no interior, and nothing is known.
     """
-    k, y, v = (vector(field(s.proof, name), m.m) for name in ("k", "y", "v"))
+    k, y, v = (vector(field(s.proof, name), m.m, m.parameters) for name in ("k", "y", "v"))
     need(psd(m.D), "D is not psd")  # 1
     parts = [[dot(row, z) for row in A] for A, z in ((transpose(m.D), k), (m.D, v), (transpose(m.D), v))]
     left = [dot(row, x) + e for row, e in zip(m.C, m.offset(), strict=True)]
-    need(left == [sum(part, ZERO) for part in zip(y, *parts, strict=True)], "C x + e = D'k + y + (D + D')v fails")  # 2
+    need(
+        vanishes([[a + -sum(part, ZERO) for a, part in zip(left, zip(y, *parts, strict=True), strict=True)]]),
+        "C x + e = D'k + y + (D + D')v fails",
+    )  # 2
     for (low, high), inner, push in zip(m.intervals(), k, y, strict=True):
-        need(low < inner < high, "k is not inside K")  # 3
-        need((low > -INF and (high < INF or push > 0)) or (high < INF and push < 0), "y is not inside")  # 4
+        need(gap(low, inner) > 0 and gap(inner, high) > 0, "k is not inside K")  # 3
+        need((low != -INF and (high != INF or least(push) > 0)) or (high != INF and least(-push) > 0), "y is not inside")  # 4
 
 
 def range_meets_domain(m: LureData, s: VerifierStatement) -> str:
@@ -1223,7 +1393,7 @@ def range_meets_domain(m: LureData, s: VerifierStatement) -> str:
     space; 2. or a point of S (``domain_point``), of 5.4a one in R(C) + e, of 5.x0 C x_0 + e.
     """
     if not (m.is_onto() if s.id == "5.4c" else m.is_wide()):  # 1
-        domain_point(m, s, vector(m.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), m.n))  # 2
+        domain_point(m, s, vector(m.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), m.n, m.parameters))  # 2
     if s.id == "5.4c":
         return "D'(rint dom dXi) - int dom Y* and R(D + dXi) have the same affine hull, the whole space"
     return f"{'R(C) + e meets' if s.id == '5.4a' else 'C x_0 + e is in'} D'(rint dom dXi) - int dom Y*"
@@ -1245,11 +1415,11 @@ def at_rest(m: LureData, s: VerifierStatement) -> str:
     """7.1: x = 0, l = 0, y = 0 is at rest, and 0 is an admissible start.
     Premises: 1. A(0) = 0, exactly; 2. f = 0 at all times; 3. e = 0; 4. 0 is in K, a box; 5. as of 5.x0, with x_0 = 0.
     """
-    A, f = m.program("A", m.n), VerifierProgram(field(m.data, "f"), ["t"], m.n)
+    A, f = m.program("A", m.n), VerifierProgram(field(m.data, "f"), ["t"], m.n, m.parameters)
     need(all(x.v.lo == 0 == x.v.hi for x in jets(A, [VerifierInterval(ZERO)] * m.n, 0)), "A(0) is not 0")  # 1
     need(not any(Atoms().read(f)) and defined(f, s.intervals(["t"], f)), "f is not 0")  # 2
     need(not any(m.offset()), "e is not 0")  # 3
-    need(all(a <= 0 <= b for a, b in m.intervals()), "0 is not in K")  # 4
+    need(all(gap(a, ZERO) >= 0 and gap(ZERO, b) >= 0 for a, b in m.intervals()), "0 is not in K")  # 4
     if not m.is_wide():
         domain_point(m, s, [ZERO] * m.n)  # 5
     return f"A(0) = 0, f(t) = 0 {s.where(['t'])}, e = 0, 0 is in K, and 0 is in D'(dom dXi) - int dom Y*"
@@ -1262,8 +1432,8 @@ class InclusionData(VerifierModel):
 
     name, first = "MonotoneInclusion", "F"
 
-    def __init__(self, data: Any) -> None:
-        super().__init__(data)
+    def __init__(self, data: Any, parameters: Parameters) -> None:
+        super().__init__(data, parameters)
         self.S = None if field(data, "S") is None else self.program("S", self.n)
         self.phi = None if field(data, "phi") is None else self.program("phi", 1)
         need(self.phi is None or (self.S is None and field(data, "switches") == []), "phi is given, and S or switches too")
@@ -1272,26 +1442,29 @@ class InclusionData(VerifierModel):
         """The switches. Premises: 1. the argument is a'x + c everywhere, a not 0; 2. the weights are w a, w >= 0."""
         found = []
         for entry in entries(field(self.data, "switches")):
-            weights, program = vector(entries(entry, 2)[0], self.n), VerifierProgram(entry[1], self.inputs, 1)
+            weights, program = (
+                vector(entries(entry, 2)[0], self.n, self.parameters),
+                VerifierProgram(entry[1], self.inputs, 1, self.parameters),
+            )
             (a,), (c,) = self.affine(atoms.read(program), atoms)
-            w = dot(weights, a) / dot(a, a)
-            need(w >= 0 and weights == [w * x for x in a] and defined(program, [ALL] * self.n), "no subdifferential")  # 1, 2
+            w = dot(weights, a) * (1 / dot(a, a))
+            along = least(w) >= 0 and vanishes([[x + w * -y for x, y in zip(weights, a, strict=True)]])
+            need(along and defined(program, []), "no subdifferential")  # 1, 2
             found.append((w, a, c))
         return found
 
     def affine(self, V: Sequence[Poly], atoms: Atoms) -> tuple[Matrix, list[Q]]:
         """A and b of V = A x + b."""
-        found = affine(V, range(self.n), atoms)
-        A, b = found[0] if found else [], [p.number() for p in found[1]] if found else [None]
-        need(None not in b, "a function that is not affine", UNCHECKED)
-        return A, [x for x in b if x is not None]
+        A, b = affine(V, range(self.n), atoms) or ([], [variable(0)])
+        need(all(is_unit(v) for p in b for m in p for v, _ in m), "a function that is not affine", UNCHECKED)
+        return A, [plain(p) for p in b]
 
     def selection(self, atoms: Atoms) -> tuple[list[Poly], list[Switch]]:
         """V and the switches, F - S = V - sum w l a; of phi V has its gradient, max(u, v) being (u + v)/2 + |u - v|/2.
         Premises: 1. all functions are defined everywhere; 2. each max has a weight > 0, and u - v is affine.
         """
         V, switches = atoms.read(F := self.program("F", self.n)), self.switches(atoms)
-        need(all(defined(p, [ALL] * self.n) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
+        need(all(defined(p, []) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
         if self.S is not None:
             V = [v + -p for v, p in zip(V, atoms.read(self.S), strict=True)]
         if self.phi is None:
@@ -1302,7 +1475,7 @@ class InclusionData(VerifierModel):
             if op == "fmax" and a > 0:
                 (row,), (c,) = self.affine([u + -more[0]], atoms)  # 2
                 switches.append((a / 2, row, c))
-                p = p + Poly({key: -a}) + (u + more[0]).scaled(a / 2)
+                p = p + Poly({key: -a}) + (u + more[0]) * (a / 2)
         return [v + -slope(p, i, atoms) for i, v in enumerate(V)], switches
 
 
@@ -1346,10 +1519,10 @@ def linear_growth(m: InclusionData, s: VerifierStatement) -> str:
     A, b = m.affine(V, atoms)  # 1
     a_1, a_2 = s.value["a_1"], s.value["a_2"]
     need(len(switches) <= 12, "more than 12 switches", UNCHECKED)
-    need(norm_below([[VerifierInterval(x) for x in row] for row in A], a_2), "a_2")  # 2
+    need(norm_below([[span(x) for x in row] for row in A], a_2), "a_2")  # 2
     for signs in product((-1, 1), repeat=len(switches)):
         v = [x + sum(e * w * a[i] for e, (w, a, _) in zip(signs, switches, strict=True)) for i, x in enumerate(b)]
-        need(a_1 >= 0 and dot(v, v) <= a_1 * a_1, "a_1")  # 3
+        need(a_1 >= 0 and least(a_1 * a_1 + -dot(v, v)) >= 0, "a_1")  # 3
     return f"|v| <= {written(a_1, UP)} + {written(a_2, UP)} |x| for all x and all v in F(x) - S(x)"
 
 
@@ -1383,7 +1556,7 @@ def on_differences(m: InclusionData, s: VerifierStatement) -> str:
 def dissipation(m: InclusionData, value: dict[str, Q], atoms: Atoms) -> Poly:
     """What beta - alpha |x|^2 - <x, v>, v ∈ F(x) - S(x), is not below: -l a'x <= |c| for l ∈ Sgn(a'x + c)."""
     V, switches = m.selection(atoms)
-    p = constant(value["beta"] - sum(w * abs(c) for w, _, c in switches))
+    p = sum((w * -max(-least(c), -least(-c)) for w, _, c in switches), constant(value["beta"]))
     return sum((-(variable(i) * (v + variable(i, value["alpha"]))) for i, v in enumerate(V)), p)
 
 
@@ -1396,7 +1569,9 @@ def dissipative(m: InclusionData, s: VerifierStatement) -> str:
     need(concave_rows(C), "a row is not concave by the rules")  # 1
     need(inside(C, [ZERO] * m.n, strictly=False), "0 is not in C")  # 2
     need(alpha > 0, "alpha is not > 0")  # 3
-    need(positive(dissipation(m, s.value, atoms := Atoms()) + -squares(s.proof), atoms), "beta")  # 4
+    found = at_corners(dissipation(m, s.value, atoms := Atoms()))
+    for p, hint in zip(found, at_each(s.proof, len(found)), strict=True):
+        need(positive(p + -squares(hint), atoms), "beta")  # 4
     bound = f"<x, w> <= -{written(alpha, DOWN)} |x|^2 + {written(beta, UP)} for all x in C"
     return f"{bound}, w the projection of any v in F(x) - S(x) on the tangent cone of C"
 
@@ -1424,12 +1599,15 @@ OPTIONAL = {"A0": ("c",), "A5": ("rho",), "S-f": ("L_t",)}
 
 def answer(model: Any, statement: Any) -> tuple[str, str]:
     """Prove a statement of a model anew: "yes" and the sentence that was proved, "no" or "not checkable" and a reason."""
+    Atoms.units.clear()
     try:
         id = field(statement, "id")
         need(type(id) is str and id in STATEMENTS, "no proof of this kind is known here", UNCHECKED)
         need(statement.get("proof") is not None, f"there is no proof: {escaped(statement.get('why'))}", UNCHECKED)
-        reader, rule = STATEMENTS[id]
-        return YES, rule(reader(model), VerifierStatement(statement, id))
+        (reader, rule), s = STATEMENTS[id], VerifierStatement(statement, id)
+        m = reader(model, s.parameters)
+        need(set(s.box) <= {"t", *m.inputs}, "the scope has other inputs")
+        return YES, rule(m, s) + s.parameters_in_words()
     except Unproved as reason:
         return reason.args[1], reason.args[0]
     except Exception as reason:  # Whatever else is wrong with a certificate.
@@ -1451,12 +1629,12 @@ def read_certificate(path: str) -> dict[str, Any]:
     with open(path, encoding="utf-8") as file:
         certificate = json.load(file, object_pairs_hook=unique)
     need(field(certificate, "format") == FORMAT, f"its format is not {FORMAT}")
-    return {**certificate, "model": record(field(certificate, "model")), "statements": entries(field(certificate, "statements"))}
+    return {**certificate, "model": field(certificate, "model", dict), "statements": field(certificate, "statements", list)}
 
 
 def formulas(data: Any) -> str:
     """A function as formulas of its inputs; parts that are long are left out."""
-    program, nodes = VerifierProgram(data), []
+    program, nodes = VerifierProgram(data, None, None, {}), []
     for op, i, w in program.steps:
         u, v = nodes[i] if op not in ("in", "const") else "", nodes[w] if op in ("add", "mul", "fmax") else w
         forms = {"add": f"{u} + {v}", "mul": f"({u}) ({v})", "fmax": f"max({u}, {v})", "pow": f"({u})^({v})"}

@@ -32,7 +32,7 @@ from nsmodel.hypotheses.certificates.hints import (
     straight_line_program,
     verify_with_covers,
 )
-from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, Finding, Scope
+from nsmodel.hypotheses.findings import HOLDS, RUN_FINDING_PREFIX, Finding, IntervalBox, Scope
 from nsmodel.hypotheses.moving_law import freeze_law
 from nsmodel.hypotheses.report import Report
 from nsmodel.modeling.base import Model
@@ -40,14 +40,29 @@ from nsmodel.modeling.laws import Law
 from nsmodel.modeling.parts import Part
 
 Data = dict[str, Any]
+MAX_CORNER_PARAMETERS = 6
 
 
 class CertificateSubject(NamedTuple):
-    """What a certificate speaks of: the model with its constraints one by one, as data; ``box`` of inputs that are no states."""
+    """What a certificate speaks of.
 
-    model: Model
+    Attributes:
+        model: its constraints are one by one, or families.
+        data: the model as data.
+        box: of inputs that are no states.
+        ranges: between which ends each parameter lies.
+    """
+
+    model: Any
     data: Data
     box: Mapping[str, Sequence[float]] = MappingProxyType({})
+    ranges: IntervalBox = MappingProxyType({})
+
+    @property
+    def parameters(self) -> verify.Parameters:
+        """The parameters as ``verify`` has them."""
+        ends = {name: (Fraction(low), Fraction(high)) for name, (low, high) in self.ranges.items()}
+        return {name: verify.between(k, *pair) for k, (name, pair) in enumerate(ends.items())}
 
 
 @dataclass(frozen=True)
@@ -56,59 +71,79 @@ class CertificateParts:
 
     Attributes:
         stated: {id of a hypothesis: the numbers that its statement has}.
-        subject: (model, findings by id), what a certificate of it speaks of.
-        proofs: (model, its data, finding, findings by id, stated values, room for rounding), data of proofs to be tried in turn.
+        subject: (model, findings by id, ends of its parameters), what a certificate of it speaks of.
+        proofs: (subject, finding, findings by id, stated values, room for rounding), data of proofs to be tried in turn.
     """
 
     stated: Mapping[str, tuple[StatedNumber, ...]]
-    subject: Callable[[Any, Mapping[str, Finding]], CertificateSubject]
-    proofs: Callable[..., Iterable[Data]]
+    subject: Callable[[Any, Mapping[str, Finding], IntervalBox], CertificateSubject]
+    proofs: Callable[[CertificateSubject, Finding, Mapping[str, Finding], dict[str, str], Fraction], Iterable[Data]]
 
 
 CERTIFICATE = Part[CertificateParts]("certificate_parts")
 
 
-def certificate_subject(model: Model, findings: Mapping[str, Finding]) -> CertificateSubject:
-    """The model as data; its parameters have values, and numbers of findings may be data too.
+def certificate_subject(model: Model, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
+    """The model as data; its parameters have values or ends, and numbers of findings may be data too.
 
     Raises:
         Unproved: the model cannot be written down.
     """
-    subject = CERTIFICATE.of(model).subject(model, findings)
+    subject = CERTIFICATE.of(model).subject(model, findings, ranges)
     named = {"class": type(subject.model).__name__, "title": subject.model.title or "untitled"}
-    return subject._replace(data=named | subject.data)
+    return subject._replace(data=named | subject.data | ({"parameters": list(subject.ranges)} if subject.ranges else {}))
 
 
-def column_text(column: Any) -> list[str]:
-    """A column."""
-    return [exact_number_text(entry) for entry in np.array(ca.DM(column)).ravel()]
-
-
-def expression_program(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
-    """The program, or why there is none: not every statement needs it."""
+def expression_program(model: Model, expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
+    """The program, of the model's parameters too, or why there is none: not every statement needs it."""
+    names = [*names, *model.parameters] if model.p.numel() else names
     try:
-        return straight_line_program(expr, inputs, names)
+        return straight_line_program(expr, ca.vertcat(inputs, model.p), names)
     except UnsupportedOperation as why:
         return {"inputs": list(names), "why": str(why)}
 
 
-def dense_matrix_text(entries: Any) -> list[list[str]]:
+def entry_text(model: Model, entry: ca.SX) -> str | Data:
+    """A number, or a function of the parameters."""
+    if not ca.symvar(entry):
+        return exact_number_text(float(entry))
+    return expression_program(model, entry, ca.SX(0, 1), ())
+
+
+def column_text(model: Model, column: Any) -> list[str | Data]:
+    """A column of numbers, or functions of the parameters."""
+    return [entry_text(model, entry) for entry in ca.vertsplit(ca.densify(ca.vec(ca.SX(column))))] if column.numel() else []
+
+
+def dense_matrix_text(model: Model, entries: Any) -> list[list[str | Data]]:
     """A matrix, also an empty one."""
-    values = np.array(ca.DM(ca.densify(entries))).reshape(entries.shape)
-    return exact_matrix_text(values) if values.size else [[] for _ in range(len(values))]
+    rows, columns = entries.shape
+    whole = column_text(model, entries)
+    return [[whole[i + rows * j] for j in range(columns)] for i in range(rows)]
 
 
-def _array_text(value: Any) -> str | list[str] | list[list[str]]:
+def _array_text(model: Model, value: Any, ranges: IntervalBox) -> Any:
+    if isinstance(value, ca.SX):
+        return [_end_text(model, entry, ranges) for entry in ca.vertsplit(value)]
     array = np.asarray(value, float)
     if array.ndim > 1:
         return exact_matrix_text(array)
     return [exact_number_text(number) for number in array] if array.ndim else exact_number_text(float(array))
 
 
-def law_data(law: Law) -> list[Data]:
+def _end_text(model: Model, end: ca.SX, ranges: IntervalBox) -> str | Data:
+    """An end of an interval; what is infinite at all corners of the parameters' box is infinite."""
+    corners = [ca.DM(corner) for corner in product(*ranges.values())] if len(ranges) <= MAX_CORNER_PARAMETERS else []
+    value = ca.Function("end", [model.p], [end])
+    found = {float(value(corner)) for corner in corners} if model.p.numel() else set()
+    return exact_number_text(found.pop()) if found in ({np.inf}, {-np.inf}) else entry_text(model, end)
+
+
+def law_data(model: Model, law: Law, ranges: IntervalBox) -> list[Data]:
     """The blocks of a law."""
     return [
-        {"kind": block.kind, "size": block.size} | {name: _array_text(value) for name, value in block.data().items()}
+        {"kind": block.kind, "size": block.size}
+        | {name: _array_text(model, value, ranges) for name, value in block.data().items()}
         for block in law.blocks
     ]
 
@@ -126,18 +161,20 @@ def certificate_of(report: Report) -> dict[str, Any]:
     no statement.
 
     Raises:
-        UsageError: a model with inputs, or with a law that moves, or with parameters that are no numbers.
+        UsageError: a model with inputs, or with a law that moves, or with parameters that have neither a value nor ends.
     """
     report.model.check_allowed("certificate")
-    if open_ones := [name for name, value in report.parameters.items() if not isinstance(value, int | float)]:
-        raise UsageError(f"certificate: certificates are of numbers; give a value to {', '.join(open_ones)}")
+    if open_ones := [name for name, value in report.parameters.items() if value is None]:
+        raise UsageError(f"certificate: give a value or a box to {', '.join(open_ones)}")
+    ranges = {name: report.parameters[name] for name in report.model.parameters if name in report.parameters}
+    ranges = {name: ends for name, ends in ranges.items() if isinstance(ends, tuple)}
     if freeze_law(report.model) is not report.model:
         raise UsageError("certificate: the law moves with time; a certificate says nothing of laws that move")
     found: dict[str, Any] = {"format": verify.FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason, subject = "", CertificateSubject(report.model, {})
     try:
-        subject = certificate_subject(report.model, findings)
+        subject = certificate_subject(report.model, findings, ranges)
     except UnprovedFinding as why:
         reason = why.args[0]
     found["model"] = subject.data
@@ -153,13 +190,13 @@ def _prove_statement(subject: CertificateSubject, finding: Finding, findings: di
     stated = part.stated.get(finding.id, ())
     statement: dict[str, Any] = {
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": stated_values(finding, stated),
-        "scope": None if finding.scope is None else _scope_data(finding.scope, subject.box), "proof": None,
+        "scope": _scope_data(finding.scope, subject), "proof": None,
     }  # fmt: skip
     scopes = [statement["scope"], *_scope_of_run(subject, statement["scope"])]
     for room in ROUNDING_ALLOWANCES if not reason else ():
         value = stated_values(finding, stated, room)
         try:
-            proofs = part.proofs(subject.model, subject.data, finding, findings, value, room)
+            proofs = part.proofs(subject, finding, findings, value, room)
         except (verify.Unproved, UnsupportedOperation) as why:
             reason = why.args[0]
             break
@@ -171,19 +208,23 @@ def _prove_statement(subject: CertificateSubject, finding: Finding, findings: di
     return statement | {"why": reason}
 
 
-def _scope_data(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, Any]:
-    """The scope; what lies on a box of states has the box of the other inputs too."""
-    states = {**box, **scope.states} if scope.states else {}
-    return {
-        "states": {name: [exact_number_text(end) for end in ends] for name, ends in states.items()} or None,
-        "time": None if scope.time is None else [exact_number_text(end) for end in scope.time],
-    }
+def _scope_data(scope: Scope | None, subject: CertificateSubject) -> dict[str, Any] | None:
+    """The scope; what lies on a box of states has the box of the other inputs too. Time may be one of the parameters."""
+    found: dict[str, Any] = {}
+    if scope is not None:
+        found["states"] = _ends_text({**subject.box, **scope.states} if scope.states else {}) or None
+        found["time"] = None if scope.time is None or str(subject.model.t) in subject.ranges else _ends_text({"": scope.time})[""]
+    return found | ({"parameters": _ends_text(subject.ranges)} if subject.ranges else {}) or None
+
+
+def _ends_text(box: Mapping[str, Sequence[float]]) -> dict[str, list[str]]:
+    return {name: [exact_number_text(end) for end in ends] for name, ends in box.items()}
 
 
 def _scope_of_run(subject: CertificateSubject, scope: Data | None) -> list[Data]:
     """The scope restricted to the times of the run, where it holds all times and a function may be undefined at some."""
     end = subject.model.t_end
-    if end is None or (scope is not None and scope["time"] is not None) or not _has_partial_function_of_time(subject.data):
+    if end is None or (scope or {}).get("time") is not None or not _has_partial_function_of_time(subject.data):
         return []
     return [{"states": None, **(scope or {}), "time": [exact_number_text(0.0), exact_number_text(float(end))]}]
 

@@ -142,8 +142,7 @@ class Box(LawFactor):
 
     def data(self) -> dict[str, Any]:
         """The ends."""
-        lower, upper = self._end_numbers()
-        return {"lower": lower, "upper": upper}
+        return {"lower": self.lower, "upper": self.upper}
 
     def _end_numbers(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array(ca.DM(self.lower)).ravel(), np.array(ca.DM(self.upper)).ravel()

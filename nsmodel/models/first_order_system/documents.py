@@ -23,7 +23,6 @@ from nsmodel.hypotheses.certificates.hints import (
 )
 from nsmodel.hypotheses.certificates.write import (
     CertificateSubject,
-    Data,
     column_text,
     dense_matrix_text,
     expression_program,
@@ -40,62 +39,77 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.hypotheses.latex import vector_latex
 from nsmodel.models.first_order_system.model import FirstOrderSystem
-from nsmodel.proof import exact
+from nsmodel.proof import exact, interval_bounds
 
 STATED = {"F-step": (StatedNumber("h", KEEP_EXACT),), "F-W": (StatedNumber("h", KEEP_EXACT),)}
 
 
-def subject(model: FirstOrderSystem, findings: Mapping[str, Finding]) -> CertificateSubject:
+def subject(model: FirstOrderSystem, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The model as data; the multipliers lie in K, where it is bounded."""
     z, names = ca.vertcat(model.t, model.x, model.lam), ["t", *(model.names or ()), *model.multiplier_names]
     data = {
-        **{name: expression_program(getattr(model, name), z, names) for name in "fgh"},
-        "M": dense_matrix_text(model.M), "theta": exact_number_text(model.theta), "gamma": exact_number_text(model.gamma),
-        "x0": column_text(model.x0), "steps": sorted(set(step_sizes_text(model)), key=Fraction), "law": law_data(model.law),
+        **{name: expression_program(model, getattr(model, name), z, names) for name in "fgh"},
+        "M": dense_matrix_text(model, model.M), "theta": exact_number_text(model.theta), "gamma": exact_number_text(model.gamma),
+        "x0": column_text(model, model.x0), "steps": sorted(set(step_sizes_text(model)), key=Fraction),
+        "law": law_data(model, model.law, ranges),
     }  # fmt: skip
-    ends = np.array(ca.DM(ca.horzcat(model.law.lower, model.law.upper))).reshape(-1, 2)
-    box = {name: tuple(end) for name, end in zip(model.multiplier_names, ends, strict=True) if np.isfinite(end).all()}
-    return CertificateSubject(model, data, box)
+    ends = (model.law.lower, model.law.upper)
+    bounds = [interval_bounds.enclose(ca.SX(side), model.p, *np.array([*ranges.values()]).reshape(-1, 2).T) for side in ends]
+    box = {
+        name: (float(low), float(high))
+        for name, low, high in zip(model.multiplier_names, bounds[0][0].ravel(), bounds[1][1].ravel(), strict=True)
+        if np.isfinite([low, high]).all()
+    }
+    return CertificateSubject(model, data, box, ranges)
 
 
 def proofs(
-    model: FirstOrderSystem, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: the inverse of M or of W, covers."""
-    return [_inverse_hint(model, data, finding, value)]
+    return [_inverse_hint(subject, finding, value)]
 
 
-def _inverse_hint(model: FirstOrderSystem, data: Data, finding: Finding, value: dict[str, str]) -> Any:
+def _inverse_hint(subject: CertificateSubject, finding: Finding, value: dict[str, str]) -> Any:
+    model: FirstOrderSystem = subject.model
     if finding.id == "F-jacobians":
         return {"cover": AdaptiveCover()}
     if finding.id in ("F-mlcp", "F-unique"):
-        return _mlcp_hint(data)
+        return _mlcp_hint(subject)
     steps = model.steps if model.steps is not None else [model.step]
     value["h"] = exact_number_text(np.max(np.asarray(steps, float)))
-    inverse = exact.inverse_matrix(exact.rational(np.array(ca.DM(ca.densify(model.M)))))
+    at = ca.DM([(low + high) / 2 for low, high in subject.ranges.values()])
+    middle = ca.Function("M", [model.p], [ca.densify(model.M)])(at)
+    inverse = exact.inverse_matrix(exact.rational(np.array(middle)))
     if inverse is None:
         raise UnprovedFinding("M is singular")
-    return {"inverse": exact_matrix_text(inverse), "cover": AdaptiveCover()}
+    return {"R": exact_matrix_text(inverse), "cover": AdaptiveCover()}
 
 
-def _mlcp_hint(data: Data) -> Any:
-    """W^-1 at each step, and T with T (W_mlcp + W_mlcp') = B where there is one."""
-    m, atoms = verify.FirstOrderData(data), verify.Atoms()
+def _mlcp_hint(subject: CertificateSubject) -> Any:
+    """W^-1 at each step, where it is a number, and T with T (W_mlcp + W_mlcp') = B where there is one."""
+    m, atoms = verify.FirstOrderData(subject.data, subject.parameters), verify.Atoms()
     found = [verify.affine(atoms.read(program), range(1, m.n + m.m + 1), atoms) for program in m.programs()]
     if None in found:
         raise UnprovedFinding("f, g or h is not affine")
     rows = (np.array(pair[0], dtype=object).reshape(-1, m.n + m.m) for pair in found if pair)
     (A, _), (K, B), (C, D) = ((part[:, : m.n], part[:, m.n :]) for part in rows)
+    M = np.array(m.M, dtype=object).reshape(m.n, m.n)
     hints: dict[str, list[Any]] = {"inverses": [], "T": []}
     for h in m.steps:
-        inverse = exact.inverse_matrix(np.array(m.M, dtype=object).reshape(m.n, m.n) - h * (m.theta * A + m.gamma * K))
+        W = M + -h * (m.theta * A + m.gamma * K)
+        if any(isinstance(entry, verify.Poly) for part in (W, B, C, D) for entry in part.ravel()):
+            hints["inverses"].append(None)
+            hints["T"].append(None)
+            continue
+        inverse = exact.inverse_matrix(W)
         if inverse is None:
             raise UnprovedFinding("W is singular")
-        W = D + h * m.gamma * exact.matrix_product(C, inverse, B)
-        T = exact.solve_linear_system(W + W.T, B.T)
+        W_mlcp = D + h * m.gamma * exact.matrix_product(C, inverse, B)
+        T = exact.solve_linear_system(W_mlcp + W_mlcp.T, B.T)
         hints["inverses"].append(exact_matrix_text(inverse))
         hints["T"].append(None if T is None else exact_matrix_text(T.T))
     return hints | {"time": AdaptiveCover()}

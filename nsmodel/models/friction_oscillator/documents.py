@@ -5,7 +5,7 @@ The class in LaTeX.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -20,6 +20,7 @@ from nsmodel.hypotheses.certificates.hints import (
     StatedNumber,
     UnprovedFinding,
     convexity_hint,
+    corner_hints,
     exact_number_text,
     gram_matrix_hint,
     interior_point_hint,
@@ -27,7 +28,6 @@ from nsmodel.hypotheses.certificates.hints import (
 )
 from nsmodel.hypotheses.certificates.write import (
     CertificateSubject,
-    Data,
     column_text,
     dense_matrix_text,
     expression_program,
@@ -44,9 +44,9 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.hypotheses.latex import text_latex
-from nsmodel.hypotheses.region import potential_without_domain
+from nsmodel.hypotheses.region import box_middle, potential_without_domain
 from nsmodel.models.friction_oscillator.check import potential_domain
 from nsmodel.models.friction_oscillator.model import FrictionOscillator
 from nsmodel.proof import exact
@@ -54,44 +54,39 @@ from nsmodel.proof import exact
 STATED = {"O-g": (StatedNumber("lower bound of g", ROUND_DOWN),), "O-dry": (StatedNumber("radius of A(0)", ROUND_DOWN),)}
 
 
-def subject(model: FrictionOscillator, findings: Mapping[str, Finding]) -> CertificateSubject:
+def subject(model: FrictionOscillator, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The model as data."""
     domain = potential_domain(model)
     data = {
-        "theta": [expression_program(element.theta, model.s, ["s"]) for element in model.elements],
-        "H": [dense_matrix_text(ca.SX(element.H)) for element in model.elements],
-        "damping": [] if model.damping is None else dense_matrix_text(model.damping),
-        "g": expression_program(potential_without_domain(model.potential, model.x, "potential"), model.x, model.names),
-        "C": expression_program(ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
-        "x0": column_text(model.x0),
+        "theta": [expression_program(model, element.theta, model.s, ["s"]) for element in model.elements],
+        "H": [dense_matrix_text(model, ca.SX(element.H)) for element in model.elements],
+        "damping": [] if model.damping is None else dense_matrix_text(model, model.damping),
+        "g": expression_program(model, potential_without_domain(model.potential, model.x, "potential"), model.x, model.names),
+        "C": expression_program(model, ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
+        "x0": column_text(model, model.x0),
         "steps": step_sizes_text(model),
     }
-    return CertificateSubject(model, data)
+    return CertificateSubject(model, data, ranges=ranges)
 
 
 def proofs(
-    model: FrictionOscillator,
-    data: Data,
-    finding: Finding,
-    findings: Mapping[str, Finding],
-    value: dict[str, str],
-    room: Fraction,
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: squares or covers of theta''; of g convexity, and a lower bound in one of two ways."""
     if finding.id == "O-theta":
-        return [{"theta": [_friction_hint(program) for program in data["theta"]]}]
+        return [{"theta": [_friction_hint(subject, program) for program in subject.data["theta"]]}]
     if finding.id != "O-g":
         return [{}]
+    model: FrictionOscillator = subject.model
     atoms, n = verify.Atoms(), list(range(model.x.numel()))
-    (p,) = atoms.read(verify.VerifierProgram(data["g"]))
-    hint = interior_point_hint(model, finding) | convexity_hint(p, n, atoms)
+    (p,) = atoms.read(verify.VerifierProgram(subject.data["g"], None, None, subject.parameters))
+    hint = interior_point_hint(subject, finding) | convexity_hint(p, n, atoms)
     proofs = []
     if "lower bound of g" in value:
-        bound = nonnegativity_hint(p + verify.constant(-Fraction(value["lower bound of g"])), atoms)
+        bound = nonnegativity_hint(p + -Fraction(value["lower bound of g"]), atoms)
         proofs += [] if bound is None else [hint | {"bound": bound}]
-    H = verify.hessian(verify.Poly({m: a for m, a in p.items() if all(v in n for v, _ in m)}), n, atoms)
-    least = 0.0 if H is None else float(np.linalg.eigvalsh(exact.doubles(np.array(H, dtype=object)))[0])
-    point, number = _potential_minimum(model)
+    least = min(_least_curvature(q, n, atoms) for q in verify.at_corners(p))
+    point, number = _potential_minimum(subject)
     if least > 0 and np.isfinite([*point, number]).all():
         value.setdefault("lower bound of g", exact_number_text(number - 1e-6 * (1 + abs(number))))
         proofs.append(hint | {"mu": exact_number_text(0.99 * least), "least": [exact_number_text(x) for x in point]})
@@ -100,8 +95,16 @@ def proofs(
     return proofs
 
 
-def _potential_minimum(model: FrictionOscillator) -> tuple[np.ndarray, float]:
-    """Where the potential, without its domain, is least, in floating point."""
+def _least_curvature(p: verify.Poly, n: Sequence[int], atoms: verify.Atoms) -> float:
+    """The least eigenvalue of the Hessian of the quadratic in p; 0 where there is more of the polynomial."""
+    H = verify.hessian(verify.Poly({m: a for m, a in p.items() if all(v in n for v, _ in m)}), n, atoms)
+    return 0.0 if H is None else float(np.linalg.eigvalsh(exact.doubles(np.array(H, dtype=object)))[0])
+
+
+def _potential_minimum(subject: CertificateSubject) -> tuple[np.ndarray, float]:
+    """Where the potential, without its domain and for parameters in the middle, is least, in floating point."""
+    model: FrictionOscillator = subject.model
+    model = model.bind(box_middle(subject.ranges)) if subject.ranges else model
     g = potential_without_domain(model.potential, model.x, "potential")
     f = ca.Function("g", [model.x], [g, ca.gradient(g, model.x)])
     found = minimize(
@@ -110,14 +113,18 @@ def _potential_minimum(model: FrictionOscillator) -> tuple[np.ndarray, float]:
     return found.x, float(found.fun)
 
 
-def _friction_hint(program: Any) -> dict[str, Any]:
+def _friction_hint(subject: CertificateSubject, program: Any) -> dict[str, Any]:
     """What shows that one theta is convex: squares of the second derivative of what the rules leave, else a cover."""
     atoms = verify.Atoms(nonnegative=[0])
-    (p,) = atoms.read(verify.VerifierProgram(program))
+    (p,) = atoms.read(verify.VerifierProgram(program, None, None, subject.parameters))
+    pairs = [_bend_squares(q, atoms) for q in verify.at_corners(p)]
+    return {"slope": AdaptiveCover()} | ({"cover": AdaptiveCover()} if None in pairs else {"squares": corner_hints(pairs)})
+
+
+def _bend_squares(p: verify.Poly, atoms: verify.Atoms) -> list[Any] | None:
     rest = verify.leftover(p, atoms)
     polynomial = all(v == 0 for m in rest for v, _ in m)
-    pair = _half_line_squares(verify.slope(verify.slope(rest, 0, atoms), 0, atoms)) if polynomial else None
-    return {"slope": AdaptiveCover()} | ({"cover": AdaptiveCover()} if pair is None else {"squares": pair})
+    return _half_line_squares(verify.slope(verify.slope(rest, 0, atoms), 0, atoms)) if polynomial else None
 
 
 def _half_line_squares(p: verify.Poly) -> list[Any] | None:

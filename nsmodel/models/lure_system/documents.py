@@ -5,7 +5,8 @@ The class in LaTeX.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from typing import Any
@@ -17,9 +18,9 @@ from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import ROUND_DOWN, StatedNumber, UnprovedFinding, cover_hint, exact_number_text
 from nsmodel.hypotheses.certificates.write import (
     CertificateSubject,
-    Data,
     column_text,
     dense_matrix_text,
+    entry_text,
     expression_program,
     law_data,
 )
@@ -33,62 +34,107 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.proof import conic, exact
 
 STATED = {"4.1": (StatedNumber("least eigenvalue", ROUND_DOWN, "least"),), "5.2": (StatedNumber("omega"),)}
 
 
-def subject(model: LureSystem, findings: Mapping[str, Finding]) -> CertificateSubject:
+def subject(model: LureSystem, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The model as data."""
     y = ca.SX.sym("y", 0) if model.law is not None else model.y
     data = {
-        "A": expression_program(model.A, model.x, model.names), "B": dense_matrix_text(model.B), "C": dense_matrix_text(model.C),
-        "D": dense_matrix_text(model.D), "f": expression_program(model.f, model.t, ["t"]), "x0": column_text(model.x0),
-        "law": [] if model.law is None else law_data(model.law),
-        "phi": None if model.law is not None else expression_program(model.phi, y, [f"y_{i}" for i in range(y.numel())]),
+        "A": expression_program(model, model.A, model.x, model.names),
+        **{name: dense_matrix_text(model, getattr(model, name)) for name in "BCD"},
+        "f": expression_program(model, model.f, model.t, ["t"]), "x0": column_text(model, model.x0),
+        "law": [] if model.law is None else law_data(model, model.law, ranges),
+        "phi": None if model.law is not None else expression_program(model, model.phi, y, [f"y_{i}" for i in range(y.numel())]),
     }  # fmt: skip
     e = (
         {}
         if model.e.is_zero()
-        else {"e": column_text(model.e) if model.e.is_constant() else expression_program(model.e, model.t, ["t"])}
+        else {"e": expression_program(model, model.e, model.t, ["t"]) if _offset_moves(model) else column_text(model, model.e)}
     )
-    return CertificateSubject(model, data | e)
+    return CertificateSubject(model, data | e, ranges=ranges)
+
+
+def _offset_moves(model: LureSystem) -> bool:
+    return bool(ca.depends_on(model.e, model.t))
 
 
 def proofs(
-    model: LureSystem, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: P, a cover where A is not linear, points in ranges."""
-    return [_proof_hint(model, data, finding)]
+    return [_proof_hint(subject, finding)]
 
 
-def _proof_hint(model: LureSystem, data: Data, finding: Finding) -> Any:
+def _proof_hint(subject: CertificateSubject, finding: Finding) -> Any:
+    model: LureSystem = subject.model
     if finding.id in ("5.1", "5.2"):
         name = "P" if finding.id == "5.1" else "P_omega"
         P = finding.witness.get(f"{name} exactly") or finding.witness.get(name)
+        if P is None and subject.ranges:
+            return _diagonal_energy_hint(subject) | cover_hint(model.A, model.x)
         if P is None:
             raise UnprovedFinding("too large a P to write down")
         P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
         return {"P": P} | cover_hint(model.A, model.x)
-    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(data, finding.id):
+    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(subject, finding.id):
+        _check_constant_boxes(model, finding.id)
         return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
     return {}
 
 
-def _verifier_range_is_whole(data: Data, id: str) -> bool:
+def _diagonal_energy_hint(subject: CertificateSubject) -> dict[str, Any]:
+    """d P, a diagonal of functions of the parameters, and d: P(p) B(p) = C(p)' row by row, and from row to row by A."""
+    model: LureSystem = subject.model
+    A, B, C = ca.densify(ca.jacobian(model.A, model.x)), ca.densify(model.B), ca.densify(model.C)
+    n, parts = model.x.numel(), {}
+    for i in range(n):
+        j = next((j for j in range(B.shape[1]) if not B[i, j].is_zero()), None)
+        if j is not None:
+            parts[i] = C[j, i], B[i, j]
+    while len(parts) < n:
+        links = ((i, k) for i in parts for k in range(n) if k not in parts and not (A[i, k].is_zero() or A[k, i].is_zero()))
+        i, k = next(links, (None, next(k for k in range(n) if k not in parts)))
+        parts[k] = (ca.SX(1), ca.SX(1)) if i is None else (-parts[i][0] * A[i, k], parts[i][1] * A[k, i])
+    if any(ca.depends_on(ca.vertcat(*pair), model.x) for pair in parts.values()):
+        raise UnprovedFinding("no diagonal P that is free of the states")
+    bottoms = {k: bottom for k, (_, bottom) in parts.items() if ca.symvar(bottom)}
+    scaled = [
+        top * product_of([*(one for k, one in bottoms.items() if k != i)]) / (1 if i in bottoms else bottom)
+        for i, (top, bottom) in ((i, parts[i]) for i in range(n))
+    ]
+    d = product_of([*bottoms.values()])
+    at = ca.DM([(low + high) / 2 for low, high in subject.ranges.values()])
+    sign = float(np.sign(float(ca.Function("d", [model.p], [d])(at))))
+    zero = ca.SX(0)
+    P = [[entry_text(model, sign * scaled[i] if i == k else zero) for k in range(n)] for i in range(n)]
+    return {"P": P, "d": entry_text(model, sign * d)}
+
+
+def product_of(factors: Sequence[ca.SX]) -> ca.SX:
+    """The product of expressions."""
+    return math.prod(factors, start=ca.SX(1))
+
+
+def _verifier_range_is_whole(subject: CertificateSubject, id: str) -> bool:
     with suppress(verify.Unproved):
-        read = verify.LureData(data)
+        read = verify.LureData(subject.data, subject.parameters)
         return read.is_onto() if id == "5.4c" else read.is_wide()
     return False
 
 
-def _check_constant_boxes(model: LureSystem) -> None:
-    if not model.e.is_constant():
+def _check_constant_boxes(model: LureSystem, id: str) -> None:
+    if _offset_moves(model):
         raise UnprovedFinding("an offset e that moves with time")
+    parts = (model.C, model.D, model.e, model.x0 if id == "5.x0" else ca.SX(0))
+    if any(ca.depends_on(ca.vec(part), model.p) for part in parts):
+        raise UnprovedFinding("a point that moves with parameters")
     if model.law is None or not model.law.is_box:
         raise UnprovedFinding("a law that is no box")
 
@@ -101,7 +147,6 @@ def _point_in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """
     m, n = model.D.shape[0], model.x.numel()
     C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
-    _check_constant_boxes(model)
     low, high = (np.concatenate(ends) for ends in zip(*(block.bounding_box() for block in model.law.blocks), strict=True))
     bounded = np.isfinite(low) & np.isfinite(high)
     S, I = D + D.T, exact.eye(m)

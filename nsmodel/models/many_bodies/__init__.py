@@ -99,6 +99,5 @@ def certificate_parts() -> CertificateParts:
     """Return what writes its certificates."""
     from nsmodel.hypotheses.certificates.write import CertificateParts
     from nsmodel.models.many_bodies import documents
-    from nsmodel.models.sweeping_process.documents import proofs
 
-    return CertificateParts(stated=documents.STATED, subject=documents.subject, proofs=proofs)
+    return CertificateParts(stated=documents.STATED, subject=documents.subject, proofs=documents.proofs)

@@ -6,29 +6,96 @@ The class in LaTeX.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from nsmodel.hypotheses.certificates.hints import UnprovedFinding
+from nsmodel.hypotheses.certificates.hints import UnprovedFinding, exact_number_text
 from nsmodel.hypotheses.certificates.write import CertificateSubject
 from nsmodel.hypotheses.equations import entry_formulas, function_call_latex, space_latex, vector_lines
-from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.hypotheses.latex import SymbolNames, symbol_latex, text_latex
 from nsmodel.models.many_bodies.families import Bodies, GroupMember
 from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.models.sweeping_process import documents as sweeping
+from nsmodel.models.sweeping_process.documents import ConstraintRow
+from nsmodel.models.sweeping_process.model import SweepingProcess
 
 MAX_WRITTEN_CONSTRAINTS = 400  # Families of more are not written out.
 STATED = sweeping.STATED
 
 
-def subject(model: ManyBodies, findings: Mapping[str, Finding]) -> CertificateSubject:
-    """The sweeping process as data."""
-    if sum(family.count for family in model.constraints.values()) > MAX_WRITTEN_CONSTRAINTS:
-        raise UnprovedFinding(f"more than {MAX_WRITTEN_CONSTRAINTS} constraints of families")
-    if not isinstance(model.f, ca.SX):
-        raise UnprovedFinding("a velocity that is a function of numbers")
-    return sweeping.subject(model.written_out(), findings)
+def subject(model: ManyBodies, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
+    """The sweeping process as data; of many constraints as families."""
+    if is_small(model):
+        return sweeping.subject(model.written_out(), findings, ranges)
+    names = [str(symbol) for symbol in ca.vertsplit(model.q)]
+    f = {"inputs": ["t", *names, *ranges], "why": "the velocities of many bodies are not written down"}
+    data = {
+        "class": "SweepingProcess", "constraints": sweeping.rows_data(family_rows(model, ranges), findings), "f": f,
+        "q0": [exact_number_text(x) for x in model.q0],
+    }  # fmt: skip
+    return CertificateSubject(model, data, ranges=ranges)
+
+
+def is_small(model: ManyBodies) -> bool:
+    """Whether its constraints are written down one by one."""
+    return isinstance(model.f, ca.SX) and sum(family.count for family in model.constraints.values()) <= MAX_WRITTEN_CONSTRAINTS
+
+
+def proofs(
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+) -> list[Any]:
+    """Hints: as of a sweeping process, of families once for all members."""
+    if isinstance(subject.model, SweepingProcess):
+        return sweeping.proofs(subject, finding, findings, value, room)
+    if finding.id in ("A5", "A5'", "S-f"):
+        raise UnprovedFinding(
+            f"more than {MAX_WRITTEN_CONSTRAINTS} constraints of families, or velocities that are not written down"
+        )
+    if finding.id == "S-start":
+        return [{}]
+    return [sweeping.constraint_hints(subject, family_rows(subject.model, subject.ranges), finding, findings, room)]
+
+
+def family_rows(model: ManyBodies, ranges: IntervalBox) -> list[ConstraintRow]:
+    """The families, a row for each thing around the bodies, whose numbers are then exact."""
+    d, states, (_, slow_names, ends) = model.bodies.d, ca.vertsplit(model.q), sweeping.slow_inputs(model, ranges)
+    found = []
+    for name, family in model.constraints.items():
+        moving = family.moving
+        q, pairs = ca.vertcat(*(member.q for member in moving)), family.pairs
+        own = [
+            (k, column, symbol) for k, member in enumerate(moving) for column, symbol in enumerate(ca.vertsplit(member.symbols))
+            if column >= d and ca.depends_on(family.g, symbol)
+        ]  # fmt: skip
+        items = family.second if family.second is not None and not family.of_pairs else None
+        for item in [None] if items is None else sorted(set(pairs[:, 1].tolist())):
+            chosen = pairs if item is None else pairs[pairs[:, 1] == item]
+            numbers = np.array([model.bodies.table[chosen[:, k], column] for k, column, _ in own]).reshape(len(own), len(chosen))
+            bodies = chosen[:, : len(moving)].tolist()
+            members = [
+                ([str(states[i * d + axis]) for i in one for axis in range(d)], numbers[:, row].tolist())
+                for row, one in enumerate(bodies)
+            ]
+            exact = (
+                {}
+                if items is None or item is None
+                else dict(zip(ca.vertsplit(items.symbols), items.group.table[item].tolist(), strict=True))
+            )
+            found.append(
+                ConstraintRow(
+                    name if item is None else f"{name} {item}", family.g, q, [str(symbol) for symbol in ca.vertsplit(q)],
+                    ca.vertcat(model.t, *(symbol for *_, symbol in own), model.p),
+                    [slow_names[0], *(str(symbol) for *_, symbol in own), *slow_names[1:]],
+                    np.concatenate([ends[0][:1], numbers.min(axis=1), ends[0][1:]]),
+                    np.concatenate([ends[1][:1], numbers.max(axis=1), ends[1][1:]]),
+                    exact, members,
+                )
+            )  # fmt: skip
+    return found
 
 
 def equations(model: ManyBodies) -> list[str]:

@@ -22,7 +22,7 @@ from nsmodel.hypotheses.certificates.hints import (
     interior_point_hint,
     nonnegativity_hint,
 )
-from nsmodel.hypotheses.certificates.write import CertificateSubject, Data, column_text, expression_program
+from nsmodel.hypotheses.certificates.write import CertificateSubject, column_text, expression_program
 from nsmodel.hypotheses.equations import (
     MAX_LISTED_ROWS,
     constraint_lines,
@@ -33,10 +33,11 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.hypotheses.findings import Finding
+from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.hypotheses.latex import SymbolNames
 from nsmodel.hypotheses.region import potential_without_domain
 from nsmodel.modeling.convex_split import ConvexSplit
+from nsmodel.models.monotone_inclusion.check import time_as_parameter
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints
 from nsmodel.proof.expression_graph import stack_column
@@ -47,33 +48,37 @@ STATED = {
 }  # fmt: skip
 
 
-def subject(model: MonotoneInclusion, findings: Mapping[str, Finding]) -> CertificateSubject:
-    """The model as data."""
+def subject(model: MonotoneInclusion, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
+    """The model as data; time, where something depends on it, is one of the parameters."""
+    times = [finding.scope.time for finding in findings.values() if finding.scope is not None and finding.scope.time is not None]
+    if model.moves and times:
+        model, ranges = time_as_parameter(model), {**ranges, str(model.t): times[0]}
     rows, _ = set_constraints(model)
     phi = (
         None
         if model.phi is None
-        else expression_program(potential_without_domain(model.phi, model.x, "phi"), model.x, model.names)
+        else expression_program(model, potential_without_domain(model.phi, model.x, "phi"), model.x, model.names)
     )
     signs, sizes = model.sign_symbols, ca.jacobian(model.operator, model.sign_symbols)
     operator = ca.substitute(model.operator, signs, ca.SX.zeros(signs.numel()))
-    S = None if model.phi is not None or operator.is_zero() else expression_program(operator, model.x, model.names)
+    S = None if model.phi is not None or operator.is_zero() else expression_program(model, operator, model.x, model.names)
     switches = [
-        [column_text(sizes[:, k]), expression_program(argument, model.x, model.names)]
+        [column_text(model, sizes[:, k]), expression_program(model, argument, model.x, model.names)]
         for k, argument in enumerate(ca.vertsplit(model.sign_arguments)) if signs.numel()
     ]  # fmt: skip
-    data = {"F": expression_program(model.field, model.x, model.names), "phi": phi, "S": S,
-            "C": expression_program(rows, model.x, model.names), "x0": column_text(model.x0),
+    data = {"F": expression_program(model, model.field, model.x, model.names), "phi": phi, "S": S,
+            "C": expression_program(model, rows, model.x, model.names), "x0": column_text(model, model.x0),
             "switches": switches}  # fmt: skip
-    return CertificateSubject(model, data)
+    return CertificateSubject(model, data, ranges=ranges)
 
 
 def proofs(
-    model: MonotoneInclusion, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: a point inside C, convexity, squares, covers."""
+    model: MonotoneInclusion = subject.model
     if finding.id == "M-C":
-        return [interior_point_hint(model, finding)]
+        return [interior_point_hint(subject, finding)]
     V = model.field - (
         model.operator if model.phi is None else ca.gradient(potential_without_domain(model.phi, model.x, "phi"), model.x)
     )
@@ -81,16 +86,17 @@ def proofs(
         if model.phi is None:
             return [cover_hint(model.operator, model.x)]
         atoms = verify.Atoms()
-        (phi,) = atoms.read(verify.VerifierProgram(data["phi"]))
+        (phi,) = atoms.read(verify.VerifierProgram(subject.data["phi"], None, None, subject.parameters))
         return [convexity_hint(phi, range(model.x.numel()), atoms)]
     if finding.id == "M-A2":
         return [{}]
     if finding.id == "M-A3":
         atoms, numbers = verify.Atoms(), {name: Fraction(number) for name, number in value.items()}
-        found = nonnegativity_hint(verify.dissipation(verify.InclusionData(data), numbers, atoms), atoms)
+        read = verify.InclusionData(subject.data, subject.parameters)
+        found = nonnegativity_hint(verify.dissipation(read, numbers, atoms), atoms)
         if found is None:
             raise UnprovedFinding("the dissipation is not shown to be >= 0 by squares")
-        return [interior_point_hint(model, finding) | found]
+        return [found]
     return [cover_hint(V, model.x) if finding.id == "M-24" else {"cover": AdaptiveCover()}]
 
 

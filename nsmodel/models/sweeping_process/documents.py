@@ -5,9 +5,10 @@ The class in LaTeX.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,6 +21,7 @@ from nsmodel.hypotheses.certificates.hints import (
     AdaptiveCover,
     StatedNumber,
     UnprovedFinding,
+    UnsupportedOperation,
     convexity_hint,
     exact_matrix_text,
     exact_number_text,
@@ -35,8 +37,8 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.hypotheses.findings import Finding
-from nsmodel.models.sweeping_process.constraint_shapes import AffineForm, ConstraintShape, read_shapes
+from nsmodel.hypotheses.findings import Finding, IntervalBox
+from nsmodel.models.sweeping_process.constraint_shapes import ConstraintShape, read_shapes
 from nsmodel.models.sweeping_process.mfcq_constant import mfcq_constant
 from nsmodel.models.sweeping_process.model import SweepingProcess
 from nsmodel.proof import exact, extremum
@@ -50,81 +52,162 @@ STATED = {
 }  # fmt: skip
 
 
-def subject(model: SweepingProcess, findings: Mapping[str, Finding]) -> CertificateSubject:
+class ConstraintRow(NamedTuple):
+    """One constraint, or a family of them.
+
+    Attributes:
+        name, g: its name, and the expression of q, of ``slow`` and of the symbols that are known exactly.
+        q, names: its states.
+        slow, slow_names: time, numbers in which the members of a family differ, and parameters.
+        lower, upper: between which ends these lie.
+        exact: {symbol: number} of the symbols that are known exactly.
+        members: of a family the states and the numbers of each constraint.
+    """
+
+    name: str
+    g: ca.SX
+    q: ca.SX
+    names: Sequence[str]
+    slow: ca.SX
+    slow_names: Sequence[str]
+    lower: np.ndarray
+    upper: np.ndarray
+    exact: Mapping[ca.SX, float] = MappingProxyType({})
+    members: Sequence[tuple[Sequence[str], Sequence[float]]] | None = None
+
+    @property
+    def shape(self) -> ConstraintShape:
+        """What g is made of, up to the rounding of constants."""
+        g = ca.substitute(self.g, ca.vertcat(ca.SX(0, 1), *self.exact), ca.SX(ca.DM([*self.exact.values()])))
+        return read_shapes(g, self.q)[0]
+
+    def program(self, expr: ca.SX, states: bool = True) -> Data:
+        """A function of time, where asked for of the states, and of the rest."""
+        q, names = (self.q, self.names) if states else (ca.SX(0, 1), ())
+        inputs = ca.vertcat(self.slow[0], q, self.slow[1:, :])
+        return straight_line_program(expr, inputs, ["t", *names, *self.slow_names[1:]], self.exact)
+
+    def constant(self, number: Fraction) -> Data:
+        """A number as a function of time and the rest."""
+        return {"inputs": ["t", *self.slow_names[1:]], "steps": [["const", str(number)]], "outputs": [0]}
+
+    def parameters(self, subject: CertificateSubject) -> verify.Parameters:
+        """What ``verify`` proves the function for all values of."""
+        count, ends = len(subject.ranges), zip(self.lower.tolist(), self.upper.tolist(), strict=True)
+        numbers = [
+            verify.between(count + k, Fraction(a), Fraction(b))
+            for k, (a, b) in enumerate(list(ends)[1 : len(self.slow_names) - count])
+        ]
+        return dict(zip(self.slow_names[1:], numbers, strict=False)) | subject.parameters
+
+
+def subject(model: SweepingProcess, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The model as data."""
+    f = expression_program(model, model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())])
+    data = {"constraints": rows_data(constraint_rows(model, ranges), findings), "f": f, "q0": column_text(model, model.q0)}
+    return CertificateSubject(model, data, ranges=ranges)
+
+
+def constraint_rows(model: SweepingProcess, ranges: IntervalBox) -> list[ConstraintRow]:
+    """The constraints one by one."""
+    slow, names, ends = slow_inputs(model, ranges)
     shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
-    own = [list(shape.own) for shape in shapes]
+    rows = zip(model.multiplier_names, ca.vertsplit(model.g), shapes, strict=True) if shapes else ()
+    return [
+        ConstraintRow(name, g, model.q[list(shape.own)], [model.names[i] for i in shape.own], slow, names, *ends)
+        for name, g, shape in rows
+    ]
+
+
+def slow_inputs(model: Any, ranges: IntervalBox) -> tuple[ca.SX, list[str], np.ndarray]:
+    """Time and the parameters, their names and ends."""
+    ends = np.array([(0.0, float(model.t_end or 0.0)), *ranges.values()]).T
+    return ca.vertcat(model.t, model.p), ["t", *ranges], ends
+
+
+def rows_data(rows: Sequence[ConstraintRow], findings: Mapping[str, Finding]) -> list[Data]:
+    """The constraints as data, with the U_i of A0 to A4."""
     c, b = (findings[id].value.get(name, 1.0) if id in findings else 1.0 for id, name in (("A0", "c"), ("A1", "b")))
     on_box = Fraction(c) * Fraction(b) if np.isfinite([c, b]).all() else Fraction(1)
-    deltas = [
-        {}
-        if shape.kind == "plane"
-        else {"delta": exact_number_text(radius_lower_bound(shape, model) / 2 if shape.kind == "distance" else on_box)}
-        for shape in shapes
-    ]
-    rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, deltas, strict=True) if own else []
-    data = {
-        "constraints": [
-            {
-                "name": name,
-                "graph": expression_program(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)]),
-            } | delta
-            for name, g, own, delta in rows
-        ],
-        "f": expression_program(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())]),
-        "q0": column_text(model.q0),
-    }  # fmt: skip
-    return CertificateSubject(model, data)
+    found = []
+    for row in rows:
+        shape = row.shape
+        try:
+            graph = row.program(row.g)
+        except UnsupportedOperation as why:
+            graph = {"inputs": ["t", *row.names, *row.slow_names[1:]], "why": str(why)}
+        data: Data = {"name": row.name, "graph": graph}
+        if shape.kind != "plane":
+            delta = radius_lower_bound(row, shape) / 2 if shape.kind == "distance" else on_box
+            data["delta"] = exact_number_text(delta)
+        if row.members is not None:
+            data["numbers"] = list(row.slow_names[1 : 1 + len(row.members[0][1])])
+            data["members"] = [
+                {"states": list(names), "numbers": [exact_number_text(x) for x in numbers]} for names, numbers in row.members
+            ]
+        found.append(data)
+    return found
 
 
-def radius_lower_bound(shape: ConstraintShape, model: SweepingProcess) -> Fraction:
+def radius_lower_bound(row: ConstraintRow, shape: ConstraintShape) -> Fraction:
     """Of a distance less r(t) a number that r is not below, at all times; U_i = {g_i > -delta} with half of it."""
     offset = shape.written.affine.offset
     if isinstance(offset, Fraction):
         return -offset
-    top = extremum.supremum(offset, model.t, np.zeros(1), np.array([float(model.t_end or 0.0)])).bound
+    top = extremum.supremum(offset, row.slow, row.lower, row.upper).bound
     return Fraction(-top) * (1 - Fraction(1, 2**40)) if top < 0 else Fraction(0)
 
 
 def proofs(
-    model: SweepingProcess, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: the form of each constraint, covers of the box, directions of escape."""
-    return [_sweeping_hint(model, data, finding, findings, room)]
+    return [_sweeping_hint(subject, finding, findings, value, room)]
 
 
-def _sweeping_hint(model: SweepingProcess, data: Data, finding: Finding, findings: Mapping[str, Finding], room: Fraction) -> Any:
-    if finding.id == "S-f":
-        straight_line_program(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())])  # it may not be written
+def constraint_hints(
+    subject: CertificateSubject, rows: Sequence[ConstraintRow], finding: Finding, findings: Mapping[str, Finding], room: Fraction
+) -> Data:
+    """The form of each constraint."""
+    return {"constraints": [_constraint_form_hint(subject, row, k, finding, findings, room) for k, row in enumerate(rows)]}
+
+
+def _sweeping_hint(
+    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+) -> Any:
+    model: SweepingProcess = subject.model
     if finding.id in ("S-f", "S-start"):
+        if finding.id == "S-f":
+            verify.VerifierProgram(subject.data["f"], None, None, subject.parameters)  # it may not be written down
         return {"time": AdaptiveCover(), "cover": AdaptiveCover()}
     if finding.id in ("A5", "A5'"):
-        return {"cover": AdaptiveCover(_escape_direction_rule(model))}
-    shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
-    return {
-        "constraints": [_constraint_form_hint(model, data, k, shape, finding, findings, room) for k, shape in enumerate(shapes)]
-    }
+        every = finding.id == "A5" and "rho" not in value
+        return {"cover": AdaptiveCover(_escape_direction_rule(model, np.inf if every else 0.0))}
+    return constraint_hints(subject, constraint_rows(model, subject.ranges), finding, findings, room)
 
 
 def _constraint_form_hint(
-    model: SweepingProcess, data: Data, k: int, shape: Any, finding: Finding, findings: Mapping[str, Finding], room: Fraction
+    subject: CertificateSubject, row: ConstraintRow, k: int, finding: Finding, findings: Mapping[str, Finding], room: Fraction
 ) -> dict[str, Any]:
-    """The form of one constraint: affine, a norm or the distance to a segment, else bounds over the box."""
+    """The form of one constraint: affine, a norm or the distance to a box or a segment, else bounds over the box."""
+    shape = row.shape
     if shape.kind == "plane":
-        rules = finding.id == "S-convex"
-        return {"form": "rules", "time": AdaptiveCover()} if rules else {"form": "box", "cover": AdaptiveCover(only=[0])}
-    if shape.kind == "distance":
-        hint = _norm_form_hint(model, shape)
-        if hint is not None:
-            return hint
+        rules, n = finding.id == "S-convex", row.q.numel()
+        slow = [0, *range(1 + n, n + row.slow.numel())]
+        return {"form": "rules", "time": AdaptiveCover()} if rules else {"form": "box", "cover": AdaptiveCover(only=slow)}
+    if shape.kind == "distance" and (hint := _norm_form_hint(subject, row, shape, k)) is not None:
+        return hint
     local = finding.scope is not None and bool(finding.scope.states)
     if finding.id == "S-convex":
-        program, atoms = verify.VerifierProgram(data["constraints"][k]["graph"]), verify.Atoms()
+        program, atoms = (
+            verify.VerifierProgram(subject.data["constraints"][k]["graph"], None, None, row.parameters(subject)),
+            verify.Atoms(),
+        )
         (p,) = atoms.read(program)
-        hint = convexity_hint(p, range(1, len(program.inputs)), atoms)
+        hint = convexity_hint(p, range(1, program.n), atoms)
         return hint | ({"form": "box"} if "cover" in hint else {"form": "rules", "time": AdaptiveCover()})
     if not local and finding.id not in ("A2", "A3", "A4"):
-        raise UnprovedFinding(f"constraint '{model.multiplier_names[k]}': a form that is not written down here")
+        raise UnprovedFinding(f"constraint '{row.name}': a form that is not written down here")
     b = finding.value.get("b") if finding.id == "A1" else findings["A1"].value.get("b") if "A1" in findings else None
     if finding.id not in ("A0", "A1"):
         b = np.inf
@@ -134,52 +217,94 @@ def _constraint_form_hint(
     return {"form": "box", "cover": AdaptiveCover(), **bound}
 
 
-def _norm_form_hint(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:
-    """w |A q + c(t)| + offset(t), or the distance to a segment."""
+def _norm_form_hint(subject: CertificateSubject, row: ConstraintRow, shape: ConstraintShape, k: int) -> dict[str, Any] | None:
+    """w |A q + c(t)| + offset(t), or the distance to a segment or a box; None where it is written in another way."""
     (weight, squares), offset = shape.written.norms[0], shape.written.affine.offset
+    hint: dict[str, Any] = {
+        "form": "norm", "w": exact_number_text(weight), "time": AdaptiveCover(), "offset": _time_graph(offset, row),
+        "reach": exact_number_text(radius_lower_bound(row, shape)),
+    }  # fmt: skip
+    if len(shape.clips) == 1:
+        program = verify.VerifierProgram(subject.data["constraints"][k]["graph"], None, None, row.parameters(subject))
+        n = row.q.numel()
+        hint |= {"A": exact_matrix_text(exact.eye(n)), "b": exact_number_text(weight)}
+        for line in segment_hints(program):
+            if _is_norm_form(program, found := hint | line):
+                return found
+        return None
     if any(w != 1 for w, _ in squares):
         return None
     place = {i: j for j, i in enumerate(shape.own)}
     A = exact.zeros(len(squares), len(place))
-    for row, (_, a) in enumerate(squares):
+    for one, (_, a) in enumerate(squares):
         for i, number in a.row.items():
             if i >= 0:
-                A[row, place[i]] = number
-    hint: dict[str, Any] = {"form": "norm", "w": exact_number_text(weight), "A": exact_matrix_text(A), "time": AdaptiveCover(),
-                            "c": [_time_graph(a, model) for _, a in squares], "offset": _time_graph(offset, model)}  # fmt: skip
+                A[one, place[i]] = number
+    hint |= {"A": exact_matrix_text(A), "c": [_time_graph(a.offset, row) for _, a in squares]}
     if shape.clips:
-        if any(a.row.get(i) != -1 for _, a in squares for i in a.row if i < 0):
-            raise UnprovedFinding("the distance to a segment that is aslant: its projection is one up to rounding only")
         clips = [next((shape.clips[i] for i in a.row if i < 0), None) for _, a in squares]
-        if any(clip is not None and None in (clip.low, clip.high) for clip in clips):
-            raise UnprovedFinding("the distance to a half-line")
-        hint["clips"] = [clip and [exact_number_text(clip.low), exact_number_text(clip.high)] for clip in clips]
+        ends = [
+            clip and (-np.inf if clip.low is None else clip.low, np.inf if clip.high is None else clip.high) for clip in clips
+        ]
+        hint["clips"] = [pair and [exact_number_text(end) for end in pair] for pair in ends]
     gram = exact.doubles(exact.matrix_product(A, A.T))
     b = Fraction(float(weight) * float(np.sqrt(np.linalg.eigvalsh(gram)[-1]))) * (1 + ROUNDING_ALLOWANCE / 4)
-    return hint | {"reach": exact_number_text(radius_lower_bound(shape, model)), "b": exact_number_text(b)}
+    return hint | {"b": exact_number_text(b)}
 
 
-def _time_graph(a: AffineForm | Any, model: SweepingProcess) -> Any:
-    offset = a.offset if isinstance(a, AffineForm) else a
-    if isinstance(offset, Fraction):
-        return {"inputs": ["t"], "steps": [["const", exact_number_text(offset)]], "outputs": [0]}
-    return straight_line_program(offset, model.t, ["t"])
+def _is_norm_form(program: verify.VerifierProgram, hint: dict[str, Any]) -> bool:
+    try:
+        verify.NormForm(program, hint)
+    except verify.Unproved:
+        return False
+    return True
 
 
-def _escape_direction_rule(model: SweepingProcess) -> Callable[[list[Any]], Any]:
-    """A direction of escape for the constraints near the middle of a part."""
-    slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q)), ca.densify(model.g)])
+def segment_hints(g: verify.VerifierProgram) -> Iterator[dict[str, Any]]:
+    """What a norm of q - a - s e, s the nearest point to <q - a, e>/|e|^2 of an interval, may be: a as c, e as along."""
+    atoms, own = verify.Atoms(), range(1, g.n)
+    (p,) = atoms.read(g)
+    meanings = [atoms.meaning[v] for m in p for v, _ in m if v in atoms.meaning and len(atoms.meaning[v]) > 2]
+    inner = next((u if op == "pow" else u * u for op, u, w in meanings if op == "pow" or (op == "fmax" and w == -u)), None)
+    if inner is None:
+        return
+    c = [-inner.get(((v, 1),), Fraction(0)) / -2 for v in own]
+    for v in sorted({v for m in inner for v, _ in m if v in atoms.meaning}):
+        op, u, w = atoms.meaning[v] if atoms.meaning[v][0] == "fmax" else ("", verify.Poly({}), verify.Poly({}))
+        x, end = (u, w.number()) if w.number() is not None else (w, u.number())
+        nested = [atoms.meaning[k] for m in x for k, _ in m if k in atoms.meaning]
+        tries: list[tuple[verify.Poly, list[Any]]] = [(x, [end, "inf"]), (-x, ["-inf", None if end is None else -end])]
+        for _, y, z in (part for part in nested if part[0] == "fmax"):
+            y, other = (y, z.number()) if z.number() is not None else (z, y.number())
+            if end is not None and other is not None:
+                tries += [(y, [other, -end]), (-y, [end, -other, "high first"])]
+        for line, ends in tries if op and end is not None else ():
+            slope = [line.get(((k, 1),), Fraction(0)) for k in own]
+            size = sum(a * a for a in slope)
+            if size:
+                const = [{"inputs": ["t", *g.inputs[g.n :]], "steps": [["const", str(entry)]], "outputs": [0]} for entry in c]
+                yield {"c": const, "along": [str(a / size) for a in slope], "ends": [str(end) for end in ends]}
+
+
+def _time_graph(offset: Any, row: ConstraintRow) -> Any:
+    return row.constant(offset) if isinstance(offset, Fraction) else row.program(offset, states=False)
+
+
+def _escape_direction_rule(model: SweepingProcess, rho: float) -> Callable[[list[Any]], Any]:
+    """A direction of escape for the constraints near the middle of a part, or within rho."""
+    z = ca.vertcat(model.t, model.q, model.p)
+    slopes = ca.Function("slopes", [z], [ca.densify(ca.jacobian(model.g, model.q)), ca.densify(model.g)])
 
     def direction(box: list[Any]) -> Any:
         middle = np.array([float(x.lo + x.hi) / 2 for x in box])
         reach = np.linalg.norm([float(x.hi - x.lo) for x in box])
-        G, g = (np.array(item) for item in slopes(middle[0], middle[1:]))
+        G, g = (np.array(item) for item in slopes(middle))
         size = np.linalg.norm(G, axis=1)
-        near = np.flatnonzero((g.ravel() <= reach * np.maximum(size, 1e-300)) & (size > 0))
+        near = np.flatnonzero((g.ravel() <= rho + reach * np.maximum(size, 1e-300)) & (size > 0))
         if len(near) < 2 or not np.isfinite(G[near]).all():
             return [
                 exact_number_text(x)
-                for x in (G[near[0]] if len(near) and np.isfinite(G[near[0]]).all() else np.ones(len(middle) - 1))
+                for x in (G[near[0]] if len(near) and np.isfinite(G[near[0]]).all() else np.ones(model.q.numel()))
             ]
         normals = G[near] / size[near, None]
         return [exact_number_text(x) for x in mfcq_constant(normals)[1] @ normals]
