@@ -1,4 +1,4 @@
-"""CPU time of `nsmodel check --quick` for chains of masses, beside a plain baseline of the same run; and how it grows with their number.
+"""CPU time of `nsmodel check --quick` for chains of masses, beside a plain baseline of the same run; and how it grows.
 
     python tests/bench/checks.py
 
