@@ -42,6 +42,7 @@ from nsmodel.models.lure_system import domains
 from nsmodel.models.lure_system.range_condition import is_range_whole_space
 from nsmodel.proof import exact
 from nsmodel.proof.extremum import largest_eigenvalue
+from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.structure import is_eigenvalue_nonnegative, least_eigenvalue
 
 MAX_DECIDED_STEPS = 5  # Different step lengths that are decided one by one.
@@ -317,7 +318,7 @@ def _exact_solvability(hypothesis: Hypothesis, at: SystemLinearisation) -> Findi
         W = at.exact_mlcp(float(h)) if near is None else None
         if near is None and W is None:
             return make_finding(hypothesis, UNKNOWN, f"W is singular at h = {h:g} (F-W)")
-        value = _mlcp_measures(exact.doubles(W) if near is None else near)
+        value = _mlcp_measures(not_none(near) if W is None else exact.doubles(W))
         if (change := change_at_step(at.M, at.exact_G(), float(h))) >= 1:
             how = "W is regular by rounding only (F-W), and W_mlcp known no better than that."
             return make_finding(hypothesis, SAMPLED, how, value | {ROUNDING_LABEL: change}, {"h": h})
