@@ -55,8 +55,9 @@ lint: $(STAMP) ## ruff, pyright, which package imports which, and the limits of 
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/python tests/house_check.py
 
-bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
+bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed), and checks of long chains
 	$(BIN)/python tests/bench/run.py
+	$(BIN)/python tests/bench/checks.py
 
 bench-large: $(STAMP) ## crowds of up to 20 000 and chains of up to 10 000 (with the peers, where installed); a quarter of an hour
 	$(BIN)/python tests/bench/large.py

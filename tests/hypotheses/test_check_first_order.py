@@ -12,6 +12,7 @@ from fuzz_models import share
 import nsmodel
 from nsmodel import FirstOrderSystem, ball, box, complementarity, polyhedron, relay, simulate
 from nsmodel.hypotheses.region import region_of
+from nsmodel.models.first_order_system import linearisation
 from nsmodel.models.first_order_system.check import HYPOTHESES, check
 from nsmodel.models.first_order_system.step_matrix import decide_p_matrix, regular_steps
 from nsmodel.proof import exact
@@ -79,6 +80,42 @@ def test_least_singular_step_against_the_determinant():
             assert steps.least > h
         seen.add(steps.regular)
     assert seen == {True, False}
+
+
+def leading_minors(S):
+    """The signs of the leading principal minors, by elimination in Fractions, as far as they are > 0."""
+    S, signs = [list(row) for row in S], []
+    for k in range(len(S)):
+        signs.append(S[k][k] > 0)
+        if not signs[-1]:
+            break
+        for i in range(k + 1, len(S)):
+            factor = S[i][k] / S[k][k]
+            S[i] = [a - factor * b for a, b in zip(S[i], S[k], strict=True)]
+    return signs
+
+
+def test_an_enclosed_mlcp_is_called_definite_where_it_is(monkeypatch):
+    monkeypatch.setattr(linearisation, "MIN_ENCLOSED_STATES", 0)
+    rng, seen = np.random.default_rng(4), []
+    for k in range(100):
+        n, m = rng.integers(1, 5), rng.integers(1, 4)
+        A, B = rng.normal(size=(n, n)).round(k % 3), rng.normal(size=(n, m)).round(1)
+        C = B.T if k % 4 else rng.normal(size=(m, n))
+        D = rng.choice([0.0, 1e-300, -1e-17, 1e-9, 0.1]) * np.eye(m)
+        model = linear(A, B, C, D, complementarity(m), step=0.125).bind()
+        at = linearisation.linearise_system(model, region_of(model, []), [])
+        W, near = at.exact_mlcp(0.125), at.definite_mlcp(0.125)
+        if near is None:
+            seen.append(W is not None and all(leading_minors(W + W.T)))
+            continue
+        assert all(leading_minors(W + W.T)), (A, B, C, D)
+        assert near == pytest.approx(exact.doubles(W), rel=1e-12, abs=1e-12)
+        seen.append(near)
+    lost = sum(one is True for one in seen)
+    assert lost <= 10  # definite, by less than the width of the enclosure
+    assert sum(one is False for one in seen) >= 20
+    assert sum(isinstance(one, np.ndarray) for one in seen) >= 40
 
 
 def test_root_that_touches_zero_is_found():

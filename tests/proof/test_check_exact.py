@@ -163,3 +163,28 @@ def test_a_bound_of_the_largest_eigenvalue_is_one():
         S = [[Fraction(M[i, j]) / 2 + Fraction(M[j, i]) / 2 for j in range(n)] for i in range(n)]
         assert exact.is_psd(np.array([[Fraction(bound) * (i == j) - S[i][j] for j in range(n)] for i in range(n)], dtype=object))
         assert bound <= np.linalg.eigvalsh((M + M.T) / 2)[-1] + 1e-9 * np.abs(M).max()
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 5])
+def test_regular_systems_are_solved_and_singular_ones_are_not(n):
+    rng = np.random.default_rng(n)
+    for singular in (False, True):
+        M = rng.integers(-3, 4, (n, n)) + 0.1 * np.eye(n)
+        if singular and n:
+            M[:, -1] = 2 * M[:, 0] if n > 1 else 0
+        right = rng.normal(size=(n, 2))
+        X = exact.solve_regular_system(M, right)
+        assert (X is None) == (singular and n > 0)
+        if X is not None and n:
+            assert times(M, X) == [[Fraction(entry) for entry in row] for row in right]
+
+
+def test_a_scalar_minus_a_matrix_and_its_signs():
+    M = [[0.1, 0.0], [2.0, -3.0]]
+    left = exact.scalar_minus(0.5, M).tolist()
+    assert left == [[Fraction(0.5) - Fraction(0.1), 0], [-2, Fraction(7, 2)]]
+    big = np.diag([10.0**k for k in range(-150, 151, 20)])  # scaled by powers of 2, each rounded once
+    n = len(big)
+    assert exact.definiteness(big + 1e-160 * np.eye(n, k=1)).definite
+    big[3, 3] = -big[3, 3]
+    assert not exact.definiteness(big).psd

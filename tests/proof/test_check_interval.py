@@ -14,6 +14,7 @@ from nsmodel.proof.extremum import (
     largest_eigenvalue,
     samples,
     spectral_norm,
+    spectral_norm_bounds,
     supremum,
 )
 from nsmodel.proof.interval_bounds import enclose, is_continuous, is_number, mean_value_form, program
@@ -607,3 +608,20 @@ def test_samples_fill_the_box():
     assert (points[:, 4] == 2).all()
     pairs = np.histogram2d(*samples(np.zeros(2), np.ones(2), 1024).T, bins=8, range=[[0, 1], [0, 1]])[0]
     assert pairs.min() >= 8
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 2), (9, 9)])
+def test_norms_over_many_boxes_are_bounded_as_over_each(shape):
+    rng, x = np.random.default_rng(shape[1]), ca.SX.sym("x", 3)
+    rows = [ca.sin(a) * b + c**2 if rng.random() < 0.7 else 0 for a, b, c in rng.choice(ca.vertsplit(x), (np.prod(shape), 3))]
+    J = ca.sparsify(ca.reshape(ca.vertcat(*rows, ca.tanh(x[0] - x[1]))[: int(np.prod(shape))], *shape))
+    lower = rng.uniform(-2, 1, (15, 3)).round(1)
+    upper = lower + rng.choice([0.0, 0.3, INF], (15, 3))
+    found = spectral_norm_bounds(J, x, lower, upper)
+    for alone in (False, True):
+        each = [spectral_norm(J, x, *box, quick=True, bound_alone=alone).bound for box in zip(lower, upper, strict=True)]
+        assert found == pytest.approx(each, rel=1e-12)
+    values = ca.Function("J", [x], [ca.densify(J)])
+    for low, high, bound in zip(lower, upper, found, strict=True):
+        for point in samples(low, high, 20):
+            assert np.linalg.norm(np.array(values(point)), 2) <= bound * (1 + 1e-12)

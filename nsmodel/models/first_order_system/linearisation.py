@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from itertools import combinations
 from math import comb
@@ -27,6 +28,7 @@ from nsmodel.simulation.trajectory import Trajectory
 
 MAX_SAMPLED_RUN_ROWS = 100  # of the runs that are looked at
 MAX_FACE_SETS = 500  # Sets of faces of a polyhedron that are looked at.
+MIN_ENCLOSED_STATES, MAX_ENCLOSED_CONDITION = 64, 1e12  # From so many states on W^{-1} is enclosed, where it is not too large.
 REGION_SAMPLES = 32  # points where there is no run
 
 
@@ -169,19 +171,51 @@ class SystemLinearisation:
 
     def exact_mlcp(self, h: float) -> np.ndarray | None:
         """W_mlcp in Fractions, where all is constant; None where W is singular."""
-        if h not in self._mlcp_by_step:
-            self._mlcp_by_step[h] = self._mlcp_at_step(h)
-        return self._mlcp_by_step[h]
+        return self._once(self._exact_mlcp, h)
 
     @cached_property
-    def _mlcp_by_step(self) -> dict[float, np.ndarray | None]:
+    def _known(self) -> dict[tuple[str, float], np.ndarray | None]:
         return {}
 
-    def _mlcp_at_step(self, h: float) -> np.ndarray | None:
+    def _once(self, decide: Callable[[float], np.ndarray | None], h: float) -> np.ndarray | None:
+        """What a method gives at a step length, computed at the first call."""
+        if (key := (decide.__name__, h)) not in self._known:
+            self._known[key] = decide(h)
+        return self._known[key]
+
+    def _exact_mlcp(self, h: float) -> np.ndarray | None:
         B, C, D = (exact.rational(constant_matrix_values(J)) for J in (self.jacobians.B, self.jacobians.C, self.jacobians.D))
         step, gamma = exact.rational([h, self.model.gamma])
         through = exact.solve_regular_system(self.exact_W(h), B)
         return None if through is None else D + exact.matrix_product(step * gamma * C, through)
+
+    def definite_mlcp(self, h: float) -> np.ndarray | None:
+        """W_mlcp in doubles, where it is proved positive definite; None elsewhere, and where W is small (see ``exact_mlcp``).
+
+        With doubles R near W^{-1} and X near W^{-1} B, e = |I - R W| < 1 and F = B - W X: |W^{-1} B - X| <= |R| |F| / (1 - e) in
+        each column, in the norm of the largest entry. All of this is rational arithmetic on short numbers, where the entries of
+        W^{-1} have as many digits as det W.
+        """
+        return self._once(self._definite_mlcp, h)
+
+    def _definite_mlcp(self, h: float) -> np.ndarray | None:
+        if len(self.M) < MIN_ENCLOSED_STATES:
+            return None
+        B, C, D = (exact.rational(constant_matrix_values(J)) for J in (self.jacobians.B, self.jacobians.C, self.jacobians.D))
+        W, (step, gamma) = self.exact_W(h), exact.rational([h, self.model.gamma])
+        near = exact.doubles(W)
+        if not np.linalg.cond(near) < MAX_ENCLOSED_CONDITION:
+            return None
+        inverse = np.linalg.inv(near)
+        e = _row_sums(exact.scalar_minus(1, exact.matrix_product(inverse, W))).max()
+        if e >= 1:
+            return None
+        X = exact.rational(inverse @ exact.doubles(B))
+        columns = abs(B - exact.matrix_product(W, X)).max(axis=0) * _row_sums(exact.rational(inverse)).max() / (1 - e)
+        errors = step * gamma * _row_sums(C)[:, None] * columns
+        middle = D + exact.matrix_product(step * gamma * C, X)
+        error = max(_row_sums(errors).max(), _row_sums(errors.T).max())  # Of the symmetric part, in the spectral norm.
+        return exact.doubles(middle) if exact.definiteness(-exact.scalar_minus(error, middle)).definite else None
 
     def values(self, matrix: ca.SX) -> np.ndarray:
         """A matrix at all points, (k, rows, columns)."""
@@ -203,6 +237,11 @@ class SystemLinearisation:
         n = len(self.model.names)
         witness = {"t": point[0], "x": point[1 : n + 1]}
         return {**witness, "l": point[n + 1 :]} if len(point) > n + 1 else witness
+
+
+def _row_sums(matrix: np.ndarray) -> np.ndarray:
+    """The sums of the absolute values of each row, exactly."""
+    return np.array([sum((abs(entry) for entry in row if entry), Fraction(0)) for row in matrix] or [Fraction(0)], dtype=object)
 
 
 def constant_matrix_values(matrix: ca.SX) -> np.ndarray:

@@ -42,6 +42,7 @@ from nsmodel.models.lure_system import domains
 from nsmodel.models.lure_system.range_condition import is_range_whole_space
 from nsmodel.proof import exact
 from nsmodel.proof.extremum import largest_eigenvalue
+from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.structure import is_eigenvalue_nonnegative, least_eigenvalue
 
 MAX_DECIDED_STEPS = 5  # Different step lengths that are decided one by one.
@@ -127,7 +128,7 @@ def _constant_uniqueness(hypothesis: Hypothesis, at: SystemLinearisation, mlcp_f
         reason = _uniqueness_reason_for_all_steps(at)
         return _unique_finding(hypothesis, at, f"{reason} {_steps_text(at)}") if reason else None
     lengths = [float(h) for h in at.steps]
-    reasons = [_uniqueness_reason(at, at.exact_mlcp(h)) for h in lengths]
+    reasons = [_uniqueness_reason(at, h) for h in lengths]
     if all(reasons):
         return _unique_finding(hypothesis, at, reasons[0])
     if (one := prove_unique_paired(at, True)) is not None and one.exists:
@@ -212,12 +213,15 @@ def _infeasible_finding(hypothesis: Hypothesis, at: SystemLinearisation, step: A
     return make_finding(hypothesis, VIOLATED, how, {"solutions": 0}, witness)
 
 
-def _uniqueness_reason(at: SystemLinearisation, W: np.ndarray | None) -> str:
+def _uniqueness_reason(at: SystemLinearisation, h: float) -> str:
+    if at.definite_mlcp(h) is not None:
+        return DEFINITE
+    W = at.exact_mlcp(h)
     if W is None:
         return ""
     law, definite = at.model.law, exact.definiteness(W)
     if definite.definite:
-        return "W_mlcp is positive definite (exact)"
+        return DEFINITE
     if not definite.psd:
         if law.is_box:
             return "W_mlcp is a P-matrix (exact), and K a box" if decide_p_matrix(W)[0] else ""
@@ -282,6 +286,7 @@ def _search_finding(hypothesis: Hypothesis, at: SystemLinearisation) -> Finding:
 
 
 MAX_INVERSE_SIZE = 4  # States and multipliers up to which W^{-1} is written out.
+DEFINITE = "W_mlcp is positive definite (exact)"
 MAX_MLCP_STEPS = 5  # Different step lengths that are decided one by one.
 MLCP_MARGIN = 1e-9  # A scaled eigenvalue or minor below minus this is no rounding.
 
@@ -314,13 +319,17 @@ def _exact_solvability(hypothesis: Hypothesis, at: SystemLinearisation) -> Findi
     value: dict[str, float] = {}
     kinds = set()
     for h in at.steps[-MAX_MLCP_STEPS:]:
-        W = at.exact_mlcp(float(h))
-        if W is None:
+        near = at.definite_mlcp(float(h))
+        W = at.exact_mlcp(float(h)) if near is None else None
+        if near is None and W is None:
             return make_finding(hypothesis, UNKNOWN, f"W is singular at h = {h:g} (F-W)")
-        value = _mlcp_measures(exact.doubles(W))
+        value = _mlcp_measures(not_none(near) if W is None else exact.doubles(W))
         if (change := change_at_step(at.M, at.exact_G(), float(h))) >= 1:
             how = "W is regular by rounding only (F-W), and W_mlcp known no better than that."
             return make_finding(hypothesis, SAMPLED, how, value | {ROUNDING_LABEL: change}, {"h": h})
+        if W is None:
+            kinds.add("positive definite")
+            continue
         definite = exact.definiteness(W)
         if definite.psd:
             kinds.add("positive definite" if definite.definite else "positive semidefinite")
