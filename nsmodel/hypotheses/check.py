@@ -17,6 +17,7 @@ import numpy as np
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import region as uniform
 from nsmodel.hypotheses.along_run import about_start, findings_along_run, time_limit_clauses
+from nsmodel.hypotheses.exact_roots import findings_at_roots
 from nsmodel.hypotheses.findings import (
     HOLDS,
     RUN_FINDING_PREFIX,
@@ -319,6 +320,9 @@ def _decide_for_all_values(
     at = [(one, still.bind(one)) for one in values]
     reports = [(one, *_check_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]
     seen = [(one, {item.id: item for item in found}) for one, found, _ in reports]
+    if not alike:
+        flat = replace(box, parameters={})
+        seen += findings_at_roots(still, box.parameters, lambda exact_model: _check_quickly(exact_model, flat, runs)[0])
     findings = uniform.join_findings(box.parameters, seen, proved)
     if driven:
         findings = driven.findings(model, region, motion, findings, runs, quick)

@@ -8,7 +8,7 @@ Arguments that all classes share: units, names of the states, the steps.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass, replace
 from types import MappingProxyType
@@ -204,10 +204,15 @@ T = TypeVar("T")
 
 def substitute_in_model(model: T, symbols: ca.SX, values: ca.SX) -> T:
     """A copy of the model with values in place of symbols."""
+    return map_expressions(model, lambda expression: ca.substitute(expression, symbols, values))
+
+
+def map_expressions(model: T, change: Callable[[ca.SX], ca.SX]) -> T:
+    """A copy of the model with each of its expressions changed."""
 
     def put(expression: Any) -> Any:
         if isinstance(expression, ca.SX):
-            return ca.substitute(expression, symbols, values) if expression.numel() else expression
+            return change(expression) if expression.numel() else expression
         if is_dataclass(expression) and not isinstance(expression, type):
             return replace(expression, **{f.name: put(getattr(expression, f.name)) for f in fields(expression)})
         if isinstance(expression, tuple):

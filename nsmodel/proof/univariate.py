@@ -255,14 +255,16 @@ WeightedTerms = Sequence[tuple[Fraction, ca.SX]]  # a sum of factors times terms
 Cases = dict[int, tuple[tuple[int, ...], Fraction]]  # number of an operation in the graph: factors of its arguments, offset
 
 
-def decide_signs(expr: ca.SX, s: ca.SX, low: Fraction = Fraction(0), high: Fraction | None = None) -> SignPattern | None:
-    """Return the signs of a scalar on the open interval (low, high), None where they are not decided.
+def decide_signs(
+    expr: ca.SX, s: ca.SX, low: Fraction = Fraction(0), high: Fraction | None = None, *, strict: bool = False
+) -> SignPattern | None:
+    """Return the signs of a scalar on the open interval (low, high), None where they are not decided; ``strict``: see below.
 
     >>> s = ca.SX.sym("s")
     >>> decide_signs(ca.exp(s) - s - 1, s).signs, decide_signs(s * ca.tanh(s) - s / 2, s).signs
     ([1], [-1, 1])
     """
-    return _quotient_signs(lambda line: _expression_jet(expr, s, line, {}).value, OpenInterval(low, high))
+    return _quotient_signs(lambda line: _expression_jet(expr, s, line, {}, strict).value, OpenInterval(low, high))
 
 
 def second_derivative_signs(

@@ -26,6 +26,7 @@ import numpy as np
 
 from nsmodel.hypotheses import region as uniform
 from nsmodel.hypotheses.along_run import PAIR_CONSEQUENCES
+from nsmodel.hypotheses.exact_roots import findings_at_roots
 from nsmodel.hypotheses.findings import (
     HOLDS,
     UNKNOWN,
@@ -116,6 +117,9 @@ def check_moving(
         with quick_searches():
             own = autonomous.check_autonomous(frozen.bind(one), replace(region, parameters={}), (), True)[0]
         seen.append((one, {finding.id: finding for finding in own}))
+    flat = replace(region, parameters={})
+    with quick_searches():
+        seen += findings_at_roots(frozen, box, lambda exact_model: autonomous.check_autonomous(exact_model, flat, (), True)[0])
     proved = {finding.id: finding for finding in for_all.uniform_findings(frozen, at_all, quick)}
     findings = [finding_in_time(finding, str(model.t), time) for finding in uniform.join_findings(box, seen, proved)]
     findings.append(set_motion_finding(model, region, NO_INPUT_BOUNDS, quick))

@@ -20,6 +20,8 @@ from nsmodel.proof.expression_graph import rewrite_nodes
 from nsmodel.proof.jumps import SWITCH_OPERATIONS
 from nsmodel.proof.verdict import HypothesisPart
 
+ATTAINED_GAP = 1e-3  # A bound of L that is attained but for this is not sought anew.
+
 
 def one_sided_lipschitz(
     field: SelectedField, region: tuple[np.ndarray, np.ndarray], *, quick: bool, alone: ca.SX | None = None
@@ -61,16 +63,22 @@ def one_sided_lipschitz(
     tries += [(given, -falling.rest, hull, quick or not field.C.bounded) for given in ridges]
     tries += whole[1:] or ([("S being monotone, ", alone, box, quick)] if alone is not None else [])
     tries += [(given, -falling.rest, box, quick) for given in ridges]
+    best: HypothesisPart | None = None
     for given, G, (low, high), fast in tries:
+        local = low is box[0]
+        if best is not None and (local or best.value["L"] - best.value.get("attained", best.value["L"]) <= ATTAINED_GAP):
+            break
         if (low > high).any() or not interval_bounds.is_continuous(G, field.x, low, high):
             continue
         J = ca.jacobian(G, field.x)
         sup = extremum.largest_eigenvalue((J + J.T) / 2, field.x, low, high, quick=fast)
-        if np.isfinite(sup.bound):
+        if np.isfinite(sup.bound) and (best is None or sup.bound < best.value["L"]):
             witness = {} if sup.at is None else {"attained near": sup.at}
             values = {"L": sup.bound + 0.0} | ({} if sup.at is None or G is not field.rest else {"attained": sup.value})
             how = f"{given}bounds of the eigenvalues of the symmetric Jacobian"
-            return HypothesisPart(HOLDS, how, values, witness, low is box[0])
+            best = HypothesisPart(HOLDS, how, values, witness, local)
+    if best is not None:
+        return best
     if field.jumps:
         return _outward_jump(field)
     return HypothesisPart(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})

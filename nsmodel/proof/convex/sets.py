@@ -15,6 +15,7 @@ import numpy as np
 
 from nsmodel.proof import conic, exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.convex import rules
+from nsmodel.proof.convex.quasiconcave import has_convex_superlevel_set
 from nsmodel.proof.domain import NONZERO, domain_conditions
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
@@ -169,6 +170,10 @@ def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: 
     if not left:
         how = "every constraint is concave, or keeps one branch of a hyperboloid that an affine one cuts off (exact)"
         return HypothesisPart(HOLDS, how, {}, {})
+    left = [i for i in left if not _keeps_convex_set(C, i)]
+    if not left:
+        how = "each constraint keeps a convex set: concave, a branch of a hyperboloid, or by the rules of quasi-concave functions"
+        return HypothesisPart(HOLDS, how, {}, {})
     if C.empty:
         return HypothesisPart(HOLDS, "the set is empty", {}, {})
     low, high = C.part(lower, upper)
@@ -180,6 +185,12 @@ def is_convex_set(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: 
             return _find_nonconvex_pair(C, i, low, high)
     where = " on the box that holds the set" if inside else ""
     return HypothesisPart(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
+
+
+def _keeps_convex_set(C: ConvexSet, i: int) -> bool:
+    """Whether row i keeps a convex part of the box that holds C, which lies where the row has values."""
+    own = set_from_rows(C.x, natural_domain(C.rows[i], C.x)).bounding_box
+    return has_convex_superlevel_set(C.rows[i], C.x, *C.part(*own)) if (own[0] <= own[1]).all() else True
 
 
 def quadratic_maximum(p: polynomial.Polynomial | None, n: int) -> Fraction | None:
@@ -298,7 +309,15 @@ def _find_nonconvex_pair(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndar
         half = len(inside) // 2
         a, b = inside[:half], inside[half : 2 * half]
         middle = C.values((a + b) / 2)
-        if not half or not np.isfinite(middle).all():
+        if not half:
+            continue
+        holes = [k for k in np.flatnonzero(np.isnan(middle[:, i])) if _has_no_value(C.rows[i], C.x, (a[k] + b[k]) / 2)]
+        if holes:
+            k = holes[0]
+            witness = {"constraint": C.names[i], "x": a[k], "y": b[k], "middle": (a[k] + b[k]) / 2}
+            how = "two points of the set in whose middle the constraint has no value: the set is not convex"
+            return HypothesisPart(VIOLATED, how, {}, witness)
+        if not np.isfinite(middle).all():
             continue
         pairs += half
         scaled = middle / (1 + np.abs(C.values(a)) + np.abs(C.values(b)))
@@ -309,6 +328,12 @@ def _find_nonconvex_pair(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndar
             return HypothesisPart(VIOLATED, how, {"least value at the middle": float(middle[k, row])}, witness)
     how = f"constraint '{C.names[i]}' is not proved concave; {pairs} pairs of points in the set had their middle in it"
     return HypothesisPart(SAMPLED if pairs else UNKNOWN, how, {"pairs": pairs}, {})
+
+
+def _has_no_value(row: ca.SX, x: ca.SX, at: np.ndarray) -> bool:
+    """Whether a root or a logarithm that is always evaluated is proved to have no value at a point."""
+    arguments = [condition.u for condition in domain_conditions(row) if condition.relation != NONZERO and not condition.guards]
+    return any(float(np.max(interval_bounds.enclose(u, x, at, at)[1])) < 0 for u in arguments)
 
 
 def _deepest_point(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
