@@ -174,7 +174,8 @@ def speed_bound(
     if not isinstance(model.f, ca.SX):
         return None
     numbers, table = model.me.symbols[model.bodies.d :], model.bodies.table[:, model.bodies.d :]
-    z = ca.vertcat(model.t, model.me.q, numbers)
-    start, end = region.bounds_with_time()
-    low, high = np.append(start, table.min(axis=0)), np.append(end, table.max(axis=0))
-    return sweeping_speed_bound(velocity_norm_bound(model.f, z, low, high, model.bodies.count), findings, known["K_L"], h)
+    z = ca.vertcat(model.t, model.me.q, numbers, model.p)
+    (start, end), (low, high) = region.bounds_with_time(), region.parameter_bounds()
+    ends = np.concatenate([start, table.min(axis=0), low]), np.concatenate([end, table.max(axis=0), high])
+    top = velocity_norm_bound(model.f, z, *ends, model.bodies.count)
+    return sweeping_speed_bound(top, findings, known["K_L"], h) if "K_L" in known else None

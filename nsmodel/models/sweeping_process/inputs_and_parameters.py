@@ -386,8 +386,10 @@ def speed_bound(
     model: SweepingProcess, region: Region, findings: Sequence[Finding], known: Mapping[str, Consequence], h: float
 ) -> SpeedBound | None:  # fmt: skip
     """The pace on the box; None where it has no bound."""
-    z = ca.vertcat(model.t, model.q)
-    return sweeping_speed_bound(velocity_norm_bound(model.f, z, *region.bounds_with_time()), findings, known["K_L"], h)
+    z, (start, end) = ca.vertcat(model.t, model.q, model.p), region.bounds_with_time()
+    low, high = region.parameter_bounds()
+    top = velocity_norm_bound(model.f, z, np.append(start, low), np.append(end, high))
+    return sweeping_speed_bound(top, findings, known["K_L"], h) if "K_L" in known else None
 
 
 def sweeping_speed_bound(f: float, findings: Sequence[Finding], moves: Consequence, h: float) -> SpeedBound | None:
