@@ -80,9 +80,20 @@ def test_gamma_within_rho_of_constraints_with_factors():
 def test_what_has_no_value_at_some_parameter_is_not_proved():
     """sqrt((p - 1.3)^2 - 1e-12) is undefined within 1e-6 of p = 1.3, where no value is tried."""
     hole = ca.sqrt((p - 1.3) ** 2 - 1e-12)
-    for g in (q[0] + hole, ca.norm_2(q) - 1 - hole, q[0] ** 2 + q[1] ** 2 - 1 - hole, (1 + hole) * q[0]):
+    for g in (q[0] + hole, ca.norm_2(q) - 1 - hole, (1 + hole) * q[0]):
         report = over(sweeping({"g": g}), (1, 2))
-        assert not {report[id].verdict for id in ("A0", "A1", "A2", "A4")} & {"holds"}
+        assert not {report[id].verdict for id in ("A0", "A1", "A2", "A4", "S-start")} & {"holds"}
+    switched = ca.if_else(t < 0.5, hole, 0)
+    assert over(sweeping({"g": q[0] + 1}, f=(switched, 0)), (1, 2))["S-f"].verdict != "holds"
+
+
+def test_a_velocity_that_switches_with_time_alone_is_lipschitz_for_all_values():
+    """f = (p 1_{t < 1/2} - q_0, 0): K_f = 1, |f(t, 0)| <= 2, and no L_t."""
+    report = over(sweeping({"g": q[0] + 1}, f=(ca.if_else(t < 0.5, p, 0) - q[0], 0)), (1, 2))
+    assert report["S-f"].verdict == "holds"
+    assert report["S-f"].value["K_f"] == pytest.approx(1)
+    assert report["S-f"].value["L_f"] >= 2
+    assert "L_t" not in report["S-f"].value
 
 
 def test_an_inclusion_that_moves_is_decided_for_all_times_and_values():
