@@ -83,11 +83,11 @@ def stay_in_ball(distance: float, omega: float, drive: float, radius: float) -> 
 def multiplier_hull(law: Law, p: ca.SX, low: np.ndarray, high: np.ndarray) -> Bounds | None:
     """A box that holds K for all values of the parameters p; None where it depends on them and is no product of intervals."""
     lows, highs = [np.zeros(0)], [np.zeros(0)]
-    for block in law.blocks:
+    for rows, block in law.parts():
         if not depends_on_symbol(block, p):
             ends = block.bounding_box()
         elif block.separable:
-            ends = [_bounds_of_rows(side, p, low, high)[k] for k, side in enumerate((block.lower, block.upper))]
+            ends = [_bounds_of_rows(side, p, low, high)[k] for k, side in enumerate((law.lower[rows], law.upper[rows]))]
         else:
             return None
         lows.append(np.asarray(ends[0]))

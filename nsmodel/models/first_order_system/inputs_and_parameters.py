@@ -207,7 +207,7 @@ def _is_law_never_empty(law: Law, model: FirstOrderSystem, region: Region) -> bo
     """Whether K has a point for all values of the parameters."""
     if any(depends_on_symbol(block, model.p) and not block.separable for block in law.blocks):
         return False
-    widths = [row for block in law.blocks if block.separable for row in ca.vertsplit(block.upper - block.lower)]
+    widths = ca.vertsplit(law.upper - law.lower) if law.size else []
     moving = [row for row in widths if ca.depends_on(row, model.p)]
     return all(float(interval_bounds.enclose(row, model.p, *region.parameter_bounds())[0].item()) >= 0 for row in moving)
 

@@ -234,12 +234,19 @@ def _diagonal_energy(model: LureSystem, region: Region) -> ca.SX | None:
     rows = ca.vertcat(*(d[i] for i in range(n)))
     off = ca.vertsplit(ca.vec(ca.diag(rows) @ B - C.T)) if B.shape[1] else []
     ratios = [polynomial.read_quotient(entry, model.p) for entry in off]
-    if ca.depends_on(rows, model.x) or any(ratio is None or ratio[0] for ratio in ratios):
+    if ca.depends_on(rows, model.x) or any(ratio is None or ratio[0] for ratio in ratios) or not _are_numbers_paired(rows, B, C):
         return None
     if off and not np.isfinite(interval_bounds.enclose(stack_column(off), model.p, *region.parameter_bounds())).all():
         return None  # 0 but where a part of it has no value
     at = _corner_matrices([rows], model, region)
     return rows if at is not None and all(entry > 0 for (column,) in at for entry in column.ravel()) else None
+
+
+def _are_numbers_paired(d: ca.SX, B: ca.SX, C: ca.SX) -> bool:
+    """Whether diag(d) B = C' in fractions where all three are numbers, of which CasADi rounds products and quotients."""
+    triples = ((d[i], B[i, j], C[j, i]) for i in range(B.shape[0]) for j in range(B.shape[1]))
+    numbers = ([Fraction(float(part)) for part in own] for own in triples if all(part.is_constant() for part in own))
+    return all(p * b == c for p, b, c in numbers)
 
 
 def _growth_for_all(model: LureSystem, region: Region, energy: EnergyMatrix, quick: bool) -> Finding | None:
