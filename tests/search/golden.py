@@ -1,10 +1,10 @@
-"""What `nsmodel.check` says of all cases and of random models at points, kept in files: a change of it is seen in review.
+"""What `nsmodel.check` says of all cases and of random models, at points and over boxes, kept in files for review.
 
     python -m tests.search.golden                       # what differs from the files
     python -m tests.search.golden --class lure --write  # the file of a class anew; then see `git diff`
 
 A file a class, in ``tests/fixtures/checks``: of each finding verdict, scope, numbers and witness, of each consequence what it
-rests on, too. Each check that is written is made twice, the second time with other kernels of linear algebra. What then differs
+rests on, too; of quick checks over boxes of a parameter (``boxes.drawn``) verdicts and numbers alone. Each check that is written is made twice, the second time with other kernels of linear algebra. What then differs
 beyond 1e-6 comes from searches in floating point, and is kept and compared by its kind alone: "~number", "~text", "~list of 3".
 So are lists that are long.
 """
