@@ -152,24 +152,42 @@ def time_limit_clauses(
         return list(consequences)
     bound = _speed_bound(model, region, findings, {consequence.name: consequence for consequence in consequences})
     until = None if bound is None else _time_limit(model, region, bound)
-    if bound is None or until is None or not until > region.t0:
-        why = "; for how long they do is not proved"
-        return [replace(item, clause=item.clause + why) if item.clause else item for item in consequences]
-    until = min(until, region.t1) if region.t1 > region.t0 else until
-    text = f"; they do for t <= {until:.5g}, moving at {bound.speed:.5g} at most"
+    if bound is not None and until is not None and until > region.t0:
+        until = min(until, region.t1) if region.t1 > region.t0 else until
+        text = f"; they do for t <= {until:.5g}, moving at {bound.speed:.5g} at most"
+    else:
+        until, text = _stay_time(model, region, findings)
     return [replace(item, clause=item.clause + text, until=until) if item.clause else item for item in consequences]
+
+
+def _stay_time(model: Model, region: Region, findings: Sequence[Finding]) -> tuple[float | None, str]:
+    """The longest time until which solutions are proved to stay, and what is said of it."""
+    stay_times = HYPOTHESIS_CHECKS.of(model).stay_times
+    low, high = (ends.min(axis=0) if k == 0 else ends.max(axis=0) for k, ends in enumerate(_start_points(model, region)))
+    known = [] if stay_times is None else stay_times(model, region, findings, (low, high))
+    best = max(known, key=lambda item: item.until, default=None)
+    if best is None or not best.until > 0:
+        return None, "; for how long they do is not proved"
+    when = "at all times" if np.isinf(best.until) else f"for t <= {region.t0 + best.until:.5g}"
+    return region.t0 + best.until, f"; the solution from the start does {when}, {best.why}"
+
+
+def _start_points(model: Model, region: Region) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the starts over all parameters, of each body (k, n)."""
+    low, high = (
+        np.array(ends).reshape(1, -1) for ends in interval_bounds.enclose(model.start, model.p, *region.parameter_bounds())
+    )
+    return model.points(low), model.points(high)
 
 
 def about_start(model: Model, region: Region, item: Consequence) -> Consequence:
     """The consequence; unknown where it speaks of the solution from the start, which is not proved to lie in its box."""
     if not item.clause or item.scope is None or item.name in PAIR_CONSEQUENCES:
         return item
-    low, high = (
-        np.array(ends).reshape(1, -1) for ends in interval_bounds.enclose(model.start, model.p, *region.parameter_bounds())
-    )
+    low, high = _start_points(model, region)
     for column, name in enumerate(region.names):
         lower, upper = item.scope.states.get(name, (-np.inf, np.inf))
-        if not (model.points(low)[:, column] >= lower).all() or not (model.points(high)[:, column] <= upper).all():
+        if not (low[:, column] >= lower).all() or not (high[:, column] <= upper).all():
             return replace(item, verdict=UNKNOWN, statement=f"{item.statement}; the start is not inside the box")
     return item
 
@@ -183,8 +201,8 @@ def _speed_bound(model: Model, region: Region, findings: Sequence[Finding], foun
 
 def _time_limit(model: Model, region: Region, bound: SpeedBound) -> float | None:
     """When the nearest side of the box can be reached first."""
-    starts = model.points(np.array(ca.DM(model.start)).reshape(1, -1))
-    room = float(np.min(np.minimum(starts - region.lower, region.upper - starts))) - bound.ahead
+    low, high = _start_points(model, region)
+    room = float(np.min(np.minimum(low - region.lower, region.upper - high))) - bound.ahead
     if not room > 0:
         return None
     return region.t0 + room / bound.speed / ROUND_UP_FACTOR if bound.speed > 0 else np.inf

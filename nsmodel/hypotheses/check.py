@@ -16,7 +16,7 @@ import numpy as np
 
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import region as uniform
-from nsmodel.hypotheses.along_run import about_start, findings_along_run, time_limit_clauses
+from nsmodel.hypotheses.along_run import findings_along_run, time_limit_clauses
 from nsmodel.hypotheses.exact_roots import findings_at_roots
 from nsmodel.hypotheses.findings import (
     HOLDS,
@@ -332,7 +332,7 @@ def _decide_for_all_values(
     else:
         made = uniform.common_consequences([item for *_, item in reports], region.parameters)
         made = [unknown_consequence(item, CONSTANT_INPUTS_NOTE) for item in made] if motion.names else made
-    made = [about_start(model, region, item) for item in made]
+    made = time_limit_clauses(model, region, findings, made)
     return (
         findings,
         [replace(item, scope=intersect_scopes(item.scope, Scope(parameters=region.parameters))) for item in made],

@@ -174,8 +174,8 @@ class Consequence(Picklable):
         scope: the intersection of the scopes of what it rests on; None: everywhere.
         clause: of a statement about solutions or runs on a box of states, the condition that they stay inside it, and how long
             that is proved; "" where there is none.
-        until: the time up to which it is proved that solution and predictors stay inside; None where there is no such clause,
-            or no proof.
+        until: the time up to which it is proved that the solution from the start stays inside, and where the clause does not
+            say otherwise iterates and predictors, too; None where there is no such clause, or no proof.
     """
 
     name: str

@@ -6,9 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from nsmodel.hypotheses.findings import Consequence, Finding, Hypothesis, IntervalBox
 from nsmodel.hypotheses.inputs import InputBounds
 from nsmodel.hypotheses.region import ParameterValues, Region
+from nsmodel.hypotheses.staying import StayTime
 from nsmodel.modeling.parts import Part
 from nsmodel.simulation.trajectory import Trajectory
 
@@ -86,7 +89,9 @@ class HypothesisChecks:
         symbolic: the conditions on parameters without value.
         compares_solutions: whether a check makes a second run, from another start.
         compare_runs: (model, findings, runs), two runs of a model whose inputs move; without it ``decide`` compares them.
-        speed_bound: (model, region, findings, consequences by name, step), for how long solutions provably stay in the region.
+        speed_bound: (model, region, findings, consequences by name, step), for how long solutions, and what a scheme computes,
+            provably stay in the region.
+        stay_times: (model, region, findings, bounds of the start), for how long solutions do, without such a speed.
         refined_runs: (step, runs), what runs with the steps h, 2h, 4h show beside the observed order.
         effort: of a class whose steps are all dear.
     """
@@ -101,6 +106,7 @@ class HypothesisChecks:
     compares_solutions: bool = False
     compare_runs: Callable[[Any, Sequence[Finding], Sequence[Trajectory]], list[Finding]] | None = None
     speed_bound: Callable[[Any, Region, Sequence[Finding], Mapping[str, Consequence], float], SpeedBound | None] | None = None
+    stay_times: Callable[[Any, Region, Sequence[Finding], tuple[np.ndarray, np.ndarray]], list[StayTime]] | None = None
     refined_runs: Callable[[float, Sequence[Trajectory]], list[Consequence]] | None = None
     effort: CheckEffort | None = None
 

@@ -23,18 +23,26 @@ import casadi as ca
 import numpy as np
 
 import nsmodel
-from nsmodel import check
+from nsmodel import check, within
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.modeling.convex_split import split_convex
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.model_files import case_files
 
-from .golden import BOUNDS
+from .checked import draw
 
 WIDTH = 0.01  # Of a box, beside the value in its middle.
 MOST_ROWS = 3  # Constraints of a case that are multiplied one by one.
 DEAR = {"crowd_room", "running_track", "evacuation", "leash"}  # Cases whose quick check takes a second or more.
 FACTOR = "factor_p"
+FACTOR_BOXES = ((0.99, 1.01), (0.9, 1.2), (0.5, 2.0), (0.0, 1.0), (-1.0, 1.0), (0.25, 4.0))  # Of random models.
+BOUNDS = {  # Between which values what blocks set stays.
+    "sampled_pi": {"w": within(-10, 10)},
+    "schmitt_trigger": {"s": within(-1, 1)},
+    "sliding_mode": {"w": within(-1, 1)},
+    "thermostat": {"u": within(0, 1)},
+    "thyristor": {"q": within(0, 1)},
+}  # fmt: skip
 PARTS = {  # The parts of a model that are multiplied.
     "FirstOrderSystem": ("f", "h", "g", "M", "x0"),
     "LureSystem": ("A", "B", "C", "D", "f", "e", "x0"),
@@ -66,6 +74,18 @@ def varied(model: Any) -> Iterator[Varied]:
         other = copy(model)
         other._set(p=ca.vertcat(model.p, p), parameters={**model.parameters, FACTOR: 1.0}, exact=None, **fields)
         yield Varied(name, other, FACTOR, 1 - WIDTH, 1 + WIDTH)
+
+
+def drawn(name: str, seed: int) -> Varied | None:
+    """A random model of ``checked``, a part of it and a box; None where it has no part that may be multiplied."""
+    rng = np.random.default_rng([seed, 4242])
+    parts = list(varied(draw(name, seed)))
+    if not parts:
+        return None
+    one = parts[int(rng.integers(len(parts)))]
+    low, high = FACTOR_BOXES[int(rng.integers(len(FACTOR_BOXES)))]
+    size = (one.low + one.high) / 2
+    return one._replace(low=min(low * size, high * size), high=max(low * size, high * size))
 
 
 def _multiplied(model: Any, p: ca.SX) -> Iterator[tuple[str, dict[str, Any]]]:

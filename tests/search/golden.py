@@ -1,13 +1,13 @@
-"""What `nsmodel.check` says of all cases and of random models at points, kept in files: a change of it is seen in review.
+"""What `nsmodel.check` says of all cases and of random models, at points and over boxes, kept in files for review.
 
     python -m tests.search.golden                       # what differs from the files
     python -m tests.search.golden --class lure --write  # the file of a class anew; then see `git diff`
 
 A file a class, in ``tests/fixtures/checks``: of each finding verdict, scope, numbers and witness, of each consequence what it
-rests on, too. Of findings about a run, and of what is sampled, the verdict and the scope alone: the run of a crowd is another
-one with other kernels. Each check that is written is made twice, the second time with other kernels of linear algebra. What
-then differs beyond 1e-6 comes from searches in floating point, and is kept and compared by its kind alone: "~number", "~text",
-"~list of 3". So are lists that are long.
+rests on, too; of quick checks over boxes of a parameter (``boxes.drawn``) verdicts and numbers alone. Of findings about a run,
+and of what is sampled, the verdict and the scope alone: the run of a crowd is another one with other kernels. Each check that is
+written is made twice, the second time with other kernels of linear algebra. What then differs beyond 1e-6 comes from searches
+in floating point, and is kept and compared by its kind alone: "~number", "~text", "~list of 3". So are lists that are long.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import nsmodel
-from nsmodel import within
 from nsmodel.hypotheses.findings import RUN_FINDING_PREFIX, SAMPLED, Finding
 from nsmodel.hypotheses.report import Report
 from nsmodel.modeling.model_files import case_files
 
+from .boxes import BOUNDS, drawn
 from .checked import MAKERS, draw
 
 FILES = Path(__file__).resolve().parents[1] / "fixtures" / "checks"
@@ -40,14 +40,8 @@ DEAR_MODELS = {  # Models of which it does: they are checked with quick=True.
 }
 TOLERANCE, NOTHING = 1e-6, 1e-12  # Relative; what is below the second is 0.
 MAX_ENTRIES = 12  # Of a list that is written out.
+OVER_A_BOX = " over a box"  # What the names of checks over boxes of parameters end with.
 OTHER_KERNELS = {"OPENBLAS_CORETYPE": "Nehalem", "PYTHONHASHSEED": "1"}
-BOUNDS = {  # Between which values what blocks set stays.
-    "sampled_pi": {"w": within(-10, 10)},
-    "schmitt_trigger": {"s": within(-1, 1)},
-    "sliding_mode": {"w": within(-1, 1)},
-    "thermostat": {"u": within(0, 1)},
-    "thyristor": {"q": within(0, 1)},
-}  # fmt: skip
 
 Document = dict[str, Any]
 
@@ -56,9 +50,10 @@ Document = dict[str, Any]
 
 
 def checks_of(class_name: str) -> Iterator[tuple[str, Report]]:
-    """All checks of a class: (name, report) of its cases and of its random models."""
+    """All checks of a class: (name, report) of its cases and of its random models, at points and over boxes of parameters."""
     yield from (item for stem in cases_of(class_name) for item in case_checks(stem))
     yield from ((f"model {seed}", model_check(class_name, seed)) for seed in range(MODELS))
+    yield from box_checks(class_name)
 
 
 def cases_of(class_name: str) -> list[str]:
@@ -75,6 +70,32 @@ def case_checks(stem: str, *, quick_alone: bool = False) -> Iterator[tuple[str, 
 def model_check(class_name: str, seed: int) -> Report:
     """The check of a random model, without runs."""
     return nsmodel.check(draw(class_name, seed), runs=[], quick=seed in DEAR_MODELS.get(class_name, ()))
+
+
+def box_checks(class_name: str) -> Iterator[tuple[str, Report]]:
+    """The quick checks of random models over boxes of a parameter, of those that have one and are not dear."""
+    for seed in range(MODELS):
+        one = None if seed in DEAR_MODELS.get(class_name, ()) else drawn(class_name, seed)
+        if one is not None:
+            box = {one.parameter: (one.low, one.high)}
+            yield f"model {seed}{OVER_A_BOX}", nsmodel.check(one.model, runs=[], parameters=box, quick=True)
+
+
+def kept_of(name: str, report: Report) -> Document:
+    """What is kept of a check with this name."""
+    return brief_document(report) if name.endswith(OVER_A_BOX) else document(report)
+
+
+def brief_document(report: Report) -> Document:
+    """Verdicts and numbers, and of a violation its witness: what is kept of checks over boxes."""
+    findings = {
+        finding.id: _kept(
+            verdict=finding.verdict, value=finding.value, witness=finding.witness if finding.verdict == "violated" else None
+        )
+        for finding in report.findings
+    }
+    consequences = {item.name: _kept(verdict=item.verdict, value=item.value, until=item.until) for item in report.consequences}
+    return {"findings": findings, "consequences": consequences}
 
 
 def document(report: Report) -> Document:
@@ -192,7 +213,7 @@ def _line(item: Any) -> str:
 
 def documents(class_name: str) -> dict[str, Document]:
     """What is kept of all checks of a class, computed here."""
-    return {name: document(report) for name, report in checks_of(class_name)}
+    return {name: kept_of(name, report) for name, report in checks_of(class_name)}
 
 
 def documents_elsewhere(class_name: str, environment: Mapping[str, str]) -> dict[str, Document]:

@@ -83,11 +83,32 @@ def check(
         runs: finished runs of this model.
         quick: no search for the worst point of the region, no enumeration of solutions.
     """
+    if empty := _empty_law_findings(model):
+        return empty, first_order_consequences(model, False, empty, runs)
     at = linearise_system(model, region, runs)
     findings = _decide(at, quick)
     if runs and any(finding.verdict in (SAMPLED, UNKNOWN) for finding in findings):
         findings = keep_proofs(findings, _decide(linearise_system(model, region, ()), quick))
     return findings, first_order_consequences(at.model, at.affine, findings, runs) if at.steps.size else []
+
+
+def _empty_law_findings(model: FirstOrderSystem) -> list[Finding]:
+    """What is said where the ends of an interval of K cross: no step has a solution."""
+    ends = [
+        np.concatenate([np.zeros(0), *parts]) for parts in zip(*(block.bounding_box() for block in model.law.blocks), strict=True)
+    ]
+    crossed = [name for name, low, up in zip(model.multiplier_names, *ends, strict=True) if low > up] if ends else []
+    if not crossed:
+        return []
+    k = model.multiplier_names.index(crossed[0])
+    witness = {"multiplier": crossed[0], "lower": ends[0][k], "upper": ends[1][k]}
+    how = f"K is empty: the ends of {', '.join(crossed)} cross"
+    return [
+        make_finding(F_UNIQUE, VIOLATED, how, {"solutions": 0}, witness)
+        if hypothesis is F_UNIQUE
+        else make_finding(hypothesis, UNKNOWN, how)
+        for hypothesis in HYPOTHESES
+    ]
 
 
 def _decide(at: SystemLinearisation, quick: bool) -> list[Finding]:

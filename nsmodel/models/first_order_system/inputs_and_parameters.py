@@ -34,6 +34,7 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.inputs import InputBounds, InputJump, missing_rate_reason, scheme_limit_consequence
 from nsmodel.hypotheses.region import ParameterValues, Region, box_middle, depends_on_symbol, findings_for_box, sample_values
+from nsmodel.hypotheses.staying import StayTime, multiplier_hull, stay_by_rates
 from nsmodel.modeling.laws import Law
 from nsmodel.models.first_order_system.check import (
     F_JACOBIANS,
@@ -172,7 +173,7 @@ def _jacobian_findings(model: FirstOrderSystem, region: Region, quick: bool) -> 
 
 def _bounded_findings(model: FirstOrderSystem, region: Region, steps: np.ndarray, quick: bool) -> list[Finding]:
     """F-jacobians by their continuity over states, multipliers and parameters together, F-step and F-W by a norm there."""
-    known, n = _multiplier_hull(model.law, model, region), len(model.names)
+    known, n = multiplier_hull(model.law, model.p, *region.parameter_bounds()), len(model.names)
     if known is None or n > MAX_INVERSE_STATES:
         return []
     (low_l, high_l), (low, high) = known, region.parameter_bounds()
@@ -202,31 +203,11 @@ def _bounded_findings(model: FirstOrderSystem, region: Region, steps: np.ndarray
     return found
 
 
-def _multiplier_hull(law: Law, model: FirstOrderSystem, region: Region) -> tuple[np.ndarray, np.ndarray] | None:
-    """A box that holds K for all values of the parameters; None where K is not an interval in a row that depends on them."""
-    lows, highs = [], []
-    for block in law.blocks:
-        if not depends_on_symbol(block, model.p):
-            ends = block.bounding_box()
-        elif block.separable:
-            p, box = model.p, region.parameter_bounds()
-            ends = [
-                np.array([float(row) if row.is_constant() else float(interval_bounds.enclose(row, p, *box)[k].item())
-                          for row in ca.vertsplit(side)])
-                for k, side in enumerate((block.lower, block.upper))
-            ]  # fmt: skip
-        else:
-            return None
-        lows.append(ends[0])
-        highs.append(ends[1])
-    return np.concatenate([np.zeros(0), *lows]), np.concatenate([np.zeros(0), *highs])
-
-
 def _is_law_never_empty(law: Law, model: FirstOrderSystem, region: Region) -> bool:
     """Whether K has a point for all values of the parameters."""
     if any(depends_on_symbol(block, model.p) and not block.separable for block in law.blocks):
         return False
-    widths = [row for block in law.blocks if block.separable for row in ca.vertsplit(block.upper - block.lower)]
+    widths = ca.vertsplit(law.upper - law.lower) if law.size else []
     moving = [row for row in widths if ca.depends_on(row, model.p)]
     return all(float(interval_bounds.enclose(row, model.p, *region.parameter_bounds())[0].item()) >= 0 for row in moving)
 
@@ -453,3 +434,18 @@ def driven_consequences(
             item = scheme_limit_consequence(item, motion, read, smooth=True)
         made.append(item)
     return made
+
+
+def stay_times(
+    model: FirstOrderSystem, region: Region, findings: Sequence[Finding], start: tuple[np.ndarray, np.ndarray]
+) -> list[StayTime]:
+    """By the rates of x' = M^-1 (f + g), l anywhere in K, over all parameters."""
+    hull, (low, high) = multiplier_hull(model.law, model.p, *region.parameter_bounds()), region.parameter_bounds()
+    if hull is None or len(model.names) > MAX_INVERSE_STATES:
+        return []
+    rate = ca.inv(ca.densify(model.M)) @ (model.f + model.g)
+    others = ca.vertcat(model.t, model.lam, model.p)
+    ends = tuple(np.concatenate([[time], l, p]) for time, l, p in ((region.t0, hull[0], low), (region.t1, hull[1], high)))
+    until = stay_by_rates(rate, model.x, others, (ends[0], ends[1]), region, start)
+    until = min(until, region.t1) if ca.depends_on(rate, model.t) else until
+    return [StayTime(until, "by bounds of x' between nested boxes")]

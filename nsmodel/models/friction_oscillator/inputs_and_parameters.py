@@ -29,6 +29,7 @@ from nsmodel.hypotheses.region import (
     potential_without_domain,
     unaffected_findings,
 )
+from nsmodel.hypotheses.staying import ROUNDED_DOWN, StayTime
 from nsmodel.models.friction_oscillator import friction_law, rest_points
 from nsmodel.models.friction_oscillator.check import (
     CABOT_PAPER,
@@ -92,6 +93,7 @@ FIELDS_OF_OSCILLATOR = {
 }  # fmt: skip
 DAMPING_EIGENVALUE = "least eigenvalue of the damping"
 POTENTIAL_LOWER_BOUND = "lower bound of g"
+ENERGY_ROUNDING = 1e-9
 ZERO_ARGUMENT, NEAR_ZERO_ARGUMENT = np.zeros(1), np.full(1, 1e-6)
 
 
@@ -285,3 +287,48 @@ def _check_convex_and_bounded(
         return convex._replace(verdict="unknown")
     bound = {POTENTIAL_LOWER_BOUND: below.bound} if np.isfinite(below.bound) else {}
     return convex._replace(how=f"{convex.how}; {below.how}", value={**convex.value, **bound})
+
+
+def stay_times(
+    model: FrictionOscillator, region: Region, findings: Sequence[Finding], start: tuple[np.ndarray, np.ndarray]
+) -> list[StayTime]:  # fmt: skip
+    """By the energy E = |x'|^2 / 2 + g(x), friction takes from it: E' <= <force, x'>; nothing where g has walls.
+
+    |x'| <= w = sqrt(2 (E - b)), g >= b, and w' <= |force|; without a force nobody comes to where g > E(0).
+    """
+    holds = {finding.id for finding in findings if finding.verdict == HOLDS}
+    walls = model.constraint_names or any(domain_rows(model.potential, model.x, "potential"))
+    if walls or O_THETA.id not in holds or (model.x1 is not None and model.step is None):
+        return []
+    v0 = model.v0 if model.x1 is None else (model.x1 - model.x0) / model.step
+    (low, high), g, n = region.parameter_bounds(), model.potential, len(model.names)
+    energy = ca.sumsqr(v0) / 2 + ca.substitute(g, model.x, model.x0)
+    E = float(interval_bounds.enclose(energy, model.p, low, high)[1].item())
+    force = extremum.supremum(ca.sumsqr(model.force), ca.vertcat(model.t, model.p), np.append(region.t0, low),
+                              np.append(region.t1, high), quick=True).bound  # fmt: skip
+    z, F = ca.vertcat(model.x, model.p), float(np.sqrt(max(force, 0.0)))
+
+    def least(lower: np.ndarray, upper: np.ndarray, enough: float | None = None) -> float:
+        return -extremum.supremum(
+            -g, z, np.append(lower, low), np.append(upper, high), quick=enough is None, bound_to=enough
+        ).bound
+
+    room = float(np.min(np.minimum(start[0] - region.lower, region.upper - start[1])))
+    below = least(region.lower, region.upper)
+    if not (room > 0 and np.isfinite([E, F, below]).all()):
+        return []
+    faces = []
+    for i, side in ((i, side) for i in range(n) for side in (region.lower, region.upper)):
+        lower, upper = region.lower.copy(), region.upper.copy()
+        lower[i] = upper[i] = side[i]
+        faces.append((lower, upper))
+    if not F and all(least(*face, enough=-E * (1 + np.sign(E) * ENERGY_ROUNDING)) > E for face in faces):
+        return [StayTime(np.inf, f"as g > E(0) = {E:.5g} on the sides of the box")]
+    w = float(np.sqrt(2 * max(E - below, 0.0)))
+    time = room / w if not F and w else 2 * room / (w + np.sqrt(w * w + 2 * F * room)) if w or F else np.inf
+    return [
+        StayTime(
+            min(float(time) * ROUNDED_DOWN, np.inf if not F else region.t1),
+            f"as |x'| <= {w:.5g}" + (f" + {F:.5g} t" if F else ""),
+        )
+    ]

@@ -64,6 +64,7 @@ def hypothesis_checks() -> HypothesisChecks:
     return HypothesisChecks(
         hypotheses=check.HYPOTHESES,
         decide=check.check,
+        stay_times=inputs_and_parameters.stay_times,
         uniform=UniformChecks(
             special_values=inputs_and_parameters.special_values,
             findings=inputs_and_parameters.uniform_findings,

@@ -35,6 +35,7 @@ from nsmodel.hypotheses.region import (
     parameter_roots,
     unaffected_findings,
 )
+from nsmodel.hypotheses.staying import StayTime, multiplier_hull, stay_by_rates, stay_in_ball
 from nsmodel.models.lure_system import domains
 from nsmodel.models.lure_system.check import check, lure_consequences
 from nsmodel.models.lure_system.domains import interior_finding
@@ -51,7 +52,7 @@ from nsmodel.models.lure_system.large_systems import is_large
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.models.lure_system.passivity import D_PSD_HYPOTHESIS, LURE_PAPER, STORAGE_HYPOTHESIS
 from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, MOVING_OFFSET_NOTE
-from nsmodel.models.lure_system.uniform_ranges import rest_point_for_all, uniform_range_findings
+from nsmodel.models.lure_system.uniform_ranges import is_drift_zero_for_all, rest_point_for_all, uniform_range_findings
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.dissipation import least_rate
 from nsmodel.proof.expression_graph import stack_column
@@ -95,9 +96,7 @@ def special_values(model: LureSystem, box: IntervalBox) -> list[ParameterValues]
 
 def uniform_findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
-    drifts = depends_on_symbol(
-        ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p
-    )  # A(0) = 0 is a part of 7.1.
+    drifts = depends_on_symbol(model.A, model.p) and not is_drift_zero_for_all(model, region)  # A(0) = 0 is a part of 7.1.
     same = [
         finding
         for finding in unaffected_findings(check, model, region, quick, HYPOTHESIS_FIELDS)
@@ -112,7 +111,10 @@ def uniform_findings(model: LureSystem, region: Region, quick: bool) -> list[Fin
         _growth_for_all(model, region, energy, quick),
     ]
     whole = _ranges_for_all(model, region, least)
-    own += [*whole, *rest_point_for_all(model, region, True)] if whole else uniform_range_findings(model, region)
+    if whole:
+        own += [*whole, *rest_point_for_all(model, region, True)]
+    elif not is_large(model):
+        own += uniform_range_findings(model, region)
     return findings_for_box(own, same, region)
 
 
@@ -232,12 +234,19 @@ def _diagonal_energy(model: LureSystem, region: Region) -> ca.SX | None:
     rows = ca.vertcat(*(d[i] for i in range(n)))
     off = ca.vertsplit(ca.vec(ca.diag(rows) @ B - C.T)) if B.shape[1] else []
     ratios = [polynomial.read_quotient(entry, model.p) for entry in off]
-    if ca.depends_on(rows, model.x) or any(ratio is None or ratio[0] for ratio in ratios):
+    if ca.depends_on(rows, model.x) or any(ratio is None or ratio[0] for ratio in ratios) or not _are_numbers_paired(rows, B, C):
         return None
     if off and not np.isfinite(interval_bounds.enclose(stack_column(off), model.p, *region.parameter_bounds())).all():
         return None  # 0 but where a part of it has no value
     at = _corner_matrices([rows], model, region)
     return rows if at is not None and all(entry > 0 for (column,) in at for entry in column.ravel()) else None
+
+
+def _are_numbers_paired(d: ca.SX, B: ca.SX, C: ca.SX) -> bool:
+    """Whether diag(d) B = C' in fractions where all three are numbers, of which CasADi rounds products and quotients."""
+    triples = ((d[i], B[i, j], C[j, i]) for i in range(B.shape[0]) for j in range(B.shape[1]))
+    numbers = ([Fraction(float(part)) for part in own] for own in triples if all(part.is_constant() for part in own))
+    return all(p * b == c for p, b, c in numbers)
 
 
 def _growth_for_all(model: LureSystem, region: Region, energy: EnergyMatrix, quick: bool) -> Finding | None:
@@ -353,3 +362,69 @@ def _has_moving_half_line(model: LureSystem, motion: InputBounds) -> bool:
     boxes = [block.separable for block in model.law.blocks for _ in range(block.size)]
     rows = [i for i, both in enumerate(zip(moves, endless, boxes, strict=True)) if all(both)]
     return any(not model.D[:, i].is_zero() for i in rows)
+
+
+STAY_ROUNDING = 1e-9  # Of norms with a P in doubles.
+
+
+def stay_times(
+    model: LureSystem, region: Region, findings: Sequence[Finding], start: tuple[np.ndarray, np.ndarray]
+) -> list[StayTime]:  # fmt: skip
+    """By the rates of x' = A + f + B l, l anywhere in K, and by (40) in the norm of P_omega from 0 and from x0.
+
+    With l_z at z on the graph of the law, |x - z|_P' <= omega |x - z|_P + |A(z) + f + B l_z|_P by 4.1, 5.1 and 5.2.
+    """
+    law, (low, high) = model.law, region.parameter_bounds()
+    hull = None if law is None else multiplier_hull(law, model.p, low, high)
+    if hull is None or ca.depends_on(model.e, model.t):
+        return []
+    l, timed = ca.SX.sym("l", model.B.shape[1]), bool(ca.depends_on(model.f, model.t))
+    others = ca.vertcat(model.t, l, model.p)
+    ends = np.concatenate([[region.t0], hull[0], low]), np.concatenate([[region.t1], hull[1], high])
+    found = [
+        StayTime(
+            stay_by_rates(model.A + model.f + model.B @ l, model.x, others, ends, region, start),
+            "by bounds of x' between nested boxes",
+        )
+    ]
+    found += _stay_in_norm(model, region, findings, start, hull)
+    return [item._replace(until=min(item.until, region.t1)) for item in found] if timed else found
+
+
+def _stay_in_norm(
+    model: LureSystem, region: Region, findings: Sequence[Finding], start: tuple[np.ndarray, np.ndarray],
+    hull: tuple[np.ndarray, np.ndarray],
+) -> list[StayTime]:  # fmt: skip
+    """The ball about 0, where 0 is in K and e is 0, and about x0, where l = 0 belongs to y there: each l is 0 at z."""
+    number = {finding.id: finding for finding in findings if finding.verdict == HOLDS}
+    rate = number.get(HYPOMONOTONE.id)
+    if model.law is None or not model.law.is_box or depends_on_symbol(model.law, model.p):
+        return []  # the hull of K would not be K
+    if rate is None or P_OMEGA not in rate.witness or not {D_PSD_HYPOTHESIS.id, STORAGE_HYPOTHESIS.id} <= set(number):
+        return []
+    P = np.array(rate.witness[P_OMEGA], float)
+    reach = np.sqrt(np.diag(np.linalg.inv(P))) * (1 + STAY_ROUNDING)  # of x_i where |x|_P <= 1
+    x, p, zero = model.x, model.p, np.zeros(len(model.names))
+    y = ca.densify(model.C @ x + model.e)
+    made = []
+    for z, what in (((zero, zero), "0"), (start, "x0")):
+        lower, upper = (np.append(own, own_p) for own, own_p in zip(z, region.parameter_bounds(), strict=True))
+        low_y, high_y = (np.ravel(end) for end in interval_bounds.enclose(y, ca.vertcat(x, p), lower, upper))
+        up, down = hull[1] > 0, hull[0] < 0  # -y in N_K(0): y >= 0 where l may rise, y <= 0 where it may fall
+        if not (hull[0] <= 0).all() or not (hull[1] >= 0).all() or (up & (low_y < 0)).any() or (down & (high_y > 0)).any():
+            continue
+        moved, f = ca.vertcat(x, model.t, p), model.A + model.f
+        ends = (
+            np.concatenate([z[0], [region.t0], region.parameter_bounds()[0]]),
+            np.concatenate([z[1], [region.t1], region.parameter_bounds()[1]]),
+        )
+        top = extremum.supremum(ca.bilin(ca.SX(ca.DM(P)), f, f), moved, *ends, quick=True).bound
+        drive = float(np.sqrt(max(top, 0.0))) * (1 + STAY_ROUNDING)
+        far = np.maximum(np.abs(start[0]), np.abs(start[1])) if what == "0" else zero
+        distance = float(np.sqrt(far @ np.abs(P) @ far)) * (1 + STAY_ROUNDING)
+        radius = float(np.min(np.minimum(z[0] - region.lower, region.upper - z[1]) / reach, initial=np.inf))
+        until = stay_in_ball(distance, rate.value["omega"], drive, radius)
+        made.append(
+            StayTime(until, f"as |x - {what}|_P' <= {rate.value['omega']:.5g} |x - {what}|_P + {drive:.5g}, P the P_omega of 5.2")
+        )
+    return made

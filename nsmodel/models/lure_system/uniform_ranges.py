@@ -78,11 +78,7 @@ def uniform_range_findings(model: LureSystem, region: Region) -> list[Finding]:
 def rest_point_for_all(model: LureSystem, region: Region, origin: bool) -> list[Finding]:
     """7.1 for all values: 0 is in the set (``origin``), A(0) = 0, y = 0 and l = 0 are on the graph of K, and f = 0."""
     law, p, (low, high) = model.law, model.p, region.parameter_bounds()
-    z, ends_of_p = ca.vertcat(model.x, p), [np.append(np.zeros(len(model.names)), end) for end in (low, high)]
-    if not origin or law is None or not (model.f.is_zero() and model.e.is_zero()):
-        return []
-    rate = interval_bounds.enclose(model.A, z, *ends_of_p)
-    if any(end.any() for end in rate) or not interval_bounds.is_continuous(model.A, z, *ends_of_p):
+    if not origin or law is None or not (model.f.is_zero() and model.e.is_zero()) or not is_drift_zero_for_all(model, region):
         return []
     ends = [stack for block in law.blocks if block.separable for stack in (block.lower, -block.upper)]
     if any(not block.separable and depends_on_symbol(block, p) for block in law.blocks) or not _admit_zero(law):
@@ -94,6 +90,14 @@ def rest_point_for_all(model: LureSystem, region: Region, origin: bool) -> list[
     )
     how = "for all values 0 is admissible, A(0) = 0 and 0 in K (exact, or by bounds), f = 0 and y has no offset"
     return [make_finding(H_71, HOLDS, how, {"|A(0)|": 0.0, "sup |f|": 0.0})] if inside else []
+
+
+def is_drift_zero_for_all(model: LureSystem, region: Region) -> bool:
+    """Whether A(0) is defined, and 0, for all values of the parameters; 0 times what may have no value is not."""
+    z, nothing = ca.vertcat(model.x, model.p), np.zeros(len(model.names))
+    ends = [np.append(nothing, end) for end in region.parameter_bounds()]
+    rate = interval_bounds.enclose(model.A, z, *ends)
+    return not any(end.any() for end in rate) and interval_bounds.is_continuous(model.A, z, *ends)
 
 
 def _admit_zero(law: Law) -> bool:

@@ -53,6 +53,7 @@ from nsmodel.models.sweeping_process.inputs_and_parameters import (
 )
 from nsmodel.models.sweeping_process.qualification_bounds import discs_proof, has_aligned_pairs
 from nsmodel.proof import interval_bounds
+from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.simulation.trajectory import Trajectory
 
 READS = {hypothesis.id: ("constraints",) for hypothesis in (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE, S_START)} | {
@@ -119,7 +120,9 @@ def uniform_start_finding(model: ManyBodies, region: Region) -> Finding | None:
         known = [q0[pairs[:, 0]], *([q0[pairs[:, 1]]] if family.of_pairs else [])]
         known += [own[pairs[:, k]] for k, own in enumerate(number_tables(family))]
         z = ca.vertcat(state_symbols(family), number_symbols(family), model.t, model.p)
-        ends = (np.hstack([*known, np.zeros((len(pairs), 1)), np.tile(p, (len(pairs), 1))]) for p in (low, high))
+        ends = [np.hstack([*known, np.zeros((len(pairs), 1)), np.tile(p, (len(pairs), 1))]) for p in (low, high)]
+        if len(pairs) and not is_defined_on_box(ca.SX(family.g), model.p, z, ends[0].min(axis=0), ends[1].max(axis=0)):
+            return None
         if len(pairs):
             least = min(least, float(interval_bounds.enclose(ca.SX(family.g), z, *ends)[0].min()))
     return make_finding(S_START, HOLDS, "bounds of g_i(0, q_0)", {"min g": least}) if least >= 0 else None
@@ -174,7 +177,8 @@ def speed_bound(
     if not isinstance(model.f, ca.SX):
         return None
     numbers, table = model.me.symbols[model.bodies.d :], model.bodies.table[:, model.bodies.d :]
-    z = ca.vertcat(model.t, model.me.q, numbers)
-    start, end = region.bounds_with_time()
-    low, high = np.append(start, table.min(axis=0)), np.append(end, table.max(axis=0))
-    return sweeping_speed_bound(velocity_norm_bound(model.f, z, low, high, model.bodies.count), findings, known["K_L"], h)
+    z = ca.vertcat(model.t, model.me.q, numbers, model.p)
+    (start, end), (low, high) = region.bounds_with_time(), region.parameter_bounds()
+    ends = np.concatenate([start, table.min(axis=0), low]), np.concatenate([end, table.max(axis=0), high])
+    top = velocity_norm_bound(model.f, z, *ends, model.bodies.count)
+    return sweeping_speed_bound(top, findings, known["K_L"], h) if "K_L" in known else None

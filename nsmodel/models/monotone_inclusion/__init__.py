@@ -86,6 +86,7 @@ def hypothesis_checks() -> HypothesisChecks:
         ),
         compares_solutions=True,
         speed_bound=pace.speed_bound,
+        stay_times=pace.stay_times,
         refined_runs=along_run.refinement_consequences,
     )
 

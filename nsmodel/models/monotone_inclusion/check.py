@@ -49,6 +49,7 @@ from nsmodel.hypotheses.inputs import (
     unknown_consequence,
 )
 from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.staying import ROUNDED_DOWN, StayTime, stay_in_ball
 from nsmodel.models.monotone_inclusion import autonomous
 from nsmodel.models.monotone_inclusion import parameters as for_all
 from nsmodel.models.monotone_inclusion.along_run import scheme_convergence
@@ -466,7 +467,36 @@ def speed_bound(
     """The pace on the box, a step ahead of it by its predictor; None where it has no bound, or projections are approximate."""
     if callable(model.tolerances) or (model.tolerances is not None and np.any(np.asarray(model.tolerances, float))):
         return None
-    if model.moves:
-        return None
+    if model.moves or model.p.numel():
+        return None  # see `stay_times`
     top = velocity_bound(decompose_field(model, constraint_set(model)), (region.lower, region.upper))
     return None if top is None else SpeedBound(top, h * top)
+
+
+def stay_times(
+    model: MonotoneInclusion, region: Region, findings: Sequence[Finding], start: tuple[np.ndarray, np.ndarray]
+) -> list[StayTime]:  # fmt: skip
+    """By |x'|^2 <= |F - S|^2 + kappa^2, as of a sweeping process; for C at rest by |x - x0|' <= L |x - x0| + |F - S|(x0)."""
+    number = {finding.id: finding.value for finding in findings if finding.verdict == HOLDS}
+    if model.phi is not None or "M-T" not in number:
+        return []
+    (low, high), time = region.parameter_bounds(), (region.t0, region.t1)
+    signs, others = np.ones(model.sign_symbols.numel()), ca.vertcat(model.t, model.p, model.sign_symbols)
+    size, z = ca.sumsqr(model.field - model.operator), ca.vertcat(model.x, others)
+    ends = [np.concatenate([[t], p, sign * signs]) for t, p, sign in zip(time, (low, high), (-1, 1), strict=True)]
+
+    def speed(lower: np.ndarray, upper: np.ndarray) -> float:
+        top = extremum.supremum(size, z, np.append(lower, ends[0]), np.append(upper, ends[1]), quick=True).bound
+        return float(np.sqrt(max(top, 0.0))) * SPEED_ROUND_UP
+
+    kappa = number.get(SET_MOTION.id, {}).get(KAPPA, np.inf) if model.moves else 0.0
+    room = float(np.min(np.minimum(start[0] - region.lower, region.upper - start[1]), initial=np.inf))
+    top, L = float(np.hypot(speed(region.lower, region.upper), kappa)), number.get("M-24", {}).get("L", np.inf)
+    found = (
+        [StayTime(room / top * ROUNDED_DOWN if top > 0 else np.inf, f"moving at {top:.5g} at most")] if np.isfinite(top) else []
+    )
+    if kappa == 0:
+        drive = speed(*start)
+        found.append(StayTime(stay_in_ball(0.0, L, drive, room), f"as |x - x0|' <= {L:.5g} |x - x0| + {drive:.5g}"))
+    last = region.t1 if ca.depends_on(size, model.t) or model.moves else np.inf
+    return [item._replace(until=min(item.until, last)) for item in found]

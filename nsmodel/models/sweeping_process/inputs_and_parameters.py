@@ -69,6 +69,7 @@ from nsmodel.models.sweeping_process.model import SweepingProcess
 from nsmodel.models.sweeping_process.qualification import RHO_FRACTION, RHO_TRIES
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, bound_gamma_everywhere
 from nsmodel.proof import extremum, interval_bounds
+from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes, stack_column
 from nsmodel.proof.jumps import SWITCH_OPERATIONS
 from nsmodel.proof.verdict import HypothesisPart
@@ -223,7 +224,10 @@ def uniform_velocity_finding(model: SweepingProcess, region: Region, motion: Inp
     f = rewrite_nodes(model.f, switch, (*SWITCH_OPERATIONS, ca.OP_IF_ELSE_ZERO), slow, "f")
     s, between = stack_column(one for one, _ in nodes), (np.zeros(0), np.zeros(0))
     if nodes:
-        between = tuple(np.ravel(end) for end in interval_bounds.enclose(stack_column(old for _, old in nodes), slow, *now))
+        switched = stack_column(old for _, old in nodes)
+        if not is_defined_on_box(switched, slow, slow, *now):
+            return None
+        between = tuple(np.ravel(end) for end in interval_bounds.enclose(switched, slow, *now))
     z, J, timed = ca.vertcat(slow, s, model.q), ca.jacobian(f, model.q), bool(ca.depends_on(model.f, model.t))
     wide = np.full(n, np.inf)
     for lower, upper, local in ((-wide, wide, False), (region.lower, region.upper, True)):
@@ -257,6 +261,8 @@ def uniform_start_finding(model: SweepingProcess, region: Region) -> Finding | N
     """S-start: g_i(0, q_0) >= 0 for all values, by bounds."""
     at_start = ca.substitute(model.g, ca.vertcat(model.t, model.q), ca.vertcat(0, model.q0))
     ends = region.parameter_bounds()
+    if not is_defined_on_box(at_start, model.p, model.p, *ends):
+        return None
     tops = [extremum.supremum(-g, model.p, *ends, bound_to=0.0).bound for g in ca.vertsplit(at_start)] if at_start.numel() else []
     if not all(top <= 0 for top in tops):
         return None
@@ -386,8 +392,10 @@ def speed_bound(
     model: SweepingProcess, region: Region, findings: Sequence[Finding], known: Mapping[str, Consequence], h: float
 ) -> SpeedBound | None:  # fmt: skip
     """The pace on the box; None where it has no bound."""
-    z = ca.vertcat(model.t, model.q)
-    return sweeping_speed_bound(velocity_norm_bound(model.f, z, *region.bounds_with_time()), findings, known["K_L"], h)
+    z, (start, end) = ca.vertcat(model.t, model.q, model.p), region.bounds_with_time()
+    low, high = region.parameter_bounds()
+    top = velocity_norm_bound(model.f, z, np.append(start, low), np.append(end, high))
+    return sweeping_speed_bound(top, findings, known["K_L"], h) if "K_L" in known else None
 
 
 def sweeping_speed_bound(f: float, findings: Sequence[Finding], moves: Consequence, h: float) -> SpeedBound | None:
