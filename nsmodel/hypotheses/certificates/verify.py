@@ -790,7 +790,7 @@ class VerifierStatement:
         every = f"for all {', '.join(rest) if len(rest) <= 6 else f'{rest[0]}, ..., {rest[-1]}'}" if rest else "for all values"
         return f"{every} with {boxed}" if boxed else every
 
-    def parameters_in_words(self) -> str:
+    def for_parameters(self) -> str:
         """For which parameters."""
         ranges = (f"{escaped(name)} in [{written(low, UP)}, {written(high, DOWN)}]" for name, (low, high) in self.ranges.items())
         return "".join(f"; for every {one}" for one in ranges)
@@ -1596,7 +1596,7 @@ def answer(model: Any, statement: Any) -> tuple[str, str]:
         (reader, rule), s = STATEMENTS[id], VerifierStatement(statement, id)
         m = reader(model, s.parameters)
         need(set(s.box) <= {"t", *m.inputs}, "the scope has other inputs")
-        return YES, rule(m, s) + s.parameters_in_words()
+        return YES, rule(m, s) + s.for_parameters()
     except Unproved as reason:
         return reason.args[1], reason.args[0]
     except Exception as reason:  # Whatever else is wrong with a certificate.
