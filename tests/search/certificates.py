@@ -2,6 +2,7 @@
 
     python -m tests.search.certificates                     # the cases, and 25 models of each class
     python -m tests.search.certificates --class lure --models 100 --json certificates.json
+    python -m tests.search.certificates --class lure --boxes 0.02   # factors of the model between 0.98 and 1.02
 
 A "no" is a defect of the certificate; the status is then 1.
 """
@@ -25,6 +26,7 @@ from nsmodel import check
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.write import certificate_of
 from nsmodel.modeling.model_files import case_files
+from tests.parametrised import with_parameters
 
 from .checked import MAKERS, draw
 
@@ -33,11 +35,15 @@ ANSWERS = ("yes", "no", "not checkable")
 Row = dict[str, Any]
 
 
-def answered(class_name: str, which: str | int) -> Row:
-    """The answers to the statements of one model, read back from JSON."""
+def answered(class_name: str, which: str | int, width: float = 0.0) -> Row:
+    """The answers to the statements of one model, read back from JSON; with factors within ``width`` of 1, if it is not 0."""
     started = time.perf_counter()
     model = nsmodel.load(which) if class_name == "cases" else draw(class_name, int(which))
-    certificate = json.loads(json.dumps(certificate_of(check(model, runs=[]))))
+    boxes = {}
+    if width:
+        model = with_parameters(model.bind(), step=model.step)
+        boxes = dict.fromkeys(model.parameters, (1 - width, 1 + width))
+    certificate = json.loads(json.dumps(certificate_of(check(model, runs=[], parameters=boxes, quick=bool(width)))))
     written = time.perf_counter()
     answers = [(s["id"], ": ".join(verify.answer(certificate["model"], s))) for s in certificate["statements"]]
     return {"class": class_name, "model": which, "answers": answers, "kind": model.title,
@@ -70,6 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--class", dest="classes", action="append", choices=["cases", *MAKERS], help="one class; may be repeated")
     parser.add_argument("--models", type=int, default=25, help="models of each class")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--boxes", type=float, default=0.0, metavar="WIDTH", help="numbers of random models times 1 +- WIDTH")
     parser.add_argument("--json", type=Path, help="where every answer goes")
     given = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
@@ -77,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cases = {name: nsmodel.load(name) for name in case_files()}
     stems = [stem for stem, model in cases.items() if not (model.inputs or model.blocks)]  # which have no certificates
     jobs = [(name, which) for name in given.classes or ["cases", *MAKERS] for which in (stems if name == "cases" else seeds)]
-    rows = [answered(*job) for job in tqdm(jobs, leave=False, disable=not sys.stderr.isatty())]
+    rows = [answered(*job, given.boxes) for job in tqdm(jobs, leave=False, disable=not sys.stderr.isatty())]
     print(table(rows))
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1))

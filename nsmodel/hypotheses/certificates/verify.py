@@ -790,7 +790,7 @@ class VerifierStatement:
         every = f"for all {', '.join(rest) if len(rest) <= 6 else f'{rest[0]}, ..., {rest[-1]}'}" if rest else "for all values"
         return f"{every} with {boxed}" if boxed else every
 
-    def parameters_in_words(self) -> str:
+    def for_parameters(self) -> str:
         """For which parameters."""
         ranges = (f"{escaped(name)} in [{written(low, UP)}, {written(high, DOWN)}]" for name, (low, high) in self.ranges.items())
         return "".join(f"; for every {one}" for one in ranges)
@@ -851,9 +851,8 @@ class SweepingData(VerifierModel):
     def read_row(self, row: Any) -> tuple[VerifierProgram, list[tuple[list[str], list[Q]]], Q | None]:
         """The function g of a row, the states and numbers of each constraint that it stands for, and delta."""
         names, family, known = names_of(field(row, "numbers", list)), "members" in row, set(self.inputs)
-        members = [
-            (names_of(field(one, "states")), vector(field(one, "numbers"), len(names))) for one in field(row, "members", list)
-        ]
+        rows = field(row, "members", list)
+        members = [(names_of(field(one, "states")), vector(field(one, "numbers"), len(names))) for one in rows]
         hulls = [(min(column), max(column)) for column in transpose([numbers for _, numbers in members])]
         units = {name: between(len(self.parameters) + k, *hulls[k]) for k, name in enumerate(names)}
         g = VerifierProgram(field(row, "graph"), None, 1, {**units, **self.parameters})
@@ -1098,10 +1097,8 @@ def friction(m: OscillatorData, s: VerifierStatement) -> str:
     """
     line, frictions = [VerifierInterval(ZERO, INF), *map(span, m.parameters.values())], m.frictions()
     for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
-        need(
-            cover(entries(hint, kind=dict).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1),
-            "theta'",
-        )  # 1
+        smooth = lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1  # noqa: E731
+        need(cover(entries(hint, kind=dict).get("slope"), line, smooth), "theta'")  # 1
         need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
         if "cover" in hint:
             need(cover(hint["cover"], line, lambda box, _, p=theta: jets(p, box)[0].H[0][0].lo >= 0), "theta'' < 0")  # 3
@@ -1191,14 +1188,12 @@ class VerifierLaw:
             if block["kind"] == "box":
                 lower, upper = (vector(field(block, name), block["size"], m.parameters, True) for name in ("lower", "upper"))
                 self.ends += zip(lower, upper, strict=True)
-        need(
-            all(gap(low, high) >= 0 and low != INF and high != -INF for low, high in self.ends), "an interval of the law is empty"
-        )
+        whole = all(gap(low, high) >= 0 and low != INF and high != -INF for low, high in self.ends)
+        need(whole, "an interval of the law is empty")
         need(all(number(field(block, "radius")) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
         self.nonempty = all(x <= 0 for block in blocks if block["kind"] == "polyhedron" for x in vector(field(block, "K")))
-        self.bounded = self.kinds <= {"box", "ball"} and all(
-            isinstance(x, Poly) or abs(x) < INF for pair in self.ends for x in pair
-        )
+        finite = all(isinstance(x, Poly) or abs(x) < INF for pair in self.ends for x in pair)
+        self.bounded = finite and self.kinds <= {"box", "ball"}
 
 
 class FirstOrderData(VerifierModel):
@@ -1281,9 +1276,8 @@ def complementarity(m: FirstOrderData, s: VerifierStatement) -> str:
             if not psd(W_mlcp, definite=True):  # 6
                 need(law.bounded, "W_mlcp is not definite, and K may be unbounded", UNCHECKED)  # 7
                 need(T is not None, "W_mlcp lets x vary", UNCHECKED)
-                need(
-                    vanishes(plus(times(matrix(T, n, m.m), plus(W_mlcp, transpose(W_mlcp))), B, -1)), "B is not T d (W + W')"
-                )  # 8
+                twice = times(matrix(T, n, m.m), plus(W_mlcp, transpose(W_mlcp)))
+                need(vanishes(plus(twice, B, -1)), "B is not T d (W + W')")  # 8
     steps = f"a step h of each of {len(m.steps)} lengths from {written(min(m.steps))} to {written(max(m.steps))}"
     if s.id == "F-mlcp":
         return f"W = M - h (theta f_x + gamma g_x) is regular, and h gamma C W^-1 B + D positive semidefinite, for {steps}"
@@ -1300,9 +1294,8 @@ class LureData(VerifierModel):
     def __init__(self, data: Any, parameters: Parameters) -> None:
         super().__init__(data, parameters)
         self.m = len(entries(field(data, "D")))
-        self.B, self.C = (
-            matrix(field(data, name), *size, parameters) for name, size in (("B", (self.n, self.m)), ("C", (self.m, self.n)))
-        )
+        self.B = matrix(field(data, "B"), self.n, self.m, parameters)
+        self.C = matrix(field(data, "C"), self.m, self.n, parameters)
         self.D = matrix(data["D"], self.m, self.m, parameters)
         self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], None, 1, self.parameters)
         need(self.phi is None or self.phi.n == self.m, "phi has another number of inputs")
@@ -1376,11 +1369,9 @@ def domain_point(m: LureData, s: VerifierStatement, x: Sequence[Q]) -> None:
     k, y, v = (vector(field(s.proof, name), m.m, m.parameters) for name in ("k", "y", "v"))
     need(psd(m.D), "D is not psd")  # 1
     parts = [[dot(row, z) for row in A] for A, z in ((transpose(m.D), k), (m.D, v), (transpose(m.D), v))]
-    left = [dot(row, x) + e for row, e in zip(m.C, m.offset(), strict=True)]
-    need(
-        vanishes([[a + -sum(part, ZERO) for a, part in zip(left, zip(y, *parts, strict=True), strict=True)]]),
-        "C x + e = D'k + y + (D + D')v fails",
-    )  # 2
+    left = [dot(row, x) + e + -part for row, e, part in zip(m.C, m.offset(), y, strict=True)]
+    left = [a + -b + -c + -d for a, b, c, d in zip(left, *parts, strict=True)]
+    need(vanishes([left]), "C x + e = D'k + y + (D + D')v fails")  # 2
     for (low, high), inner, push in zip(m.intervals(), k, y, strict=True):
         need(gap(low, inner) > 0 and gap(inner, high) > 0, "k is not inside K")  # 3
         need((low != -INF and (high != INF or least(push) > 0)) or (high != INF and least(-push) > 0), "y is not inside")  # 4
@@ -1442,10 +1433,8 @@ class InclusionData(VerifierModel):
         """The switches. Premises: 1. the argument is a'x + c everywhere, a not 0; 2. the weights are w a, w >= 0."""
         found = []
         for entry in entries(field(self.data, "switches")):
-            weights, program = (
-                vector(entries(entry, 2)[0], self.n, self.parameters),
-                VerifierProgram(entry[1], self.inputs, 1, self.parameters),
-            )
+            program = VerifierProgram(entries(entry, 2)[1], self.inputs, 1, self.parameters)
+            weights = vector(entry[0], self.n, self.parameters)
             (a,), (c,) = self.affine(atoms.read(program), atoms)
             w = dot(weights, a) * (1 / dot(a, a))
             along = least(w) >= 0 and vanishes([[x + w * -y for x, y in zip(weights, a, strict=True)]])
@@ -1607,7 +1596,7 @@ def answer(model: Any, statement: Any) -> tuple[str, str]:
         (reader, rule), s = STATEMENTS[id], VerifierStatement(statement, id)
         m = reader(model, s.parameters)
         need(set(s.box) <= {"t", *m.inputs}, "the scope has other inputs")
-        return YES, rule(m, s) + s.parameters_in_words()
+        return YES, rule(m, s) + s.for_parameters()
     except Unproved as reason:
         return reason.args[1], reason.args[0]
     except Exception as reason:  # Whatever else is wrong with a certificate.

@@ -51,12 +51,14 @@ class CertificateSubject(NamedTuple):
         data: the model as data.
         box: of inputs that are no states.
         ranges: between which ends each parameter lies.
+        stands_for: {name in a scope: names of the states that it stands for}, where these are not the same.
     """
 
     model: Any
     data: Data
     box: Mapping[str, Sequence[float]] = MappingProxyType({})
     ranges: IntervalBox = MappingProxyType({})
+    stands_for: Mapping[str, Sequence[str]] = MappingProxyType({})
 
     @property
     def parameters(self) -> verify.Parameters:
@@ -212,7 +214,8 @@ def _scope_data(scope: Scope | None, subject: CertificateSubject) -> dict[str, A
     """The scope; what lies on a box of states has the box of the other inputs too. Time may be one of the parameters."""
     found: dict[str, Any] = {}
     if scope is not None:
-        found["states"] = _ends_text({**subject.box, **scope.states} if scope.states else {}) or None
+        states = {own: ends for name, ends in scope.states.items() for own in subject.stands_for.get(name, (name,))}
+        found["states"] = _ends_text({**subject.box, **states} if states else {}) or None
         found["time"] = None if scope.time is None or str(subject.model.t) in subject.ranges else _ends_text({"": scope.time})[""]
     return found | ({"parameters": _ends_text(subject.ranges)} if subject.ranges else {}) or None
 

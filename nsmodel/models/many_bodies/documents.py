@@ -29,15 +29,16 @@ STATED = sweeping.STATED
 
 def subject(model: ManyBodies, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The sweeping process as data; of many constraints as families."""
+    states, d = [str(symbol) for symbol in ca.vertsplit(model.q)], model.bodies.d
+    stands_for = {str(symbol): states[axis::d] for axis, symbol in enumerate(ca.vertsplit(model.me.q))}
     if is_small(model):
-        return sweeping.subject(model.written_out(), findings, ranges)
-    names = [str(symbol) for symbol in ca.vertsplit(model.q)]
-    f = {"inputs": ["t", *names, *ranges], "why": "the velocities of many bodies are not written down"}
+        return sweeping.subject(model.written_out(), findings, ranges)._replace(stands_for=stands_for)
+    f = {"inputs": ["t", *states, *ranges], "why": "the velocities of many bodies are not written down"}
     data = {
         "class": "SweepingProcess", "constraints": sweeping.rows_data(family_rows(model, ranges), findings), "f": f,
         "q0": [exact_number_text(x) for x in model.q0],
     }  # fmt: skip
-    return CertificateSubject(model, data, ranges=ranges)
+    return CertificateSubject(model, data, ranges=ranges, stands_for=stands_for)
 
 
 def is_small(model: ManyBodies) -> bool:
