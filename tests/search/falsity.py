@@ -38,6 +38,26 @@ def as_float(x: Any) -> float:
     return float(x) if x in ("inf", "-inf") else float(Fraction(x))
 
 
+READ = {  # Of each rule: the parts of a model on which the truth of its statements depends, besides the class.
+    **dict.fromkeys(("A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-convex"), ("constraints",)), "S-f": ("f",),
+    "S-start": ("constraints", "q0"), "O-theta": ("theta", "damping"), "O-g": ("g", "C"), "O-dry": ("theta", "H"),
+    "O-steps": ("steps",), "F-jacobians": ("f", "g", "h"),
+    **dict.fromkeys(("F-step", "F-W"), ("f", "g", "M", "steps", "theta", "gamma")),
+    **dict.fromkeys(("F-mlcp", "F-unique"), ("f", "g", "h", "M", "steps", "theta", "gamma", "law")),
+    "3.1": ("law", "phi"), "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"),
+    **dict.fromkeys(("5.4a", "5.4c"), ("C", "D", "e", "law", "phi")), "5.x0": ("C", "D", "e", "law", "phi", "x0"),
+    "5.4b": ("D", "law", "phi"), "7.1": ("A", "f", "C", "D", "e", "law", "phi"),
+    **dict.fromkeys(("M-T", "M-A2"), ("F", "S", "phi", "switches")), "M-C": ("C",), "M-A1": ("F",),
+    **dict.fromkeys(("M-A3", "M-24"), ("F", "S", "phi", "switches", "C")),
+}  # fmt: skip
+NAMES = {  # The numbers that a statement may have.
+    "A0": "c", "A1": "a b", "A2": "speed", "A3": "turn", "A4": "M M_contact", "A5": "gamma rho", "A5'": "gamma",
+    "S-f": "K_f L_f L_t", "F-step": "h", "F-W": "h", "4.1": "least", "5.2": "omega", "M-A2": "a_1 a_2", "M-A3": "alpha beta",
+    "M-24": "L",
+}  # fmt: skip
+KINDS = ("box", "ball", "second-order cone", "polyhedron", "ellipsoid")
+
+
 # -- functions
 
 
@@ -385,21 +405,65 @@ def no_room(rows: tuple[tuple[float, ...], ...], strict: bool) -> bool:
     return found.status == 2 or (strict and found.status == 0 and -found.fun < 1e-12)
 
 
-def no_interior(f: Function) -> str:
-    """Affine rows {>= 0} without interior points; rows that are not affine are not looked at."""
+def no_interior(f: Function, sampler: Sampler) -> str:
+    """No point where concave rows are > 0: their tangents, at points that get better, leave no room."""
     n = len(f.inputs)
+    near = [[float(x) for x in sampler.point(f.inputs)] for _ in range(4)]
     try:
-        zero, other = f.values([0.0] * n), f.values([1.7] * n)
+        cuts: list[tuple[float, ...]] = []
+        for a in [[0.0] * n, *near, *near, *near]:
+            rows = f.values(a)
+            if not rows or min(row.v for row in rows) > 0:
+                return ""
+            cuts += [(row.v - dot(row.g, a), *row.g) for row in rows if all(abs(x) < HUGE for x in (row.v, *row.g))]
+            low = min(rows, key=lambda row: row.v)
+            near = [[x - low.v / (norm(low.g) ** 2) * d for x, d in zip(a, low.g, strict=True)] if any(low.g) else a] * 4
     except Missing:
         return ""
-    rows = tuple((a.v, *a.g) for a, b in zip(zero, other, strict=True) if a.g == b.g)
-    if len(rows) == 1 and any(rows[0][1:]):
-        return ""
-    return "no interior point" if rows and no_room(rows, True) else ""
+    return "no interior point" if cuts and no_room(tuple(cuts), True) else ""
+
+
+def no_statement(model: Any, statement: Any) -> str:
+    """Why it says nothing: numbers or a scope that have no meaning, parts of the model that do not fit together."""
+    id, own = statement["id"], {name: model.get(name) for name in READ[statement["id"]]}
+    names = ["lower bound of g"] if id == "O-g" else ["radius of A(0)"] if id == "O-dry" else NAMES.get(id, "").split()
+    if not set(statement["value"]) <= set(names) or not set(statement["scope"] or ()) <= {"states", "time"}:
+        return "a number or a scope without meaning"
+    if "law" in own and own.get("phi") is None:
+        size = len(model["D"]) if "D" in model else len(model["f"]["inputs"]) - 1 - len(model["x0"])
+        if sum(block["size"] for block in own["law"]) != size or any(block["kind"] not in KINDS for block in own["law"]):
+            return "a law of another size or kind"
+        if any(block["kind"] == "ball" and Fraction(block["radius"]) < 0 for block in own["law"]):
+            return "a ball without points"
+    first = {
+        "SweepingProcess": "f",
+        "FrictionOscillator": "g",
+        "FirstOrderSystem": "f",
+        "LureSystem": "A",
+        "MonotoneInclusion": "F",
+    }
+    inputs = model[first[model["class"]]]["inputs"]
+    timed = model["class"] in ("SweepingProcess", "FirstOrderSystem")
+    if timed and inputs[:1] != ["t"]:
+        return "a model without time"
+    if any(
+        row["graph"]["inputs"][:1] != ["t"] or not set(row["graph"]["inputs"]) <= set(inputs)
+        for row in own.get("constraints") or ()
+    ):
+        return "a constraint of other inputs"
+    if any(len(theta["inputs"]) != 1 for theta in own.get("theta") or () if model["class"] == "FrictionOscillator"):
+        return "friction of other inputs"
+    if own.get("phi") is not None and (own.get("S") is not None or own.get("switches") or own.get("law")):
+        return "a subdifferential, and an operator or a law"
+    if own.get("phi") is not None and "D" in own and len(own["phi"]["inputs"]) != len(model["D"]):
+        return "a potential of other inputs"
+    return ""
 
 
 def find(model: Any, statement: Any, seed: int = 0) -> str:
     """A counterexample in words; "" where none is found."""
+    if found := no_statement(model, statement):
+        return found
     finder, read = FINDERS[statement["id"]], functions(model)
 
     def look(real: Callable[[Any], Any]) -> str:
@@ -426,6 +490,19 @@ def gaps_of(model: Any, sampler: Sampler) -> list[tuple[Function, Any]]:
     return [(row["graph"], sampler.real(row["delta"]) if "delta" in row else None) for row in model["constraints"]]
 
 
+def outside(look: Callable[..., str]) -> Callable[..., str]:
+    """A search for a counterexample that may leave the scope: where a function has no value there, none is found."""
+
+    @functools.wraps(look)
+    def careful(*given: Any) -> str:
+        try:
+            return look(*given)
+        except Missing:
+            return ""
+
+    return careful
+
+
 def s_convex(model: Any, statement: Any, sampler: Sampler) -> str:
     for g, _ in gaps_of(model, sampler):
         if found := not_convex(g, sampler, fixed=1):
@@ -440,9 +517,11 @@ def regular(model: Any, statement: Any, sampler: Sampler) -> str:
     for g, delta in gaps_of(model, sampler):
         if delta is not None and delta <= 0:
             return "delta <= 0"
-        for a, b in sampler.pairs(g.inputs):
+        for k, (a, b) in enumerate(sampler.pairs(g.inputs)):
             try:
-                found = _irregular(id, value, g, delta, a, b, sampler)
+                found = _irregular(id, value, g, delta, a, b, sampler) or (
+                    id != "A0" and k < 6 and _turning(g, delta, a, sampler)
+                )
             except Missing:
                 if delta is None or id == "A0":
                     raise
@@ -452,6 +531,7 @@ def regular(model: Any, statement: Any, sampler: Sampler) -> str:
     return ""
 
 
+@outside
 def _too_near(c: Any, g: Function, delta: Any, a: Point, sampler: Sampler) -> str:
     """A point out of U that is nearer than c to one of the boundary of {g >= 0}, as steeply down as it goes."""
     for _ in range(20):
@@ -465,6 +545,32 @@ def _too_near(c: Any, g: Function, delta: Any, a: Point, sampler: Sampler) -> st
     down = [a[0], *(x - (1 - SLACK) * c * d / size for x, d in zip(a[1:], at.g[1:], strict=True))]
     near = abs(at.v) <= sampler.bare and sampler.holds(down, g.inputs) and g.values(down)[0].v <= -delta - SLACK
     return f"{down} is near" if near else ""
+
+
+@outside
+def _turning(g: Function, delta: Any, a: Point, sampler: Sampler) -> str:
+    """A point of U, down from a, at which the gradient jumps: as in the centre of a distance."""
+    (at,) = g.values(a)
+    down, scale = [0, *(-d for d in at.g[1:])], norm(at.g[1:])
+    if not scale or not abs(scale) < HUGE:
+        return ""
+
+    def slope(length: Any) -> Any:
+        return g.values([x + length * d for x, d in zip(a, down, strict=True)])[0]
+
+    low, high = sampler.real("0"), (abs(at.v) + 10) / scale**2
+    if not dot(slope(high).g, down) > 0:
+        return ""
+    for _ in range(50 if sampler.real is as_float else 170):
+        middle = (low + high) / 2
+        low, high = (low, middle) if dot(slope(middle).g, down) > 0 else (middle, high)
+    width = sampler.width * sampler.width if sampler.real is as_float else sampler.width
+    before, behind = slope(low - width / scale), slope(high + width / scale)
+    jump = norm(minus(before.g[1:], behind.g[1:])) > 1e-3 * scale
+    inside = (delta is None or behind.v > -delta) and sampler.holds(
+        [x + high * d for x, d in zip(a, down, strict=True)], g.inputs
+    )
+    return f"a gradient that jumps below {a}" if jump and inside else ""
 
 
 def _irregular(id: str, value: Any, g: Function, delta: Any, a: Point, b: Point, sampler: Sampler) -> str:
@@ -482,6 +588,13 @@ def _irregular(id: str, value: Any, g: Function, delta: Any, a: Point, b: Point,
         return f"|grad g| = {size} at {a}" if size < value["a"] * (1 - SLACK) or size > value["b"] * (1 + SLACK) else ""
     if id == "A2":
         return f"at {a}" if abs(at.g[0]) > value["speed"] * (1 + SLACK) + 1e-30 else ""
+    return _bent(id, value, g, delta, a, b, sampler)
+
+
+@outside
+def _bent(id: str, value: Any, g: Function, delta: Any, a: Point, b: Point, sampler: Sampler) -> str:
+    """Where the gradient turns, or is bent, too fast; it is looked at beyond the ends of the scope by a hair."""
+    (at,) = g.values(a)
     shift = [0, *minus(b, a)[1:]] if id == "A4" else [1] + [0] * (len(a) - 1)
     length = norm(shift)
     if length == 0 or (sampler.box and any(name in sampler.box for name in g.inputs) and a == b):
@@ -571,7 +684,7 @@ def friction(model: Any, statement: Any, sampler: Sampler) -> str:
 
 def potential(model: Any, statement: Any, sampler: Sampler) -> str:
     bound, whole, g = sampler.real(statement["value"]["lower bound of g"]), sampler.whole(), model["g"]
-    if found := not_convex(g, sampler) or not_convex(model["C"], whole, -1) or no_interior(model["C"]):
+    if found := not_convex(g, sampler) or not_convex(model["C"], whole, -1) or no_interior(model["C"], sampler.whole()):
         return found
     for a, _ in whole.pairs(g.inputs):
         for _ in range(8):  # Down the slope.
@@ -668,7 +781,7 @@ def mlcp(model: Any, statement: Any, sampler: Sampler) -> str:
     for step in map(sampler.real, model["steps"]):
         W = plus(plus(M, J["A"], -step * theta), J["K"], -step * gamma)
         size, inner = solved(W, J["B"])
-        if step <= 0 or not abs(size) > sampler.bare:
+        if step <= 0 or abs(size) <= sampler.bare:
             return "W is singular"
         if not J["D"]:
             continue
@@ -694,16 +807,43 @@ def is_empty(law: Any) -> bool:
     return False
 
 
+def within(low: Any, high: Any) -> Any:
+    """A number inside an interval."""
+    if high < INF:
+        return (low + high) / 2 if low > -INF else high - 1
+    return low + 1 if low > -INF else 0
+
+
+def kernel(W: Rows, sampler: Sampler) -> list[Any]:
+    """A vector d, not 0, with W d = 0, of matrices of one or two rows; [] where none is known."""
+    for d in ([1], [1, 0], [0, 1], *([[W[0][1], -W[0][0]], [W[1][1], -W[1][0]]] if len(W) == 2 else [])):
+        if len(d) == len(W) and any(d) and all(abs(dot(row, d)) <= sampler.bare for row in W):
+            return d
+    return []
+
+
 def not_unique(model: Any, W: Rows, B: Rows, C: Rows, sampler: Sampler) -> str:
-    """No solution, or two with different B l, of -y in N_K(l), y = W l + C z, K a box, by all index sets."""
+    """No solution, or two with different B l, of -y in N_K(l), y = W l + C z + h_0, K a box, by all index sets; M is regular."""
     if is_empty(model["law"]):
         return "K is empty"
-    m = len(W)
-    if any(block["kind"] != "box" for block in model["law"]) or m > 3:
+    m, n = len(W), len(model["x0"])
+    if any(block["kind"] != "box" for block in model["law"]) or m > 3 or not det(real_matrix(model["M"], sampler)):
         return ""
     ends = [tuple(map(sampler.real, pair)) for b in model["law"] for pair in zip(b["lower"], b["upper"], strict=True)]
+    t = sampler.number(*sampler.ends("t"))
+    start = [row.v for row in model["h"].values([t] + [sampler.real(0)] * (n + m))]
+    d = kernel(W, sampler)
+    if d and all(low < high for low, high in ends) and any(dot(row, d) for row in B):
+        l = [within(low, high) for low, high in ends]
+        need = [-dot(row, l) - x for row, x in zip(W, start, strict=True)]
+        full = n >= m and m == 1 and any(C[0])
+        if full or all(abs(x) <= sampler.bare for x in need):
+            return f"many l that are not told apart, along {d}"
     for _ in range(12):
-        q = [dot(row, [sampler.rng.gauss(0, 1) * 10 ** sampler.rng.uniform(-1, 2) for _ in row]) for row in C]
+        z = [sampler.rng.gauss(0, 1) * 10 ** sampler.rng.uniform(-1, 2) for _ in range(n)]
+        q = [dot(row, z) + x for row, x in zip(C, start, strict=True)]
+        if not all(abs(x) < HUGE for x in q):
+            return ""
         solutions: list[Any] = []
         for codes in itertools.product((-1, 0, 1), repeat=m):
             l = [low if code < 0 else high if code > 0 else 0 for code, (low, high) in zip(codes, ends, strict=True)]
@@ -711,8 +851,11 @@ def not_unique(model: Any, W: Rows, B: Rows, C: Rows, sampler: Sampler) -> str:
                 continue
             free = [i for i in range(m) if not codes[i]]
             if free:
-                size, inner = solved([[W[i][j] for j in free] for i in free], [[-(dot(W[i], l) + q[i])] for i in free])
+                part, right = [[W[i][j] for j in free] for i in free], [[-(dot(W[i], l) + q[i])] for i in free]
+                size, inner = solved(part, right)
                 if not abs(size) > sampler.bare:
+                    if any(not any(row) and abs(r) > SLACK for row, (r,) in zip(part, right, strict=True)):
+                        continue  # 0 l = r has no solution.
                     return ""
                 for i, (x,) in zip(free, inner, strict=True):
                     l[i] = x
@@ -739,6 +882,8 @@ def law_ends(model: Any, sampler: Sampler) -> list[tuple[Any, Any]] | None:
 
 
 def thin_law(model: Any, statement: Any, sampler: Sampler) -> str:
+    if model["phi"] is not None or any(block["kind"] == "ball" and not Fraction(block["radius"]) for block in model["law"]):
+        return "there is no K, or a ball that is a point"
     ends = law_ends(model, sampler)
     return "no interior" if ends is not None and any(low >= high for low, high in ends) else ""
 
@@ -808,8 +953,10 @@ def one_range(model: Any, statement: Any, sampler: Sampler, x: Any = None) -> st
     id = statement["id"]
     if model["phi"] is not None and (found := not_convex(model["phi"], sampler.whole())):
         return found
-    if is_empty(model["law"]) and id != "5.4b":
+    if model["phi"] is None and is_empty(model["law"]) and id != "5.4b":
         return "K is empty"
+    if len(model["D"]) == 2 and id != "5.4b" and (found := two_ranges(model, id, sampler, x)):
+        return found
     if len(model["D"]) != 1 or (ends := law_ends(model, sampler)) is None:
         return hull_of_quadratic(model, sampler) if id == "5.4c" and model["phi"] is not None and len(model["D"]) == 1 else ""
     ((low, high),), D, C = ends, sampler.real(model["D"][0][0]), [sampler.real(c) for c in model["C"][0]]
@@ -827,6 +974,26 @@ def one_range(model: Any, statement: Any, sampler: Sampler, x: Any = None) -> st
     return "" if sign * (dot(C, x) + e) > 0 else "C x + e has the other sign"
 
 
+def two_ranges(model: Any, id: str, sampler: Sampler, x: Any) -> str:
+    """Of two rows with D = [0, d; -d, 0], S is a product: D_ji (low_j, high_j) plus a half-line or everything."""
+    D, ends = real_matrix(model["D"], sampler), law_ends(model, sampler)
+    if ends is None or D[0][0] or D[1][1] or D[0][1] != -D[1][0] or isinstance(model.get("e"), dict | Function):
+        return ""
+    if any(low == -INF and high == INF for low, high in ends):
+        return "int dom Y* is empty"
+    x = [sampler.real(v) for v in model["x0"]] if id == "5.x0" else x
+    if x is None:
+        return ""
+    e = [sampler.real(v) for v in model.get("e", ["0", "0"])]
+    for i, (low, high) in enumerate(ends):
+        c, other = dot([sampler.real(v) for v in model["C"][i]], x) + e[i], D[1 - i][i]
+        least, most = sorted(end * other for end in ends[1 - i]) if other else (0, 0)
+        least, most = (-INF if high < INF else least), (INF if low > -INF else most)
+        if not least < c < most:
+            return f"C x + e is not in S, in row {i}"
+    return ""
+
+
 def hull_of_quadratic(model: Any, sampler: Sampler) -> str:
     """Of Phi = a y^2/2 + b y, a > 0, R(D + dXi) is a point for D = -1/a."""
     at = [model["phi"].values([sampler.real(y)])[0].g[0] for y in ("-3", "0", "1", "7")]
@@ -839,7 +1006,7 @@ def hull_of_quadratic(model: Any, sampler: Sampler) -> str:
 def not_at_rest(model: Any, statement: Any, sampler: Sampler) -> str:
     if any(x.v != 0 for x in model["A"].values([sampler.real("0")] * len(model["A"].inputs))):
         return "A(0)"
-    if any(x.v != 0 for a, _ in sampler.pairs(["t"]) for x in model["f"].values(a)):
+    if any(abs(x.v) > 0 for a, _ in sampler.pairs(["t"]) for x in model["f"].values(a)):
         return "f"
     if any(Fraction(x) for x in model.get("e", [])):
         return "e"
@@ -896,7 +1063,7 @@ def monotone(model: Any, statement: Any, sampler: Sampler) -> str:
 
 
 def bad_set(model: Any, statement: Any, sampler: Sampler) -> str:
-    return not_convex(model["C"], sampler, -1) or no_interior(model["C"])
+    return not_convex(model["C"], sampler, -1) or no_interior(model["C"], sampler.whole())
 
 
 def without_value(model: Any, statement: Any, sampler: Sampler) -> str:
@@ -924,16 +1091,36 @@ def one_sided(model: Any, statement: Any, sampler: Sampler) -> str:
     return ""
 
 
+def onto_boundary(model: Any, a: Point, sampler: Sampler) -> tuple[Point, list[Any]]:
+    """A point near where a row of C is 0 and all others are not < 0, and the row's gradient; [] where there is none."""
+    for _ in range(60):
+        rows = model["C"].values(a)
+        low = min(rows, key=lambda row: row.v)
+        if abs(low.v) <= sampler.bare and any(low.g):
+            return a, low.g
+        if not any(low.g):
+            break
+        a = [x - low.v / norm(low.g) ** 2 * d for x, d in zip(a, low.g, strict=True)]
+    return a, []
+
+
 def dissipative(model: Any, statement: Any, sampler: Sampler) -> str:
     alpha, beta = (sampler.real(statement["value"][name]) for name in ("alpha", "beta"))
     if alpha <= 0:
         return "alpha <= 0"
     model = prepared(model, sampler)
-    for a, _ in sampler.pairs(model["F"].inputs):
+    for k, (a, _) in enumerate(sampler.pairs(model["F"].inputs)):
         size = norm(a) ** 2
         if inside(model, a) > 0 and dot(a, drift(model, a)) > -alpha * size + beta + SLACK * (1 + abs(beta) + size):
             return f"at {a}"
-    return not_convex(model["C"], sampler, -1)
+        if model["C"].data["outputs"] and k < 6:
+            a, normal = onto_boundary(model, a, sampler)
+            v = drift(model, a)
+            if normal and (out := dot(normal, v)) < 0:
+                w, size = [x - out / norm(normal) ** 2 * y for x, y in zip(v, normal, strict=True)], norm(a) ** 2
+                if dot(a, w) > -alpha * size + beta + 1e-6 * (1 + abs(beta) + size):
+                    return f"at {a}, on the boundary"
+    return not_convex(model["C"], sampler.whole(), -1)
 
 
 FINDERS: dict[str, Callable[[Any, Any, Sampler], str]] = {

@@ -42,6 +42,7 @@ from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.write import certificate_of
 
 from . import falsity
+from .claims import FORGERIES, TRUE
 
 Statement = dict[str, Any]
 Pair = tuple[Any, Statement]
@@ -70,6 +71,7 @@ def models() -> Iterator[Any]:
     def sweeping(constraints: Any, f: Any, q0: Any, **more: Any) -> SweepingProcess:
         return SweepingProcess(t=t, q=q, constraints=constraints, f=ca.vertcat(*f), q0=q0, **step, **more)
 
+    yield sweeping({"disc": 2 * ca.norm_2(q) - 1}, (-2 * q[0], -2 * q[1]), (2, 1)), None
     disc = {"disc": ca.norm_2(q - ca.vertcat(ca.sin(t), 0)) - 1}
     yield sweeping(disc | {"wall": 3 - q[0] + t / 4}, (-q[0] + ca.cos(t), -q[1]), (2, 1)), None
     yield sweeping({"a": q[0], "b": q[1] + q[0] / 2}, (1, -1), (1, 1)), None
@@ -152,23 +154,21 @@ def originals() -> dict[str, list[Pair]]:
             for s in certificate["statements"]:
                 if s["proof"] is not None and len(json.dumps(s)) < 6000:
                     found[s["id"]].append((certificate["model"], s))
+    for model, s in TRUE.values():
+        found[s["id"]].append((model, s))
     return {rule: sorted(pairs, key=lambda pair: len(json.dumps(pair))) for rule, pairs in found.items()}
+
+
+@functools.cache
+def beginnings() -> dict[str, list[Pair]]:
+    """What is changed: statements that are proved, and known forgeries, by rule."""
+    return {
+        rule: [*pairs, *(pair for pair in FORGERIES.values() if pair[1]["id"] == rule)] for rule, pairs in originals().items()
+    }
 
 
 # -- changes
 
-READ = {  # Of each rule: the parts of a model that it, or the truth of its statements, may depend on, besides the class.
-    **dict.fromkeys(("A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-convex"), ("constraints",)), "S-f": ("f",),
-    "S-start": ("constraints", "q0"), "O-theta": ("theta", "damping"), "O-g": ("g", "C"), "O-dry": ("theta", "H"),
-    "O-steps": ("steps",), "F-jacobians": ("f", "g", "h"),
-    **dict.fromkeys(("F-step", "F-W"), ("f", "g", "M", "steps", "theta", "gamma")),
-    **dict.fromkeys(("F-mlcp", "F-unique"), ("f", "g", "h", "M", "steps", "theta", "gamma", "law")),
-    "3.1": ("law", "phi"), "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"),
-    **dict.fromkeys(("5.4a", "5.4c"), ("C", "D", "e", "law", "phi")), "5.x0": ("C", "D", "e", "law", "phi", "x0"),
-    "5.4b": ("D", "law", "phi"), "7.1": ("A", "f", "C", "D", "e", "law", "phi"),
-    **dict.fromkeys(("M-T", "M-A2"), ("F", "S", "phi", "switches")), "M-C": ("C",), "M-A1": ("F",),
-    **dict.fromkeys(("M-A3", "M-24"), ("F", "S", "phi", "switches", "C")),
-}  # fmt: skip
 NUMBERS = ("0", "1", "-1", "2", "1/2", "-1/2", "3", "-2", "1/1000", "1000000", "-1000000", "123/97", "inf", "-inf")
 FACTORS = tuple(map(Fraction, ("-1", "1/2", "9/10", "11/10", "2", "10", "1/10", "999/1000", "1001/1000", "3/2")))
 EXPONENTS = ("-3", "-2", "-1", "-1/2", "-1/3", "1/3", "1/2", "2/3", "1", "3/2", "2", "5/2", "3", "4")
@@ -198,6 +198,11 @@ def is_number(item: Any) -> bool:
         return isinstance(item, str) and Fraction(item) is not None
     except (ValueError, ZeroDivisionError):
         return False
+
+
+def is_power(item: Any) -> bool:
+    """Whether it is a step with an exponent."""
+    return isinstance(item, list) and item[:1] == ["pow"]
 
 
 def any_number(rng: random.Random) -> str:
@@ -253,7 +258,8 @@ def change_step(part: Any, rng: random.Random) -> None:
     place = rng.randrange(len(program["outputs"]) or 1)
     last, kind = program["outputs"][place] if program["outputs"] else 0, rng.random()
     if kind < 0.35 and program["outputs"]:
-        steps.append(rng.choice([[rng.choice(OPERATIONS), last], ["pow", last, rng.choice(EXPONENTS)], ["fmax", last, k],
+        u = rng.choice([last, k])
+        steps.append(rng.choice([[rng.choice(OPERATIONS), u], ["pow", u, rng.choice(EXPONENTS)], ["fmax", last, k],
                                  ["mul", last, k], ["add", last, k]]))  # fmt: skip
         if rng.random() < 0.5:  # The old value, and 0 times the new one.
             steps += [["const", "0"], ["mul", len(steps) - 1, len(steps)], ["add", last, len(steps) + 1]]
@@ -316,7 +322,68 @@ def change_scope(model: Any, s: Statement, rng: random.Random) -> None:
         if rng.random() < 0.8:
             ends = {name: sorted(pair, key=lambda x: float(x if "inf" in x else Fraction(x))) for name, pair in ends.items()}
         time = ends.pop("t", None)
+        if rng.random() < 0.1:
+            s["scope"] = {"states": ends, "time": None, "parameters": {"p": ["0", "1"]}}
+            return
         s["scope"] = {"states": ends, "time": time if rng.random() < 0.5 else None}
+
+
+def change_shared(parts: Any, s: Statement, rng: random.Random) -> None:
+    """A number becomes another wherever it stands in the model and in the proof; or in the model and in the statement."""
+    whole = {"parts": parts, "proof": s["proof"], "value": s["value"]}
+    found = [path for path in places(whole) if is_number(at(whole, path)) and not is_power(at(whole, path[:-1]))]
+    if not found:
+        return
+    old = Fraction(at(whole, rng.choice(found)))
+    new, opposite, names = (
+        other_number(str(old), rng),
+        rng.random() < 0.3,
+        rng.choice([("parts", "proof"), ("parts", "value"), tuple(whole)]),
+    )
+    for path in found:
+        inner = at(whole, path[:-1])
+        if path[0] in names and Fraction(inner[path[-1]]) == old:
+            inner[path[-1]] = new
+        elif opposite and path[0] in names and Fraction(inner[path[-1]]) == -old and is_number(new):
+            inner[path[-1]] = str(-Fraction(new))
+
+
+def repair(rule: str, model: Any, s: Statement) -> None:
+    """Hints that an equation determines are made to fit: y of C x + e = D'k + y + (D + D')v, M^-1; upper bounds become 0."""
+    proof = s["proof"]
+    if rule in ("5.4a", "5.4c", "5.x0", "7.1") and {"k", "v"} <= set(proof):
+        C, D = ([[Fraction(x) for x in row] for row in model[name]] for name in "CD")
+        k, v = ([Fraction(x) for x in proof[name]] for name in "kv")
+        x = [Fraction(z) for z in (model["x0"] if rule == "5.x0" else proof.get("x", ["0"] * len(model["x0"])))]
+        e = [Fraction(z) for z in model.get("e", ["0"] * len(D))]
+        transposed = list(zip(*D, strict=True))
+        product = falsity.dot
+        proof["y"] = [str(product(row, x) + e[i] - product(transposed[i], k) - product(D[i], v) - product(transposed[i], v))
+                      for i, row in enumerate(C)]  # fmt: skip
+    if rule in ("A0", "A3", "A4"):
+        for hint in proof["constraints"]:
+            hint.update({"b": "0"} if "b" in hint else {})
+    if rule in ("F-step", "F-W"):
+        M = [[Fraction(x) for x in row] for row in model["M"]]
+        size, inverse = falsity.solved(M, [[Fraction(int(i == j)) for j in range(len(M))] for i in range(len(M))])
+        proof["inverse"] = [[str(x) for x in row] for row in inverse] if size else proof["inverse"]
+
+
+def change_inputs(model: Any, rng: random.Random) -> None:
+    """The inputs of one function, or a name in all, are others."""
+    found = [path for path in places(model) if path and path[-1] == "inputs"]
+    path, kind = rng.choice(found), rng.random()
+    names = at(model, path)
+    if kind < 0.4:
+        names.append(rng.choice(["t", "u", "v"]))
+    elif kind < 0.6:
+        rng.shuffle(names)
+    elif kind < 0.8:
+        del names[rng.randrange(len(names))]
+    else:
+        old, new = rng.choice(names), rng.choice(["t", "u", "x", "x_0"])
+        for other in found:
+            at(model, other)[:] = [new if name == old else name for name in at(model, other)]
 
 
 def change_part(model: Any, other: Any, names: Sequence[str], rng: random.Random) -> None:
@@ -328,53 +395,69 @@ def change_part(model: Any, other: Any, names: Sequence[str], rng: random.Random
 
 
 def change_law(model: Any, rng: random.Random) -> None:
-    """An interval of the law becomes another."""
+    """A factor of the law becomes another."""
     for block in model.get("law") or ():
         if block.get("kind") == "polyhedron":
             block["K"] = [rng.choice([x, "1", "-1"]) for x in block["K"]]
         if block.get("kind") == "box":
             for name in ("lower", "upper"):
                 block[name] = [rng.choice([x, x, "0", "1", "-1", "inf", "-inf"]) for x in block[name]]
+        if rng.random() < 0.2:
+            size = block.get("size")
+            other = {
+                "kind": rng.choice(["ball", "second-order cone", "cylinder"]),
+                "size": size,
+                "radius": rng.choice(["0", "1", "-1"]),
+            }
+            block.clear()
+            block.update(other)
 
 
 def forged(rule: str, rng: random.Random) -> Pair:
-    """A statement of a rule with one to five changes."""
-    pairs = originals()[rule]
+    """A statement of a rule, or a known forgery, with one to five changes."""
+    pairs = beginnings()[rule]
     model, s = (copy.deepcopy(part) for part in pairs[int(len(pairs) * rng.random() ** 2)])
+    if "e" in falsity.READ[rule] and rng.random() < 0.1:
+        model["e"] = [any_number(rng) for _ in model["D"]] if rng.random() < 0.9 else copy.deepcopy(model["f"])
     for _ in range(rng.choice([1, 1, 1, 2, 2, 3, 4, 5])):
         kind = rng.random()
-        parts = {name: model[name] for name in READ[rule] if name in model}
-        if kind < 0.2 and s["value"]:
+        parts = {name: model[name] for name in falsity.READ[rule] if name in model}
+        if kind < 0.17 and s["value"]:
             change_number(s["value"], rng)
-        elif kind < 0.25:
-            names = [*verify.NUMBERS.get(rule, ()), *verify.OPTIONAL.get(rule, ())]
-            if names:
-                name = rng.choice(names)
-                s["value"].pop(name, None) if rng.random() < 0.5 else s["value"].update({name: any_number(rng)})
-        elif kind < 0.4:
+        elif kind < 0.22:
+            names = [*verify.NUMBERS.get(rule, ()), *verify.OPTIONAL.get(rule, ()), rng.choice(["b", "rho", "c"])]
+            name = rng.choice(names)
+            s["value"].pop(name, None) if rng.random() < 0.5 else s["value"].update({name: any_number(rng)})
+        elif kind < 0.34:
             change_number(s["proof"], rng)
-        elif kind < 0.48:
+        elif kind < 0.41:
             change_cover(s["proof"], rng)
-        elif kind < 0.55:
+        elif kind < 0.47:
             change_scope(model, s, rng)
-        elif kind < 0.67:
+        elif kind < 0.57:
             change_number(parts, rng)
-        elif kind < 0.8:
+        elif kind < 0.7:
             change_step(parts, rng)
-        elif kind < 0.83:
+        elif kind < 0.74:
             change_law(model, rng)
-        elif kind < 0.88:
-            change_part(model, rng.choice(pairs)[0], READ[rule], rng)
-        elif kind < 0.92:
+        elif kind < 0.79:
+            change_part(model, rng.choice(pairs)[0], falsity.READ[rule], rng)
+        elif kind < 0.83:
             change_shape(rng.choice([model, parts, parts, s["proof"], s]), rng)
-        elif kind < 0.94:
+        elif kind < 0.85:
+            change_inputs(model, rng)
+        elif kind < 0.87:
             s["proof"] = copy.deepcopy(rng.choice(pairs)[1]["proof"])
+        elif kind < 0.95:
+            change_shared(parts, s, rng)
         else:  # The proof and the statement, or the model, by the same factor.
             factor = rng.choice([Fraction(-1), Fraction(0), Fraction(2), Fraction(1, 2)])
             scale(s["proof"], factor, rng)
             scale(rng.choice([parts, s]), factor, rng)
         if not isinstance(s.get("value"), dict) or not isinstance(s.get("proof"), dict) or "scope" not in s:
-            break
+            return model, s
+    if rng.random() < 0.3:
+        repair(rule, model, s)
     return model, s
 
 
@@ -406,7 +489,7 @@ class Search:
                 yield model, s
 
     def _claim(self, model: Any, s: Statement) -> list[Any]:
-        parts = {name: model.get(name) for name in ("class", *READ[self.rule])}
+        parts = {name: model.get(name) for name in ("class", *falsity.READ[self.rule])}
         return [parts, s.get("value"), s.get("scope"), s["proof"].get("P") if self.rule == "5.2" else None]
 
     def falsity(self, model: Any, s: Statement) -> str:

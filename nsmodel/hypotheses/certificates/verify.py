@@ -742,14 +742,14 @@ class SweepingData(VerifierModel):
 
 
 class NormForm:
-    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = A q + c(t); or rows of u are q_k - min(max(q_k, low), high).
-    Then w |u| is the distance to a product of intervals and points, and the gradient w A'n, n = u/|u|.
+    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = v or, in some rows, v - min(max(v, low), high), v = A q + c(t).
+    Then |u| is the distance of v to a product of intervals and points, a convex set, and the gradient w A'n, n = u/|u|.
     """
 
     def __init__(self, g: VerifierProgram, hint: dict[str, Any]) -> None:
         own, atoms = list(range(1, len(g.inputs))), Atoms()
         self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"))
-        self.A, self.units = matrix(field(hint, "A"), None, len(own)), eye(len(own))
+        self.A = matrix(field(hint, "A"), None, len(own))
         self.centre = [VerifierProgram(part, ["t"], 1) for part in entries(field(hint, "c"), len(self.A))]
         self.offset = VerifierProgram(field(hint, "offset"), ["t"], 1)
         self.b, self.reach = (number(hint.get(name, "0")) for name in ("b", "reach"))
@@ -759,8 +759,6 @@ class NormForm:
         for k, clip in enumerate(entries(hint.get("clips", [None] * len(u)), len(u))):
             if clip is not None:
                 low, high = vector(clip, 2)
-                need(all(row in self.units and self.A.count(row) == 1 for row in self.A), "q has other coordinates")
-                need(not c[k], "a distance to an interval that moves")
                 u[k] = u[k] + atoms.of("fmax", -atoms.of("fmax", u[k], constant(low)), constant(-high))
         norm = atoms.of("pow", sum((x * x for x in u), Poly({})), HALF)
         need(atoms.read(g)[0] == norm.scaled(self.w) + offset, "g is not w |u| + offset")
@@ -775,8 +773,8 @@ class NormForm:
 
         def part(box: Box, _: Any) -> bool:
             *c, offset = (jets(p, box, 1)[0] for p in [*self.centre, self.offset])
-            whole = defined(self.g, [*box, *[ALL] * (len(self.g.inputs) - 1)])
-            return whole and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
+            whole = [*box, *[ALL] * (len(self.g.inputs) - 1)]
+            return defined(self.g, whole) and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
 
         return cover(self.time, s.intervals(["t"], self.g), part)
 
@@ -792,8 +790,8 @@ def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
         if kind == "norm":
             need(NormForm(g, hint).in_time(s, lambda *_: True), "g is not defined")  # 1, 2
         elif kind == "rules":
-            whole = cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g, own=own: defined(g, [*t, *[ALL] * len(own)]))
-            need(whole, "g is not defined")  # 1
+            whole = lambda t, _, g=g, own=own: defined(g, [*t, *[ALL] * len(own)])  # noqa: E731
+            need(cover(hint.get("time"), s.intervals(["t"], g), whole), "g is not defined")  # 1
             need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
         else:
             whole = on_cover(g, s, hint.get("cover"), 2, lambda j: interval_psd([row[1:] for row in j[0].H[1:]]))
@@ -809,17 +807,19 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
     of the form "norm", with |w A| <= b and w |u| = g - offset > reach - delta on U, >= reach where g >= 0: grad g = w A'n, d_t g
     = w n.c' + offset', d_t grad g = w A'(1 - nn')c'/|u|, D^2 g = w A'(1 - nn')A/|u|, |n| = 1. Of the form "box": bounds on each
     part that U may meet, g having continuous derivatives of the order that is asked for there. Premises: 1. all numbers are >= 0,
-    a > 0; 2. delta > 0 where it is given (else U is the whole space). Norms: 3. u is not 0 on U: offset <= -reach < -delta at all
-    times; 4. b is a bound; 5. A0: c > 0, c b <= delta; A1: a^2 <= w^2 A A' <= b^2; A2: w |c'| + |offset'| <= speed; A3: w b |c'|
-    <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the same on the part.
+    a > 0, and c > 0 where a delta is given; 2. delta > 0 where it is given (else U is the whole space). Norms: 3. u /= 0 on U:
+    offset <= -reach < -delta at all times; 4. b is a bound; 5. A0: c b <= delta; A1: a^2 <= w^2 A A' <= b^2; A2: w |c'| +
+    |offset'| <= speed; A3: w b |c'| <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the
+    same on the part.
     """
     a, b, c, speed, turn, M, near = (s.value.get(name, ZERO) for name in ("a", "b", "c", "speed", "turn", "M", "M_contact"))
     need(all(x > 0 or (x == 0 and name not in ("a", "c")) for name, x in s.value.items()), "a number is not > 0, or < 0")  # 1
+    need(s.id != "A0" or c > 0 or all(delta is None for delta in m.deltas), "c is missing")  # 1
 
     def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
         w, left = form.w, form.reach - delta
         return {
-            "A0": lambda: 0 < c and c * form.b <= delta,
+            "A0": lambda: c * form.b <= delta,
             "A1": lambda: form.between(a, b),
             "A2": lambda: form.in_time(s, lambda u, drift, _: end_product(w, u.hi) + max(-drift.lo, drift.hi) <= speed),
             "A3": lambda: form.in_time(s, lambda u, *_: end_product(w * form.b, u.hi) <= turn * left),
@@ -829,7 +829,7 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
     def box_bound(g: VerifierJet, delta: Q | None, hint: dict[str, Any]) -> bool:  # 6
         size, H = length(g.g[1:]), [row[1:] for row in g.H[1:]]
         return {
-            "A0": lambda: delta is None or (0 < c and c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
+            "A0": lambda: delta is None or (c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
             "A1": lambda: a <= size.lo and size.hi <= b,
             "A2": lambda: g.g[0].within(speed),
             "A3": lambda: length(g.H[0][1:]).hi <= turn,
@@ -935,9 +935,7 @@ class OscillatorData(VerifierModel):
 
     def frictions(self) -> list[VerifierProgram]:
         """The friction of each element, of the speed."""
-        found = [VerifierProgram(part, outputs=1) for part in entries(field(self.data, "theta"))]
-        need(all(len(part.inputs) == 1 for part in found), "theta has other inputs than the speed")
-        return found
+        return [VerifierProgram(part, outputs=1) for part in entries(field(self.data, "theta"))]
 
 
 def leftover(p: Poly, atoms: Atoms) -> Poly:
@@ -1051,7 +1049,7 @@ class FirstOrderData(VerifierModel):
         super().__init__(data)
         self.n = len(entries(field(data, "x0")))
         self.m = len(self.inputs) - 1 - self.n
-        need(self.inputs[:1] == ["t"] and self.m >= 0, "f has other inputs than t, states and multipliers")
+        need(self.inputs[:1] == ["t"], "f has other inputs than t, states and multipliers")
         self.M, self.steps = matrix(field(data, "M"), self.n, self.n), vector(field(data, "steps"))
         self.theta, self.gamma = number(field(data, "theta")), number(field(data, "gamma"))
         need(all(step > 0 for step in self.steps), "a step is not > 0")
@@ -1138,7 +1136,7 @@ class LureData(VerifierModel):
         self.B, self.C = matrix(field(data, "B"), self.n, self.m), matrix(field(data, "C"), self.m, self.n)
         self.D = matrix(data["D"], self.m, self.m)
         self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], outputs=1)
-        need(self.phi is None or len(self.phi.inputs) == self.m, "phi has another number of inputs")
+        need(self.phi is None or field(data, "law") == [], "phi is given, and a law too")
         self.law = None if self.phi else VerifierLaw(field(data, "law"), self.m)
 
     def intervals(self) -> list[tuple[Any, Any]]:
