@@ -602,7 +602,7 @@ def marked_checker() -> tuple[types.ModuleType, Premises]:
 
 
 def found_without(
-    rules: Sequence[str], attempts: int, seed: int = 0, seconds: float = 1e9, within: str = ""
+    rules: Sequence[str], attempts: int, seed: int = 0, seconds: float = 1e9, within: str | tuple[str, ...] = ""
 ) -> tuple[dict[str, Forgery], dict[str, int]]:
     """The premises (of functions named ``within``) without which a forgery is found; of the others, how many statements pass."""
     checker, premises = marked_checker()

@@ -31,7 +31,7 @@ BITS = 80  # Intervals are rounded outwards to so many bits.
 CONTEXT = decimal.Context(prec=60)
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
 PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
-MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS = 1000, 16, 20000, 200000
+MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS, MAX_WORK, SPENT = 1000, 16, 20000, 200000, 5 * 10**6, [0]
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]
 Monomial = tuple[tuple[int, int], ...]
@@ -50,6 +50,12 @@ def need(true: bool, text: str, kind: str = NO) -> None:
     """Raise unless it is True; anything else, also what Python takes for true, is a failure."""
     if true is not True:
         raise Unproved(text, kind)
+
+
+def spend(count: int) -> None:
+    """Count operations on numbers, so that no statement takes for ever."""
+    SPENT[0] += count
+    need(SPENT[0] <= MAX_WORK, "more work than this file does", UNCHECKED)
 
 
 def record(item: Any) -> dict[str, Any]:
@@ -160,10 +166,12 @@ def symmetric_below(A: Matrix, P: Matrix, L: Q) -> bool:
 
 
 def rounded(x: Any, up: bool = False) -> Any:
-    """The number x rounded down or up to BITS bits; beyond BIG to infinity."""
+    """The number x rounded down or up to BITS bits; beyond BIG to infinity, and to 0 or 1/BIG where it is smaller."""
     if abs(x) > BIG:
         return (INF if up else BIG) if x > 0 else -rounded(-x, not up)
     n, d = x.numerator, x.denominator
+    if n and d.bit_length() - n.bit_length() > 1000:
+        return (1 / BIG if up else ZERO) if x > 0 else -rounded(-x, not up)
     if not n or (d & (d - 1) == 0 and n.bit_length() <= BITS):
         return Q(x)
     shift = BITS - n.bit_length() + d.bit_length()
@@ -423,9 +431,7 @@ class VerifierJet:
         return VerifierJet(VerifierInterval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
 
 
-def jets(
-    program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False
-) -> list[VerifierJet]:
+def jets(program: VerifierProgram, box: Box, order: int = 2, wrt: Any = None, smooth: bool = False) -> list[VerifierJet]:
     """The jet of each value on a closed box; derivatives up to ``order`` by the inputs ``wrt`` (None: all).
     It returns only if the function is defined on the whole box, and, with order 2, or ``smooth`` and order 1, has continuous
     derivatives of this order at each point of the box. With order 1 alone gradients hold all limits of gradients at kinks.
@@ -444,6 +450,7 @@ def jets(
         return u.chain(*FUNCTIONS[op](u.v))
 
     need(len(box) == len(program.inputs), "a box has another size")
+    spend(len(program.steps) * (1 + len(own) ** order))
     units = [[VerifierInterval(ONE if k == i else ZERO) for i in own] if order else [] for k in range(len(box))]
     inputs = [VerifierJet(x, unit, flat) for x, unit in zip(box, units, strict=True)]
     return program.run(inputs, lambda c: VerifierJet(VerifierInterval(c), zero, flat), apply)
@@ -463,6 +470,7 @@ class Poly(dict[Monomial, Q]):
     """A polynomial {monomial: coefficient}; a monomial is ((variable, exponent), ...), variables rising, exponents > 0."""
 
     def __init__(self, terms: dict[Monomial, Q]) -> None:
+        spend(len(terms))
         super().__init__({m: a for m, a in terms.items() if a})
         sizes = [a.numerator.bit_length() + a.denominator.bit_length() for a in self.values()]
         need(len(sizes) <= MAX_TERMS and max(sizes, default=0) <= MAX_BITS, "a polynomial that is too long", UNCHECKED)
@@ -477,7 +485,7 @@ class Poly(dict[Monomial, Q]):
         return self.scaled(-ONE)
 
     def __mul__(self, o: Poly) -> Poly:
-        need(len(self) * len(o) <= 50 * MAX_TERMS, "a polynomial that is too long", UNCHECKED)
+        spend(len(self) * len(o))
         terms: dict[Monomial, Q] = {}
         for (m, a), (k, b) in product(self.items(), o.items()):
             powers = dict(m)
@@ -525,10 +533,10 @@ class Atoms:
 
     def apply(self, op: str, u: Poly, w: Any) -> Poly:
         """An operation on polynomials: powers are expanded where they can be."""
-        if op == "pow" and w.denominator == 1 and 0 <= w <= MAX_EXPANDED_POWER:
+        whole, c = op == "pow" and w.denominator == 1 and abs(w) <= MAX_EXPANDED_POWER, u.number()
+        if whole and w >= 0:
             return math.prod([u] * int(w), start=constant(ONE))
-        c = u.number()
-        return constant(c**w) if op == "pow" and w.denominator == 1 and c else self.of(op, u, *([] if w is None else [w]))
+        return constant(c**w) if whole and c else self.of(op, u, *([] if w is None else [w]))
 
     def read(self, program: VerifierProgram) -> list[Poly]:
         """The values of a program as polynomials: equal to it wherever it is defined."""
@@ -680,9 +688,7 @@ class VerifierStatement:
         return f"{every} with {boxed}" if boxed else every
 
 
-def on_cover(
-    program: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Callable[..., bool], smooth: bool = False
-) -> bool:
+def on_cover(program: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Any, smooth: bool = False) -> bool:
     """Whether ``leaf(jets)`` holds on each part of the scope's box."""
     return cover(tree, s.intervals(program.inputs, program), lambda part, _: leaf(jets(program, part, order, None, smooth)))
 
@@ -794,8 +800,8 @@ def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
             need(cover(hint.get("time"), s.intervals(["t"], g), whole), "g is not defined")  # 1
             need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
         else:
-            whole = on_cover(g, s, hint.get("cover"), 2, lambda j: interval_psd([row[1:] for row in j[0].H[1:]]))
-            need(whole, "a Hessian is not psd")  # 1, 3
+            leaf = lambda j: interval_psd([row[1:] for row in j[0].H[1:]])  # noqa: E731
+            need(on_cover(g, s, hint.get("cover"), 2, leaf), "a Hessian is not psd")  # 1, 3
     return f"g_i(t, .) is convex {m.where(s, local=False)}"
 
 
@@ -845,10 +851,8 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
             need(form.between(ZERO, form.b), "b is no bound of the gradient")  # 4
             need(norm_bound(form, delta or ZERO), "the bound fails")  # 5
             continue
-
-        order = 2 if s.id in ("A3", "A4") else 1
         leaf = lambda j, d=delta, h=hint: (d is not None and j[0].v.hi <= -d) or box_bound(j[0], d, h)  # noqa: E731
-        need(on_cover(g, s, hint.get("cover"), order, leaf, smooth=True), "the bound fails on a part")  # 6
+        need(on_cover(g, s, hint.get("cover"), 1 + (s.id in ("A3", "A4")), leaf, True), "the bound fails on a part")  # 6
     said = {
         "A0": f"every point nearer than {written(c, DOWN)} to one with g_i >= 0 is in" if c else "all points are in",
         "A1": f"{written(a, DOWN)} <= |grad_q g_i| <= {written(b, UP)} on",
@@ -951,9 +955,8 @@ def friction(m: OscillatorData, s: VerifierStatement) -> str:
     """
     line, frictions = [VerifierInterval(ZERO, INF)], m.frictions()
     for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
-        need(
-            cover(record(hint).get("slope"), line, lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1), "theta'"
-        )  # 1
+        leaf = lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1  # noqa: E731
+        need(cover(record(hint).get("slope"), line, leaf), "theta'")  # 1
         need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
         if "cover" in hint:
             need(cover(hint["cover"], line, lambda box, _, p=theta: jets(p, box)[0].H[0][0].lo >= 0), "theta'' < 0")  # 3
@@ -963,8 +966,7 @@ def friction(m: OscillatorData, s: VerifierStatement) -> str:
         rest = leftover(atoms.read(theta)[0], atoms)
         need(slope(slope(rest, 0, atoms), 0, atoms) == first + variable(0) * second, "theta'' is another")  # 3
     damping = field(m.data, "damping")
-    if damping != []:
-        need(psd(matrix(damping, m.n, m.n)), "the damping is not psd")  # 4
+    need(damping == [] or psd(matrix(damping, m.n, m.n)), "the damping is not psd")  # 4
     drag = "; the symmetric part of the damping is positive semidefinite" if damping != [] else ""
     return f"theta_j is C1, convex and nondecreasing on [0, inf), for each of {len(frictions)} j{drag}"
 
@@ -1422,6 +1424,7 @@ OPTIONAL = {"A0": ("c",), "A5": ("rho",), "S-f": ("L_t",)}
 
 def answer(model: Any, statement: Any) -> tuple[str, str]:
     """Prove a statement of a model anew: "yes" and the sentence that was proved, "no" or "not checkable" and a reason."""
+    SPENT[0] = 0
     try:
         id = field(statement, "id")
         need(type(id) is str and id in STATEMENTS, "no proof of this kind is known here", UNCHECKED)
