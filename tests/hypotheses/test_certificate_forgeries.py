@@ -287,6 +287,8 @@ def test_a_deep_or_wide_cover_takes_bounded_time(monkeypatch):
     powers = [("in", 0), ("const", "1"), ("add", 0, 1), *(("pow", k, "16") for k in range(2, 9))]
     assert verify.answer(with_steps(inclusion(), "F", *powers), M_A2) == ("not checkable", "more work than this file does")
     assert verify.answer(inclusion(), M_A1)[0] == "yes"  # Each statement has its own.
+    for _ in range(20):  # And what others do with polynomials is not counted.
+        assert len(verify.Poly({((0, k + 1),): verify.ONE for k in range(2000)})) == 2000
 
 
 def test_numbers_that_become_tiny_take_no_memory():
