@@ -39,7 +39,7 @@ test-long: $(STAMP) ## set up and run all tests, long ones and all random models
 quick: $(STAMP) ## set up and run the tests that take seconds: under a minute on two cores
 	$(BIN)/python -m pytest -n auto --dist worksteal -m fast
 
-nightly: $(STAMP) ## set up and run the search for refused steps and wrong answers: 2000 random models a class, hours
+nightly: $(STAMP) ## set up and search for refused steps, wrong answers and forged certificates: 2000 random models a class, hours
 	mkdir -p results
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),1,2000) --compiled 10 --json results/search.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
@@ -47,6 +47,9 @@ nightly: $(STAMP) ## set up and run the search for refused steps and wrong answe
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.files $(if $(NSMODEL_SHORT),--kinds run --count 2,--count 2000) --json results/files.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.hidden --count $(if $(NSMODEL_SHORT),2,2000) --json results/hidden.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.events --models $(if $(NSMODEL_SHORT),1 --t-end 1,300) --json results/events.jsonl
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.forgeries --attempts $(if $(NSMODEL_SHORT),3,100000 --rounds 10)
+	$(if $(NSMODEL_SHORT),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.forgeries --mutants --attempts 10000)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.golden $(if $(NSMODEL_SHORT),--class lure)
 
 lint: $(STAMP) ## ruff, pyright, which package imports which, and the limits of the structure
 	$(BIN)/ruff check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures

@@ -7,183 +7,33 @@ import subprocess
 import sys
 
 import casadi as ca
+import mpmath
+import pytest
+from search import falsity, forgeries
+from search.claims import (
+    FORGERIES,
+    HALF_LINE,
+    TRUE,
+    claim,
+    forms,
+    inclusion,
+    lure,
+    oscillator,
+    program,
+    q,
+    sweeping,
+    t,
+    with_steps,
+    x,
+)
 
 from nsmodel.hypotheses.certificates import verify
-from nsmodel.hypotheses.certificates.hints import straight_line_program
-
-t, s, x, y, q = (ca.SX.sym(name) for name in "tsxyq")
-z = ca.SX.sym("z", 2)
-HALF_LINE = {"form": "box", "cover": None}
-
-
-def program(expr, inputs=x):
-    names = [str(symbol) for symbol in ca.vertsplit(inputs)]
-    return straight_line_program(ca.SX(expr), inputs, names)
-
-
-def sweeping(*rows, f=0, deltas=(), q0="0"):
-    graphs = [{"name": f"g_{k}", "graph": program(row, ca.vertcat(t, q))} for k, row in enumerate(rows)]
-    for graph, delta in zip(graphs, deltas, strict=False):
-        graph["delta"] = delta
-    return {"class": "SweepingProcess", "constraints": graphs, "f": program(f, ca.vertcat(t, q)), "q0": [q0]}
-
-
-def oscillator(g=None, theta=(s,), H=((("1",),),), C=(), steps=("1",)):
-    damping = []
-    g = x**2 if g is None else g
-    return {"class": "FrictionOscillator", "theta": [program(one, s) for one in theta], "H": [list(map(list, one)) for one in H],
-            "x0": ["0"], "damping": damping, "g": program(g), "C": program(ca.vertcat(*C)), "steps": list(steps)}  # fmt: skip
-
-
-def first_order(f, g=0, h=0, law=None, steps=("1/10",), M="1"):
-    inputs = ca.vertcat(t, x, y)
-    law = law or [{"kind": "box", "size": 1, "lower": ["-1"], "upper": ["1"]}]
-    return {"class": "FirstOrderSystem", **{name: program(part, inputs) for name, part in (("f", f), ("g", g), ("h", h))},
-            "M": [[M]], "theta": "1", "gamma": "1", "x0": ["0"], "steps": list(steps), "law": law}  # fmt: skip
-
-
-def lure(A=None, B="1", C="1", D="0", f=0, law=("-1", "1"), phi=None):
-    blocks = [] if phi is not None else [{"kind": "box", "size": 1, "lower": [law[0]], "upper": [law[1]]}]
-    return {"class": "LureSystem", "A": program(-x if A is None else A), "B": [[B]], "C": [[C]], "D": [[D]], "f": program(f, t),
-            "x0": ["1"], "law": blocks, "phi": None if phi is None else program(phi, y)}  # fmt: skip
-
-
-def inclusion(F=None, phi=None, S=None, C=(), switches=()):
-    return {"class": "MonotoneInclusion", "F": program(-x if F is None else F), "phi": None if phi is None else program(phi),
-            "S": None if S is None else program(S), "C": program(ca.vertcat(*C)), "x0": ["0"],
-            "switches": [[[str(w)], program(a)] for w, a in switches]}  # fmt: skip
-
-
-def claim(id, proof=None, states=None, time=None, **value):
-    scope = None if states is None and time is None else {"states": states, "time": time}
-    return {"id": id, "statement": "", "source": "", "value": value, "scope": scope, "proof": {} if proof is None else proof}
-
-
-def forms(*hints):
-    return {"constraints": [dict(hint) for hint in hints]}
-
-
-CUT = [0, None, None]  # A cut at the middle of the first input's interval.
-CURVATURE = {"monomials": [[[-1, 1], [0, 1]]], "G": [["12"]]}  # y^2 12 x^2
-
-
-def squares(*monomials):
-    """(a - b)^2, which is x^4 - 2 x + 1 for a = x^2, b = x^-1 where what cancels is lost."""
-    return {"monomials": list(monomials), "G": [["1", "-1"], ["-1", "1"]]}
-
-
-FORGERIES = {
-    # A direction that is 0; gamma = 1 where the normals are opposed; rho <= 0, or read where it is none of A5'.
-    "A5, d = 0": (sweeping(q, -q), claim("A5", {"cover": ["0"]}, gamma="1", rho="1")),
-    "A5', d = 0": (sweeping(q, -q), claim("A5'", {"cover": ["0"]}, gamma="1")),
-    "A5, rho < 0": (sweeping(q, -q), claim("A5", {"cover": ["1"]}, gamma="1", rho="-1")),
-    "A5, rho = 0": (sweeping(q + 1, 1 - q), claim("A5", {"cover": ["1"]}, {"q": ["-1/2", "1/2"]}, gamma="1", rho="0")),
-    "A5, no rho": (sweeping(q + 1, 1 - q), claim("A5", {"cover": ["1"]}, {"q": ["-1/2", "1/2"]}, gamma="1")),
-    "A5', rho given": (sweeping(q, -q), claim("A5'", {"cover": ["1"]}, gamma="1", rho="-1")),
-    "A5, gamma < 1": (sweeping(q), claim("A5", {"cover": None}, gamma="1/2", rho="1")),
-    "A5', gamma = -1": (sweeping(q, q + 1), claim("A5'", {"cover": ["-1"]}, gamma="-1")),
-    # Squares with exponents that are no integers > 0, or that cancel.
-    "O-g": (oscillator(x**4 - 2 * x + 1), claim("O-g", {"interior": ["0"], "squares": CURVATURE, "bound": squares(
-        [[0, 2]], [[0, -1]])}, **{"lower bound of g": "0"})),
-    "O-g, an exponent twice": (oscillator(x**4 - 2 * x + 1), claim("O-g", {"interior": ["0"], "squares": CURVATURE,
-        "bound": squares([[0, 2]], [[0, 1], [0, -2]])}, **{"lower bound of g": "0"})),
-    "O-theta, squares": (oscillator(theta=[s**6 / 30 - s**3 / 3 + s**2 / 2 + s]), claim("O-theta", {"theta": [
-        {"slope": None, "squares": [squares([[0, 2]], [[0, -1]]), {"monomials": [], "G": []}]}]})),
-    "M-A3, squares": (inclusion(F=2 - x - x**3), claim("M-A3", squares([[0, 2]], [[0, -1]]), alpha="1", beta="1")),
-    "S-convex, squares": (sweeping(q**6 / 30 - q**3 / 3 + q**2 / 2), claim("S-convex", forms({
-        "form": "rules", "time": None, "squares": squares([[-2, 1], [1, 2]], [[-2, 1], [1, -1]])}))),
-    # A kink exactly where a cover cuts.
-    "F-jacobians of |x|": (first_order(ca.fabs(x)), claim("F-jacobians", {"cover": [1, None, None]}, {"x": ["-1", "1"]})),
-    "M-T of -|x|": (inclusion(phi=-ca.fabs(x)), claim("M-T", {"cover": CUT}, {"x": ["-1", "1"]})),
-    "S-convex of -|q|": (sweeping(-ca.fabs(q)), claim("S-convex", forms({"form": "box", "cover": [1, None, None]}),
-                                                      {"q": ["-1", "1"]})),
-    "A4 of |q|": (sweeping(ca.fabs(q) - 1, deltas=["2"]), claim("A4", forms({"form": "box", "cover": [1, None, None]}),
-                                                                 {"q": ["-1", "1"]}, M="0", M_contact="0")),
-    "O-dry of a kink at 0": (oscillator(theta=[-ca.fmax(-s, s)]), claim("O-dry", **{"radius of A(0)": "1"})),
-    # Signs.
-    "M-A2, a_1 < 0": (inclusion(F=x - 1), claim("M-A2", a_1="-1", a_2="1")),
-    "M-A2, a_2 < 0": (inclusion(F=x), claim("M-A2", a_1="0", a_2="-1")),
-    "A1, b < 0": (sweeping(q), claim("A1", forms(HALF_LINE), a="1/2", b="-1")),
-    "A1, a < 0": (sweeping(q**2, deltas=["1"]), claim("A1", forms({**HALF_LINE}), {"q": ["-1", "1"]}, a="-1", b="2")),
-    "A0 without its c": (sweeping(q**2 - 1, deltas=["1/2"]), claim("A0", forms({**HALF_LINE, "b": "2"}), {"q": ["-1", "1"]})),
-    "A0, c < 0": (sweeping(q**2 - 1, deltas=["1/2"]), claim("A0", forms({**HALF_LINE, "b": "2"}), {"q": ["-1", "1"]}, c="-1")),
-    "A0, b < 0": (sweeping(2 * q, deltas=["1"]), claim("A0", forms({**HALF_LINE, "b": "-2"}), c="5")),
-    "O-dry, two opposed": (oscillator(theta=[s, -s], H=[[["1"]], [["1"]]]), claim("O-dry", **{"radius of A(0)": "1"})),
-    "4.1, least < 0": (lure(D="-1"), claim("4.1", least="-1")),
-    "M-A3, alpha < 0": (inclusion(F=x), claim("M-A3", {"monomials": [], "G": []}, alpha="-1", beta="1")),
-    "F-step, h < 0": (first_order(2 * x), claim("F-step", {"inverse": [["1"]], "cover": None}, h="-1")),
-    "S-f, K_f infinite": (sweeping(q, f=q**2), claim("S-f", {"cover": None}, K_f="inf", L_f="inf")),
-    # Powers at 0, and where a function has no value.
-    "F-jacobians of -(x^2)^(1/3)": (first_order(-((x**2) ** (1 / 3))), claim("F-jacobians", {"cover": None}, {"x": ["-1", "1"]})),
-    "M-A1 of x^(-1/3)": (inclusion(F=x ** (-1 / 3)), claim("M-A1", {"cover": None}, {"x": ["0", "1"]})),
-    "M-A1 of log x": (inclusion(F=ca.log(x)), claim("M-A1", {"cover": None}, {"x": ["0", "1"]})),
-    "M-A1 of x^(1/3)": (inclusion(F=x ** (1 / 3)), claim("M-A1", {"cover": None}, {"x": ["-1", "1"]})),
-    "S-f of 0/q": (sweeping(q, f=0 * q), claim("S-f", {"time": None}, K_f="0", L_f="0")),
-    # Where D is not psd, the range of D + dXi; S where phi is given too.
-    "5.4c, D = -1": (lure(D="-1", phi=y**2 / 2), claim("5.4c")),
-    "5.4c, D < 0": (lure(D="-1", law=("0", "inf")), claim("5.4c", {"x": ["0"], "k": ["1"], "y": ["1"], "v": ["0"]})),
-    "M-T, phi and S": (inclusion(phi=0 * x, S=-x), claim("M-T", {})),
-    "M-T, phi and a switch": (inclusion(phi=0 * x, switches=[(-1, x)]), claim("M-T", {})),
-    # Others of these kinds.
-    "M-24, C not convex": (inclusion(F=10 * ca.fmax(-0.25, ca.fmin(x, 0.25)), C=[x**2 - 1]), claim("M-24", {"cover": [
-        0, [0, None, CUT], [0, CUT, None]]}, {"x": ["-2", "2"]}, L="0")),
-    "F-unique, K empty": (first_order(-x, y, x + y, [{"kind": "box", "size": 1, "lower": ["1"], "upper": ["-1"]}]),
-                          claim("F-unique", {"inverses": [[["10/11"]]], "T": [None]})),
-    "F-mlcp, f of a multiplier": (first_order(-x + y, y, x - y), claim("F-mlcp", {"inverses": [[["10/11"]]], "T": [None]})),
-    "5.4a, K empty": (lure(law=("1", "-1")), claim("5.4a")),
-    "3.1, an interval of length 0": (lure(law=("1", "1")), claim("3.1")),
-    "an empty box": (inclusion(F=x**2), claim("M-24", {"cover": None}, {"x": ["1", "-1"]}, L="-5")),
-    "a box of nan": (inclusion(F=x**2), claim("M-24", {"cover": None}, {"x": ["nan", "nan"]}, L="-5")),
-    "another class": ({**lure(), "class": "MonotoneInclusion"}, claim("4.1", least="0")),
-}  # fmt: skip
-
-
-def with_steps(model, name, *steps):
-    """A function of the model, as these steps."""
-    return {**model, name: {**model[name], "steps": [list(step) for step in steps], "outputs": [len(steps) - 1]}}
-
-
-# CasADi simplifies 0/x to 0: such programs are written by hand.
-FORGERIES["S-f of 0/q"] = (
-    with_steps(sweeping(q), "f", ("in", 1), ("pow", 0, "-1"), ("const", "0"), ("mul", 1, 2)),
-    claim("S-f", {"time": None}, K_f="0", L_f="0"),
-)
-FORGERIES["M-A2 of x/x - 1"] = (
-    with_steps(inclusion(), "F", ("in", 0), ("pow", 0, "-1"), ("const", "-1"), ("mul", 1, 2), ("add", 1, 3)),
-    claim("M-A2", a_1="0", a_2="0"),
-)
-FORGERIES["M-T of log x - log x"] = (
-    with_steps(inclusion(phi=x), "phi", ("in", 0), ("log", 0), ("const", "-1"), ("mul", 1, 2), ("add", 1, 3)),
-    claim("M-T", {}),
-)
-FORGERIES["7.1 of 0 log t"] = (
-    with_steps(lure(), "f", ("in", 0), ("log", 0), ("const", "0"), ("mul", 1, 2)),
-    claim("7.1", {}),
-)
 
 
 def test_no_forgery_of_the_list_is_answered_yes():
     answers = {name: verify.answer(*pair) for name, pair in FORGERIES.items()}
     assert {name: answer for name, answer in answers.items() if answer[0] not in ("no", "not checkable")} == {}
     assert not any("not well formed" in text for _, text in answers.values())
-
-
-TRUE = {
-    "A5": (sweeping(q, q + 1), claim("A5", {"cover": ["1"]}, gamma="1", rho="2")),
-    "A0": (sweeping(q**2 - 1, deltas=["1/2"]), claim("A0", forms({**HALF_LINE, "b": "2"}), {"q": ["-1", "1"]}, c="1/4")),
-    "A1": (sweeping(2 * q), claim("A1", forms(HALF_LINE), a="2", b="2")),
-    "F-jacobians": (first_order(ca.fabs(x)), claim("F-jacobians", {"cover": None}, {"x": ["1/2", "1"]})),
-    "M-A1": (inclusion(F=x ** (-1 / 3)), claim("M-A1", {"cover": None}, {"x": ["1/8", "1"]})),
-    "M-A2": (inclusion(F=x - 1), claim("M-A2", a_1="1", a_2="1")),
-    "5.4c": (lure(D="1", phi=y**2 / 2), claim("5.4c")),
-    "M-T": (inclusion(phi=ca.fabs(x)), claim("M-T", {})),
-    "M-24": (inclusion(F=x), claim("M-24", {}, L="1")),
-    "4.1": (lure(D="1"), claim("4.1", least="1")),
-    "O-dry": (oscillator(), claim("O-dry", **{"radius of A(0)": "1"})),
-    "S-f": (sweeping(q, f=-q + ca.sin(t)), claim("S-f", {"time": None}, None, ["0", "1"], K_f="1", L_f="3/2", L_t="1")),
-    "7.1": (lure(), claim("7.1", {})),
-    "F-unique": (first_order(-x, y, x + y), claim("F-unique", {"inverses": [[["10/11"]]], "T": [None]})),
-}
 
 
 def test_the_true_ones_beside_them_are_proved():
@@ -221,8 +71,8 @@ def replaced(item, path, new):
 
 def test_wrong_types_are_no_and_never_an_exception():
     for pair in TRUE.values():
-        for path in list(places(list(pair)))[1:]:
-            for junk in JUNK:
+        for k, path in enumerate(list(places(list(pair)))[1:]):
+            for junk in [JUNK[(k + i) % len(JUNK)] for i in range(4)]:
                 kind, text = verify.answer(*replaced(list(pair), path, junk))
                 assert kind in ("yes", "no", "not checkable")
                 assert "\n" not in text
@@ -295,47 +145,246 @@ def test_programs_that_take_for_ever_are_not_read():
     assert verify.answer(model, claim("M-A1", {"cover": None}, {"x": ["2", "3"]}))[0] != "yes"
 
 
+# -- how numbers, graphs, boxes and files are written --------------------------------------------------------------------------
+
+NO_NUMBERS = ("1.0", "1e0", "+1", " 1", "1 ", "1\n", "\u0661", "\uff11", "1_0", "0x1", "1/0", "1/00", "\u22121", "1/-2", "1/2/3",
+              "1/", "/2", "--1", "\u00bd", "Infinity", "INF", "inf ", "nan", "", "9" * 4001, "1/" + "9" * 4001, 1, 1.0, 1e308,
+              True, None, ["1"], {"1": "1"}, 10**400)  # fmt: skip
+HUGE, TINY = "1" + "0" * 400, "1/1" + "0" * 400
+
+
+def test_what_is_no_fraction_in_ascii_is_no_number():
+    for junk in NO_NUMBERS:
+        (model, s), (power, local) = TRUE["M-A2"], TRUE["M-A1"]
+        pairs = [(model, {**s, "value": {**s["value"], "a_1": junk}}), (with_steps(model, "F", ("const", junk)), s),
+                 (with_steps(power, "F", ("in", 0), ("pow", 0, junk)), local),
+                 (power, {**local, "scope": {"states": {"x": [junk, "2"]}, "time": None}}),
+                 ({**TRUE["4.1"][0], "D": [[junk]]}, TRUE["4.1"][1])]  # fmt: skip
+        assert {verify.answer(*pair)[0] for pair in pairs} == {"no"}, junk
+
+
+def graph(*steps, outputs=None, inputs=("x",)):
+    """A function with these steps."""
+    return {"inputs": list(inputs), "steps": [list(step) for step in steps], "outputs": outputs or [len(steps) - 1]}
+
+
+M_A1 = claim("M-A1", {"cover": None}, {"x": ["1", "2"]})
+M_A2 = claim("M-A2", a_1="0", a_2="1")
+GRAPHS = {
+    "a cycle of one": graph(("in", 0), ("add", 1, 1)), "a cycle of two": graph(("add", 1, 1), ("add", 0, 0)),
+    "forward": graph(("in", 0), ("mul", 0, 2), ("const", "0")), "from the end": graph(("in", 0), ("mul", -1, 0)),
+    "true": graph(("in", 0), ("in", False)), "an index in text": graph(("in", 0), ("exp", "0")),
+    "a value from the end": graph(("in", 0), outputs=[-1]), "a value that is true": graph(("in", 0), ("in", 0), outputs=[True]),
+    "a value of 1.0": graph(("in", 0), ("in", 0), outputs=[1.0]), "no value": {**graph(("in", 0)), "outputs": []},
+    "two values": graph(("in", 0), outputs=[0, 0]), "no steps": graph(outputs=[0]), "an empty step": graph(("in", 0), ()),
+    "a list for a name": graph(("in", 0), (["exp"], 0)), "another name": graph(("in", 0), ("__class__", 0)),
+    "too much": graph(("in", 0), ("exp", 0, 0)), "too little": graph(("in", 0), ("mul", 0)),
+    "an input twice": graph(("in", 0), inputs=("x", "x")), "another input": graph(("in", 0), inputs=("y",)),
+    "no inputs": graph(("const", "0"), inputs=()),
+    "an input of no name": graph(("in", 0), inputs=("",)), "an input that is no text": graph(("in", 0), inputs=(None,)),
+    "an exponent in text": graph(("in", 0), ("pow", 0, "two")), "of another program": {"graph": graph(("in", 0))},
+}  # fmt: skip
+
+
+def test_a_graph_has_steps_of_earlier_ones_alone():
+    for name, F in GRAPHS.items():
+        for s in (M_A1, M_A2):
+            S = {**inclusion(S=x * 1), "S": F} if name in ("another input", "no inputs") else {**inclusion(), "F": F}
+            assert verify.answer(S, s)[0] == "no", name
+
+
+def constrained(program, **more):
+    """A sweeping process of one state with this constraint."""
+    return {**sweeping(q), "constraints": [{"name": "g", "graph": program, **more}]}
+
+
+def bowl(factor):
+    """The constraint factor q^2."""
+    return graph(("in", 1), ("mul", 0, 0), ("const", factor), ("mul", 1, 2), inputs=("t", "q"))
+
+
+BALL = {"kind": "ball", "size": 1, "radius": "1"}
+ADVERSARIES = {
+    # Numbers that are 0 but for a hair, or beyond doubles.
+    "alpha = -0": (inclusion(), claim("M-A3", {"monomials": [], "G": []}, alpha="-0", beta="1")),
+    "h = -0/1": (TRUE["F-unique"][0], claim("F-step", {"inverse": [["1"]], "cover": None}, h="-0/1")),
+    "a curvature of 1e-400": (
+        constrained(bowl(TINY), delta="1"), claim("A4", forms(HALF_LINE), {"q": ["-1", "1"]}, M="0", M_contact="0")),
+    "a bend down of 1e-400": (constrained(bowl("-" + TINY)), claim("S-convex", forms(HALF_LINE), {"q": ["-1", "1"]})),
+    "a slope of 1e-400": (
+        with_steps(inclusion(), "F", ("in", 0), ("const", TINY), ("mul", 0, 1)), claim("M-A2", a_1="0", a_2="0")),
+    "omega = -1e-400": (lure(A=0 * x), claim("5.2", {"P": [["1"]]}, omega="-" + TINY)),
+    "1e400 less 1e400": (with_steps(inclusion(), "F", ("const", HUGE), ("const", "-" + HUGE), ("add", 0, 1)), claim(
+        "M-24", {"cover": None}, {"x": ["0", "1"]}, L="-1")),
+    "1/1e-400 on an interval": (with_steps(inclusion(), "F", ("in", 0), ("pow", 0, "-1")), claim(
+        "M-A1", {"cover": None}, {"x": ["-" + TINY, TINY]})),
+    "log of 1e-400 x, x >= 0": (with_steps(inclusion(), "F", ("in", 0), ("const", TINY), ("mul", 0, 1), ("log", 2)), claim(
+        "M-A1", {"cover": None}, {"x": ["0", "1"]})),
+    "a root below 0 by an exponent 2/4": (with_steps(inclusion(), "F", ("in", 0), ("pow", 0, "2/4")), claim(
+        "M-A1", {"cover": None}, {"x": ["-1", "1"]})),
+    "a pole by an exponent -0/1 less 1": (with_steps(inclusion(), "F", ("in", 0), ("pow", 0, "-3/3")), M_A2),
+    # The box, and the time.
+    "a box that the proof is not for": (inclusion(F=x**2), claim("M-24", {"cover": None}, {"x": ["-2", "2"]}, L="2")),
+    "a box of another name": (inclusion(F=x**2), claim("M-24", {"cover": None}, {"X": ["-1", "1"]}, L="2")),
+    "a box of a name with a blank": (inclusion(F=x**2), claim("M-24", {"cover": None}, {"x ": ["-1", "1"]}, L="2")),
+    "a box of three ends": (inclusion(F=x**2), claim("M-24", {"cover": None}, {"x": ["-1", "1", "1"]}, L="2")),
+    "a box in the statement alone": (inclusion(F=x**2), {**claim("M-24", {"cover": None}, L="2"), "box": {"x": ["-1", "1"]}}),
+    "a scope that is false": (inclusion(F=x**2), {**claim("M-24", {"cover": None}, L="2"), "scope": False}),
+    "a scope in the proof": (inclusion(F=x**2), claim("M-24", {"cover": None, "scope": {"states": {"x": ["-1", "1"]}}}, L="2")),
+    "all times": (sweeping(q, f=q * t), claim("S-f", {"cover": None}, {"q": ["-1", "1"]}, K_f="1", L_f="1")),
+    "the time as a state": (sweeping(q, f=q * t), claim("S-f", {"cover": None}, {"q": ["-1", "1"], "t": ["0", "1"]}, ["0", "2"],
+                                                        K_f="1", L_f="1")),
+    "a time that runs back": (sweeping(q, f=q * t), claim("S-f", {"cover": None}, {"q": ["-1", "1"]}, ["1", "0"],
+                                                          K_f="1", L_f="1")),
+    "a box of infinite length": (inclusion(F=-x), claim("M-A1", {"cover": None}, {"x": ["inf", "inf"]})),
+    "a cover that is cut by true": (inclusion(phi=-ca.fabs(x)), claim("M-T", {"cover": [True, None, None]}, {"x": ["-1", "1"]})),
+    "a cut of another input": (inclusion(), claim("M-A1", {"cover": [1, None, None]}, {"x": ["-1", "1"]})),
+    # Parts of models that do not fit together.
+    "a law of half a size": ({**lure(), "law": [{"kind": "box", "size": 1, "lower": ["-1"], "upper": []}]}, claim("3.1")),
+    "a law of size true": ({**lure(), "law": [{"kind": "box", "size": True, "lower": ["-1"], "upper": ["1"]}]}, claim("3.1")),
+    "a ball for an interval": ({**lure(), "law": [{**BALL, "radius": "0"}]}, claim("3.1")),
+    "a ball of radius < 0": ({**lure(), "law": [{**BALL, "radius": "-1"}]}, claim("5.4a")),
+    "a cone that is called a box": ({**lure(), "law": [{"kind": ["box"], "size": 1}]}, claim("5.4a")),
+    "a potential that is false": ({**lure(), "phi": False}, claim("5.4a")),
+    "a potential of two variables": (
+        lure() | {"law": [], "phi": graph(("in", 0), ("pow", 0, "2"), inputs=("y", "z"))}, claim("5.4c")),
+    "an offset that moves": ({**lure(), "e": graph(("in", 0), inputs=("t",))}, claim("7.1", {})),
+    "two constraints of one graph": (
+        constrained(graph(("in", 1), ("in", 1), outputs=[0, 1], inputs=("t", "q"))), claim("S-start")),
+    "a constraint of another state": (constrained(graph(("in", 1), inputs=("t", "r"))), claim("S-start")),
+    "a constraint without time": (constrained(graph(("in", 1), inputs=("q", "t"))), claim(
+        "S-convex", forms({"form": "rules", "time": None}))),
+    "a start of two states": (sweeping(q, q0="0") | {"q0": ["0", "0"]}, claim("S-start")),
+    "a delta of nothing": (sweeping(q**2 - 1, deltas=[None]), claim("A2", forms(HALF_LINE), speed="0")),
+    "friction of two speeds": (oscillator() | {"theta": [graph(("in", 1), inputs=("s", "u"))]}, claim(
+        "O-dry", **{"radius of A(0)": "1"})),
+    "a damping that is false": (oscillator() | {"damping": False}, claim("O-theta", {"theta": [{"cover": None}]})),
+    "no steps": (oscillator(steps=()), claim("O-steps")),
+    "a step of 0": (oscillator(steps=("0", "1")), claim("O-steps")),
+    "a number that is none of its own": (inclusion(F=x - 1), claim("M-A2", a_1="1", a_2="1", rho="-5")),
+    "a proof that is true": (inclusion(F=x - 1), {**claim("M-A2", a_1="1", a_2="1"), "proof": True}),
+}  # fmt: skip
+
+
+def test_no_adversary_is_answered_yes():
+    answers = {name: verify.answer(*pair) for name, pair in ADVERSARIES.items()}
+    assert {name: answer for name, answer in answers.items() if answer[0] not in ("no", "not checkable")} == {}
+    assert len(answers) > 40
+
+
+def test_a_deep_or_wide_cover_takes_bounded_time(monkeypatch):
+    deep = wide = None
+    for k in range(30000):
+        deep, wide = [0, deep, None], [0, wide, wide] if k < 12 else wide
+    assert verify.answer(inclusion(), claim("M-A1", {"cover": deep}, {"x": ["1", "2"]}))[0] == "no"
+    local = claim("M-A1", {"cover": wide}, {"x": ["1", "2"]})
+    assert verify.answer(inclusion(), local)[0] == "yes"
+    monkeypatch.setattr(verify, "MAX_WORK", 10000)
+    for pair in ((inclusion(), local), ({**inclusion(), "F": graph(("in", 0), *([("add", 0, 0)] * 10000))}, M_A1)):
+        assert verify.answer(*pair) == ("not checkable", "more work than this file does")
+    powers = [("in", 0), ("const", "1"), ("add", 0, 1), *(("pow", k, "16") for k in range(2, 9))]
+    assert verify.answer(with_steps(inclusion(), "F", *powers), M_A2) == ("not checkable", "more work than this file does")
+    assert verify.answer(inclusion(), M_A1)[0] == "yes"  # Each statement has its own.
+    for _ in range(20):  # And what others do with polynomials is not counted.
+        assert len(verify.Poly({((0, k + 1),): verify.ONE for k in range(2000)})) == 2000
+
+
+def test_numbers_that_become_tiny_take_no_memory():
+    steps = [("in", 0), ("const", "1/1000"), *(("mul", k, k) for k in range(1, 60)), ("log", 60)]
+    assert verify.answer(with_steps(inclusion(), "F", *steps[:-1]), M_A1)[0] == "yes"
+    assert verify.answer(with_steps(inclusion(), "F", *steps), M_A1)[0] == "no"  # It may be 0 as far as this file knows.
+    powers = [("in", 0), *(("pow", k, "1000") for k in range(20))]
+    assert verify.answer(with_steps(inclusion(), "F", *powers), claim("M-A1", {"cover": None}, {"x": ["1/3", "1/2"]}))[0] == "yes"
+
+
+def test_files_that_are_written_otherwise(tmp_path):
+    written(tmp_path)
+    path = tmp_path / "certificate.json"
+    text = path.read_text()
+    assert verify.main(str(path)) == 0
+    for old, new in (('"a_1": "1"', '"a_1": "1", "a_1": "0"'), ('"format": 3', '"format": 4'), ('"model": {', '"model": [{'),
+                     ('{"format"', '\ufeff{"format"'), ('"statements": [', '"statements": [[')):  # fmt: skip
+        assert old in text
+        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+        assert "is no certificate" in verify.main(str(path))
+    for old, new in (('"a_1": "1"', '"a_1": 1'), ('"a_1": "1"', '"a_1": 1e400'), ('"a_1": "1"', '"a_1": NaN'),
+                     ('"hash": "', '"hash": "0'), ('"scope": null', '"scope": -Infinity'), ('"title": "a title"', '"hash ": 1'),
+                     ('"proof": {}', '"proof": []')):  # fmt: skip
+        path.write_text(text.replace(old, new, 1))
+        assert old in text
+        assert verify.main(str(path)) == (0 if "title" in old else 1)
+
+
 # -- a search at random, and the checker with a premise dropped --------------------------------------------------------------
 
 
 def test_no_forgery_is_found_at_random():
-    from search import forgeries
-
     found, accepted = [], 0
     for rule in verify.STATEMENTS:
         assert forgeries.originals()[rule], rule
-        more, yes = forgeries.search(rule, 10, seed=5, seconds=0.3)
-        found, accepted = found + more, accepted + yes
+        search = forgeries.Search(rule, seed=5)
+        found += search.go(12, seconds=0.3)
+        accepted += search.yes
     assert not found, found[0]
-    assert accepted > 30  # Many changes leave a statement true: the oracle has something to look at.
+    assert accepted > 50  # Many changes leave a statement true: the oracle has something to look at.
+
+
+def test_a_statement_is_tried_once():
+    search = forgeries.Search("O-steps")
+    seen = [json.dumps([model["steps"], s], sort_keys=True) for model, s in search.forge(300)]
+    assert len(seen) == 300 == len(search.statements)
+    assert len(set(seen)) == 300
 
 
 def test_the_oracle_finds_no_fault_with_what_is_true():
-    from search import falsity, forgeries
-
     for pairs in forgeries.originals().values():
         assert not falsity.find(*pairs[0], seed=1)
     assert not any(falsity.find(*pair) for pair in TRUE.values())
 
 
 SEEN = "O-g; O-theta, squares; M-A3, squares; M-T of -|x|; O-dry, two opposed; 5.4c, D = -1; A5, d = 0; M-T, phi and S"
-SEEN += "; M-24, C not convex; M-A2 of x/x - 1; 4.1, least < 0; 7.1 of 0 log t; F-unique, K empty"
+SEEN += "; M-24, C not convex; M-A2 of x/x - 1; 4.1, least < 0; 7.1 of 0 log t; F-unique, K empty; A0, no c and no U"
 
 
 def test_the_oracle_sees_that_forgeries_are_false():
-    from search import falsity
-
     assert [name for name in SEEN.split("; ") if not any(falsity.find(*FORGERIES[name], seed=k) for k in range(4))] == []
 
 
-def test_the_search_finds_what_a_checker_without_a_premise_lets_pass():
-    from search import forgeries
+def test_programs_in_doubles_and_with_50_digits_have_the_same_values():
+    u, v = (ca.SX.sym(name) for name in "uv")
+    text = ca.vertcat(
+        ca.fmax(u * v, ca.exp(u) - v), ca.sqrt(1 + u**2) / (2 + ca.tanh(v)), ca.atan(u) ** 3 * ca.sin(v), ca.log(3 + u)
+    )
+    f = falsity.Function(program(text, ca.vertcat(u, v)))
+    for point in ([0.5, -0.25], [-1.0, 2.0], [2.5, 0.0]):
+        with mpmath.workdps(50):
+            exact = f.values([mpmath.mpf(x) for x in point])
+        for a, b in zip(f.values(point), exact, strict=True):
+            assert [float(x) for x in (b.v, *b.g)] == pytest.approx([a.v, *a.g], rel=1e-13, abs=1e-15)
+    with pytest.raises(falsity.Missing):
+        f.values([-4.0, 0.0])
 
-    tried = list(forgeries.mutants(("dry", "steps_grow", "feedthrough")))
-    assert len(tried) >= 6
-    missed = []
-    for where, module in tried:
-        rules = forgeries.rules_of(where.split()[0])
-        if not any(forgeries.search(rule, 1000, 0, module)[0] for rule in rules):
-            missed.append(where)
-    assert not missed
+
+# Without these no forgery is found. But for the last two, what they refuse is refused by what follows, with another reason.
+EQUIVALENT = {
+    "regular: delta is not None": "delta < form.reach has no value",
+    "complementarity: None not in found": "the pairs cannot be taken apart",
+    "complementarity: T is not None": "no matrix is read from nothing",
+    "LureData: self.law is not None": "nothing has no kinds, and no points",
+    "LureData: type(e) is list": "no vector is read from a function",
+    "linear_growth: len(switches) <= 12": "it bounds the time alone: all 2^k corners are looked at",
+    "convex_ranges: m.law is not None or m.m == 1": "a potential of two variables whose dom dXi is not convex: none is made here",
+}
+
+
+def test_the_search_finds_what_a_checker_without_a_premise_lets_pass():
+    found, passed = forgeries.found_without(["O-dry", "O-steps", "4.1"], 300, within=("dry", "steps_grow", "feedthrough"))
+    assert not passed
+    assert len(found) >= 6
+
+
+def test_premises_that_are_equivalent_are_premises():
+    _, premises = forgeries.marked_checker()
+    names = {f"{place.split()[0]}: {place.split(': ', 1)[1]}" for place in premises.places}
+    assert set(EQUIVALENT) <= names
+    assert len(premises.places) > 130

@@ -31,7 +31,7 @@ BITS = 80  # Intervals are rounded outwards to so many bits.
 CONTEXT = decimal.Context(prec=60)
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
 PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
-MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS = 1000, 16, 20000, 200000
+MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS, MAX_WORK, SPENT = 1000, 16, 20000, 200000, 5 * 10**7, [-INF]
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]
 Names = Sequence[str] | None
@@ -54,6 +54,12 @@ def need(true: bool, text: str, kind: str = NO) -> None:
     """Raise unless it is True; anything else, also what Python takes for true, is a failure."""
     if true is not True:
         raise Unproved(text, kind)
+
+
+def spend(count: int) -> None:
+    """Count operations on numbers, so that no statement takes for ever; -inf where none is looked at."""
+    SPENT[0] += count
+    need(SPENT[0] <= MAX_WORK, "more work than this file does", UNCHECKED)
 
 
 def entries(item: Any, count: int | None = None, kind: type = list) -> Any:
@@ -179,10 +185,12 @@ def psd(M: Matrix, definite: bool = False) -> bool:
 
 
 def rounded(x: Any, up: bool = False) -> Any:
-    """The number x rounded down or up to BITS bits; beyond BIG to infinity."""
+    """The number x rounded down or up to BITS bits; beyond BIG to infinity, and to 0 or 1/BIG where it is smaller."""
     if abs(x) > BIG:
         return (INF if up else BIG) if x > 0 else -rounded(-x, not up)
     n, d = x.numerator, x.denominator
+    if n and d.bit_length() - n.bit_length() > 1000:
+        return (1 / BIG if up else ZERO) if x > 0 else -rounded(-x, not up)
     if not n or (d & (d - 1) == 0 and n.bit_length() <= BITS):
         return Q(x)
     shift = BITS - n.bit_length() + d.bit_length()
@@ -459,6 +467,7 @@ def jets(program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] 
 
     box = [*box, *map(span, program.parameters.values())] if len(box) == program.n else box
     need(len(box) == len(program.inputs), "a box has another size")
+    spend(len(program.steps) * (1 + len(own) ** order))
     units = [[VerifierInterval(ONE if k == i else ZERO) for i in own] if order else [] for k in range(len(box))]
     inputs = [VerifierJet(x, unit, flat) for x, unit in zip(box, units, strict=True)]
     return program.run(inputs, lambda c: VerifierJet(VerifierInterval(c), zero, flat), apply)
@@ -478,6 +487,7 @@ class Poly(dict[Monomial, Q]):
     """A polynomial {monomial: coefficient}; a monomial is ((variable, exponent), ...), variables rising, exponents > 0."""
 
     def __init__(self, terms: dict[Monomial, Q]) -> None:
+        spend(len(terms))
         super().__init__({m: a for m, a in terms.items() if a})
         sizes = [a.numerator.bit_length() + a.denominator.bit_length() for a in self.values()]
         need(len(sizes) <= MAX_TERMS and max(sizes, default=0) <= MAX_BITS, "a polynomial that is too long", UNCHECKED)
@@ -494,7 +504,7 @@ class Poly(dict[Monomial, Q]):
 
     def __mul__(self, o: Any) -> Poly:
         o = o if isinstance(o, Poly) else constant(o)
-        need(len(self) * len(o) <= 50 * MAX_TERMS, "a polynomial that is too long", UNCHECKED)
+        spend(len(self) * len(o))
         terms: dict[Monomial, Q] = {}
         for (m, a), (k, b) in product(self.items(), o.items()):
             powers = dict(m)
@@ -614,10 +624,10 @@ class Atoms:
 
     def apply(self, op: str, u: Poly, w: Any) -> Poly:
         """An operation on polynomials: powers are expanded where they can be."""
-        if op == "pow" and w.denominator == 1 and 0 <= w <= MAX_EXPANDED_POWER:
+        whole, c = op == "pow" and w.denominator == 1 and abs(w) <= MAX_EXPANDED_POWER, u.number()
+        if whole and w >= 0:
             return math.prod([u] * int(w), start=constant(ONE))
-        c = u.number()
-        return constant(c**w) if op == "pow" and w.denominator == 1 and c else self.of(op, u, *([] if w is None else [w]))
+        return constant(c**w) if whole and c else self.of(op, u, *([] if w is None else [w]))
 
     def read(self, program: VerifierProgram) -> list[Poly]:
         """The values of a program as polynomials: equal to it wherever it is defined."""
@@ -934,8 +944,8 @@ def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
             need(cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g: defined(g, t[:1])), "g is not defined")  # 1
             need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
         else:
-            whole = on_cover(g, s, hint.get("cover"), 2, lambda j: interval_psd([row[1:] for row in j[0].H[1:]]))
-            need(whole, "a Hessian is not psd")  # 1, 3
+            leaf = lambda j: interval_psd([row[1:] for row in j[0].H[1:]])  # noqa: E731
+            need(on_cover(g, s, hint.get("cover"), 2, leaf), "a Hessian is not psd")  # 1, 3
     return f"g_i(t, .) is convex {m.where(s, local=False)}"
 
 
@@ -947,17 +957,19 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
     of the form "norm", with |w A| <= b and w |u| = g - offset > reach - delta on U, >= reach where g >= 0: grad g = w A'n, d_t g
     = w n.c' + offset', d_t grad g = w A'(1 - nn')c'/|u|, D^2 g = w A'(1 - nn')A/|u|, |n| = 1. Of the form "box": bounds on each
     part that U may meet, g having continuous derivatives of the order that is asked for there. Premises: 1. all numbers are >= 0,
-    a > 0; 2. delta > 0 where it is given (else U is the whole space). Norms: 3. u is not 0 on U: offset <= -reach < -delta at all
-    times; 4. b is a bound; 5. A0: c > 0, c b <= delta; A1: a^2 <= w^2 A A' <= b^2; A2: w |c'| + |offset'| <= speed; A3: w b |c'|
-    <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the same on the part.
+    a > 0, and c > 0 where a delta is given; 2. delta > 0 where it is given (else U is the whole space). Norms: 3. u /= 0 on U:
+    offset <= -reach < -delta at all times; 4. b is a bound; 5. A0: c b <= delta; A1: a^2 <= w^2 A A' <= b^2; A2: w |c'| +
+    |offset'| <= speed; A3: w b |c'| <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the
+    same on the part.
     """
     a, b, c, speed, turn, M, near = (s.value.get(name, ZERO) for name in ("a", "b", "c", "speed", "turn", "M", "M_contact"))
     need(all(x > 0 or (x == 0 and name not in ("a", "c")) for name, x in s.value.items()), "a number is not > 0, or < 0")  # 1
+    need(s.id != "A0" or c > 0 or all(delta is None for delta in m.deltas), "c is missing")  # 1
 
     def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
         w, left = -least(-form.w), form.reach - delta
         return {
-            "A0": lambda: 0 < c and c * form.b <= delta,
+            "A0": lambda: c * form.b <= delta,
             "A1": lambda: form.between(a, b),
             "A2": lambda: form.in_time(s, lambda u, drift, _: end_product(w, u.hi) + max(-drift.lo, drift.hi) <= speed),
             "A3": lambda: form.in_time(s, lambda u, *_: end_product(w * form.b, u.hi) <= turn * left),
@@ -967,7 +979,7 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
     def box_bound(g: VerifierJet, delta: Q | None, hint: dict[str, Any]) -> bool:  # 6
         size, H = length(g.g[1:]), [row[1:] for row in g.H[1:]]
         return {
-            "A0": lambda: delta is None or (0 < c and c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
+            "A0": lambda: delta is None or (c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
             "A1": lambda: a <= size.lo and size.hi <= b,
             "A2": lambda: max(-g.g[0].lo, g.g[0].hi) <= speed,
             "A3": lambda: length(g.H[0][1:]).hi <= turn,
@@ -983,10 +995,8 @@ def regular(m: SweepingData, s: VerifierStatement) -> str:
             need(form.between(ZERO, form.b), "b is no bound of the gradient")  # 4
             need(norm_bound(form, delta or ZERO), "the bound fails")  # 5
             continue
-
-        order = 2 if s.id in ("A3", "A4") else 1
         leaf = lambda j, d=delta, h=hint: (d is not None and j[0].v.hi <= -d) or box_bound(j[0], d, h)  # noqa: E731
-        need(on_cover(g, s, hint.get("cover"), order, leaf, smooth=True), "the bound fails on a part")  # 6
+        need(on_cover(g, s, hint.get("cover"), 1 + (s.id in ("A3", "A4")), leaf, True), "the bound fails on a part")  # 6
     said = {
         "A0": f"every point nearer than {written(c, DOWN)} to one with g_i >= 0 is in" if c else "all points are in",
         "A1": f"{written(a, DOWN)} <= |grad_q g_i| <= {written(b, UP)} on",
@@ -1299,6 +1309,7 @@ class LureData(VerifierModel):
         self.D = matrix(data["D"], self.m, self.m, parameters)
         self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], None, 1, self.parameters)
         need(self.phi is None or self.phi.n == self.m, "phi has another number of inputs")
+        need(self.phi is None or field(data, "law") == [], "phi is given, and a law too")
         self.law = None if self.phi else VerifierLaw(self, field(data, "law"), self.m)
 
     def intervals(self) -> list[tuple[Any, Any]]:
@@ -1589,6 +1600,7 @@ OPTIONAL = {"A0": ("c",), "A5": ("rho",), "S-f": ("L_t",)}
 def answer(model: Any, statement: Any) -> tuple[str, str]:
     """Prove a statement of a model anew: "yes" and the sentence that was proved, "no" or "not checkable" and a reason."""
     Atoms.units.clear()
+    SPENT[0] = 0
     try:
         id = field(statement, "id")
         need(type(id) is str and id in STATEMENTS, "no proof of this kind is known here", UNCHECKED)
@@ -1601,6 +1613,8 @@ def answer(model: Any, statement: Any) -> tuple[str, str]:
         return reason.args[1], reason.args[0]
     except Exception as reason:  # Whatever else is wrong with a certificate.
         return NO, f"it is not well formed ({type(reason).__name__})"
+    finally:
+        SPENT[0] = -INF
 
 
 def digest(model: Any) -> str:
