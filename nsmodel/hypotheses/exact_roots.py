@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -26,6 +26,8 @@ from nsmodel.proof.exponential_sums import flint_coefficients, flint_polynomial
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, operation_codes, symbol_hashes
 
 MAX_ROOTS, ROOT_GRID = 4, 33  # Roots that are looked at, and points between which a sign may change.
+
+M = TypeVar("M", bound=Model)
 
 
 class ExactRoot(NamedTuple):
@@ -46,7 +48,7 @@ class _Node(NamedTuple):
     alone: bool
 
 
-def models_at_roots(model: Model, box: IntervalBox) -> Iterator[tuple[ParameterValues, str, Model]]:
+def models_at_roots(model: M, box: IntervalBox) -> Iterator[tuple[ParameterValues, str, M]]:
     """Yield (values, the equation, the model) at roots of parts of one parameter, the others in the middle of the box.
 
     Only models that do not read the parameter any more are exact.
@@ -63,7 +65,7 @@ def models_at_roots(model: Model, box: IntervalBox) -> Iterator[tuple[ParameterV
 
 
 def findings_at_roots(
-    model: Model, box: IntervalBox, check: Callable[[Model], Sequence[Finding]]
+    model: M, box: IntervalBox, check: Callable[[M], Sequence[Finding]]
 ) -> list[tuple[ParameterValues, dict[str, Finding]]]:
     """What is found at these roots, by id, the equation in the words of each finding."""
     return [

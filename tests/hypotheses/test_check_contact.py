@@ -11,6 +11,7 @@ import pytest
 from fuzz_models import COUNT, FULL
 from scipy.optimize import fsolve
 
+import nsmodel
 from nsmodel import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region
@@ -201,3 +202,24 @@ def test_what_is_not_proved_is_not_violated():
     q = ca.SX.sym("q", 2)
     kissing = {"a": ca.norm_2(q) - 1, "b": ca.norm_2(q - ca.vertcat(2 + 0.1 * (t - 1.1) ** 2, 0)) - 1}
     assert decided(kissing, q, [0, 2])["A5'"].verdict in (UNKNOWN, VIOLATED)
+
+
+@pytest.mark.parametrize(("x", "y", "d"), [(3, -4, 5), (-20, 21, 29)])
+def test_fixed_discs_that_touch_far_from_the_start(x, y, d):
+    """Their normals oppose each other where they touch, wherever that is; not where another disc covers it, or a gap is left."""
+    q = ca.SX.sym("q", 2)
+    r = d / 4
+
+    def verdicts(s, *more):
+        discs = [(40.0, 0.0, r), (40.0 + x, float(y), s), *more]
+        g = {f"disc_{k}": ca.norm_2(q - ca.DM([a, b])) - radius for k, (a, b, radius) in enumerate(discs)}
+        model = SweepingProcess(q=q, f=[0, 0], constraints=g, q0=[0, 0], t_end=1, step=0.1)
+        report = nsmodel.check(model, quick=True)
+        return report["A5"], report["A5'"]
+
+    near, active = verdicts(d - r)
+    assert (near.verdict, active.verdict, near.scope) == ("violated", "violated", None)
+    touch = np.array([near.witness["q_0"], near.witness["q_1"]])
+    assert np.allclose(touch, [40 + x / 4, y / 4], rtol=1e-15)
+    assert verdicts(d - r - 2.0**-20)[0].verdict != "violated"
+    assert verdicts(d - r, (40.0 + x / 4, y / 4, 0.25))[0].verdict != "violated"

@@ -13,6 +13,7 @@ keep apart are blown up from one place by it, and with them what they lean on, i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from fractions import Fraction
 from functools import cache
 from itertools import combinations, pairwise
 from typing import Any, NamedTuple
@@ -25,7 +26,7 @@ from nsmodel.models.sweeping_process.admissible_points import PartialSweepingPro
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, Constraint
 from nsmodel.models.sweeping_process.mfcq_constant import bound_gamma_on_box, mfcq_constant
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, body_pair_of, bound_gamma_everywhere
-from nsmodel.models.sweeping_process.witnesses import attained_gamma_bound, prove_opposition
+from nsmodel.models.sweeping_process.witnesses import attained_gamma_bound, fixed_ball, prove_opposition
 from nsmodel.proof import extremum
 from nsmodel.proof.convex import rules
 from nsmodel.proof.verdict import not_none, overlapping_groups, suppress_output
@@ -140,6 +141,7 @@ MAX_BOX_STATES = 4
 MAX_SEARCH_STATES = 24  # Beyond, a local search takes too long.
 ACTIVE_TOLERANCE = 1e-9  # Constraints within this part of the box of 0 are active.
 CORNER_STARTS, CORNER_STEPS, MAX_CORNER_PAIRS = 24, 12, 40  # Points, steps and pairs in the search for corners.
+MAX_TOUCHING_BALLS = 100  # Balls of which each pair is looked at.
 OPPOSING_GAMMA = 1e7  # A local search that ends above this has found opposing normals, to rounding.
 
 
@@ -181,6 +183,31 @@ def decide_mfcq(
         names: of the states.
         quick: no bounds over boxes and no local searches.
     """
+    near, active = _decide_on_box(constraints, process, slope, reach, points, names, quick)
+    touch = None if HOLDS == near.verdict == active.verdict else _touching_balls(constraints, process, names)
+    return (near, active) if touch is None else (touch, touch)
+
+
+def _touching_balls(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, names: Sequence[str]
+) -> QualificationResult | None:
+    """Two fixed balls that touch from outside at an admissible point, wherever that lies."""
+    balls = [(k, ball) for k, c in enumerate(constraints[:MAX_TOUCHING_BALLS]) if (ball := fixed_ball(c)) is not None]
+    for (i, (a, r)), (j, (b, s)) in combinations(balls, 2):
+        if a.keys() == b.keys() and sum(((a[k] - b[k]) ** 2 for k in a), Fraction(0)) == (r + s) ** 2:
+            place = np.array([float(a[k] + (b[k] - a[k]) * r / (r + s)) if k in a else np.nan for k in process.columns])
+            worst = WorstGammaPoint(np.inf, float(process.lower[0]), place, np.array([i, j]), np.array([0.5, 0.5]), 1)
+            found = _violated_result(constraints, process, worst, names)
+            if found is not None:
+                return found._replace(where=EVERYWHERE)
+    return None
+
+
+def _decide_on_box(
+    constraints: Sequence[Constraint], process: PartialSweepingProcess, slope: np.ndarray, reach: float,
+    points: list[tuple[float, np.ndarray]], names: Sequence[str], quick: bool,
+) -> tuple[QualificationResult, QualificationResult]:  # fmt: skip
+    """A5 and A5' everywhere, or on the box looked at."""
     cut = len(process.columns) <= MAX_BOX_STATES and not quick  # Else a smaller rho proves no more.
     near = _decide_gamma(constraints, process, slope, RHO_FRACTION * reach, points, names, quick)
     for k in range(1, RHO_TRIES):

@@ -55,7 +55,7 @@ class _Quasiconcavity:
         if len(args) == 2 and any(arg.is_constant() for arg in args):
             return self._of_one_argument(op, args, sign)
         if op in (ca.OP_MUL, ca.OP_DIV):
-            return self._of_product(op, *args, sign)
+            return self._of_product(op, args[0], args[1], sign)
         if len(args) != 1:
             return False
         inner = self._curvature(args[0])
