@@ -4,9 +4,9 @@
     python -m tests.search.golden --class lure --write  # the file of a class anew; then see `git diff`
 
 A file a class, in ``tests/fixtures/checks``: of each finding verdict, scope, numbers and witness, of each consequence what it
-rests on, too; of quick checks over boxes of a parameter (``boxes.drawn``) verdicts and numbers alone. Each check that is written is made twice, the second time with other kernels of linear algebra. What then differs
-beyond 1e-6 comes from searches in floating point, and is kept and compared by its kind alone: "~number", "~text", "~list of 3".
-So are lists that are long.
+rests on, too; of quick checks over boxes of a parameter (``boxes.drawn``) verdicts and numbers alone. Each check that is written
+is made twice, the second time with other kernels of linear algebra. What then differs beyond 1e-6 comes from searches in floating
+point, and is kept and compared by its kind alone: "~number", "~text", "~list of 3". So are lists that are long.
 """
 
 from __future__ import annotations
