@@ -93,8 +93,9 @@ def uniform_findings(model: SweepingProcess, region: Region, quick: bool) -> lis
     made, each = uniform_shape_findings(constraints, region, quick)
     start = uniform_start_finding(model, region)
     own = [uniform_velocity_finding(model, region), start, *made]
-    if _known_start_point(model, region, start).verdict == HOLDS:
-        own += uniform_mfcq(constraints, each, region, partial(bound_gamma_everywhere, moving=True))
+    qualified = uniform_mfcq(constraints, each, region, partial(bound_gamma_everywhere, moving=True))
+    if qualified and _known_start_point(model, region, start).verdict == HOLDS:
+        own += qualified
     return findings_for_box((item for item in own if item is None or item.verdict == HOLDS), same, region)
 
 
