@@ -776,7 +776,8 @@ class VerifierStatement:
         self.id, value, names = id, entries(field(data, "value"), kind=dict), NUMBERS.get(id, ())
         need(set(names) <= set(value) <= {*names, *OPTIONAL.get(id, ())}, "a number is missing, or one has no place here")
         self.value = {name: number(value[name]) for name in value}
-        need("scope" in data and set(scope := field(data, "scope", dict)) <= {"states", "time", "parameters"}, "another scope")
+        scope = field(data, "scope", dict)
+        need("scope" in data and set(scope) <= {"states", "time", "parameters"}, "another scope")
         states, ranges = (field(scope, part, dict) for part in ("states", "parameters"))
         ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
         self.box = {name: VerifierInterval(*vector(pair, 2, infinite=True)) for name, pair in ends.items()}
@@ -854,7 +855,7 @@ class SweepingData(VerifierModel):
     def __init__(self, data: Any, parameters: Parameters) -> None:
         super().__init__(data, parameters)
         rows = [self.read_row(row) for row in entries(field(data, "constraints"))]
-        self.gaps, self.members, self.deltas = ([row[k] for row in rows] for k in range(3))
+        self.gaps, self.members, self.deltas = [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
         self.n -= 1
         need(all(p.own[:1] == ["t"] for p in self.gaps) and self.inputs[:1] == ["t"], "t is not the first input")
 
