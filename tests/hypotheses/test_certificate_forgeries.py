@@ -198,6 +198,18 @@ def constrained(program, **more):
     return {**sweeping(q), "constraints": [{"name": "g", "graph": program, **more}]}
 
 
+def saddle(last):
+    """A Lur'e system with the law {l_1^2 + last l_2^2 <= 1}."""
+    law = {"kind": "ellipsoid", "size": 2, "Q": [["1", "0"], ["0", last]]}
+    identity = [["1", "0"], ["0", "1"]]
+    return {**lure(), "B": [["1", "0"]], "C": [["1"], ["0"]], "D": identity, "law": [law]}
+
+
+def flat(H):
+    """A Lur'e system with the law {H l >= -1}."""
+    return {**lure(D="1"), "law": [{"kind": "polyhedron", "size": 1, "H": H, "K": ["-1"]}]}
+
+
 def bowl(factor):
     """The constraint factor q^2."""
     return graph(("in", 1), ("mul", 0, 0), ("const", factor), ("mul", 1, 2), inputs=("t", "q"))
@@ -244,6 +256,10 @@ ADVERSARIES = {
     "a law of size true": ({**lure(), "law": [{"kind": "box", "size": True, "lower": ["-1"], "upper": ["1"]}]}, claim("3.1")),
     "a ball for an interval": ({**lure(), "law": [{**BALL, "radius": "0"}]}, claim("3.1")),
     "a ball of radius < 0": ({**lure(), "law": [{**BALL, "radius": "-1"}]}, claim("5.4a")),
+    "an ellipsoid that is not convex": (saddle("-1"), claim("5.4b")),
+    "an ellipsoid without Q": ({**lure(D="1"), "law": [{"kind": "ellipsoid", "size": 1}]}, claim("5.4b")),
+    "a polyhedron of other rows": (flat([["1", "2"]]), claim("5.4b")),
+    "a polyhedron of words": (flat("H"), claim("5.4b")),
     "a cone that is called a box": ({**lure(), "law": [{"kind": ["box"], "size": 1}]}, claim("5.4a")),
     "a potential that is false": ({**lure(), "phi": False}, claim("5.4a")),
     "a potential of two variables": (
@@ -270,6 +286,7 @@ def test_no_adversary_is_answered_yes():
     answers = {name: verify.answer(*pair) for name, pair in ADVERSARIES.items()}
     assert {name: answer for name, answer in answers.items() if answer[0] not in ("no", "not checkable")} == {}
     assert len(answers) > 40
+    assert {verify.answer(model, claim("5.4b"))[0] for model in (saddle("1"), flat([["1"]]))} == {"yes"}
 
 
 def test_a_deep_or_wide_cover_takes_bounded_time(monkeypatch):

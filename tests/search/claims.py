@@ -192,3 +192,18 @@ TRUE = {
     "5.4c, a half-line": (lure(law=("0", "inf")), claim("5.4c", {"x": ["1"], "k": ["1"], "y": ["1"], "v": ["0"]})),
     "5.2": (lure(A=-x + ca.sin(x)), claim("5.2", {"P": [["1"]], "cover": None}, {"x": ["-9", "9"]}, omega="0")),
 }  # fmt: skip
+
+
+def at_all_times(value):
+    """A function of time that is constant."""
+    return {"inputs": ["t"], "steps": [["const", value]], "outputs": [0]}
+
+
+NORM = [["in", 1], ["pow", 0, "2"], ["pow", 1, "1/2"], ["const", "3"], ["mul", 3, 2], ["const", "-1"], ["add", 4, 5]]
+TRUE["S-convex, a norm"] = (
+    {**sweeping(q), "constraints": [{"name": "g", "graph": {"inputs": ["t", "q"], "steps": NORM, "outputs": [6]}}]},
+    claim(
+        "S-convex",
+        forms({"form": "norm", "w": "3", "A": [["1"]], "c": [at_all_times("0")], "offset": at_all_times("-1"), "time": None}),
+    ),
+)

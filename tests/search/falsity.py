@@ -435,6 +435,11 @@ def no_statement(model: Any, statement: Any) -> str:
             return "a law of another size or kind"
         if any(block["kind"] == "ball" and Fraction(block["radius"]) < 0 for block in own["law"]):
             return "a ball without points"
+        if any(
+            block["kind"] == "ellipsoid" and least_eigenvalue([[*map(as_float, row)] for row in block["Q"]]) < 0
+            for block in own["law"]
+        ):
+            return "an ellipsoid that is not convex"
     first = {
         "SweepingProcess": "f",
         "FrictionOscillator": "g",

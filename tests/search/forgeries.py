@@ -404,11 +404,9 @@ def change_law(model: Any, rng: random.Random) -> None:
                 block[name] = [rng.choice([x, x, "0", "1", "-1", "inf", "-inf"]) for x in block[name]]
         if rng.random() < 0.2:
             size = block.get("size")
-            other = {
-                "kind": rng.choice(["ball", "second-order cone", "cylinder"]),
-                "size": size,
-                "radius": rng.choice(["0", "1", "-1"]),
-            }
+            other = {"kind": rng.choice(["ball", "second-order cone", "cylinder", "ellipsoid"]), "size": size}
+            other["radius"] = rng.choice(["0", "1", "-1"])
+            other["Q"] = [[rng.choice(["1", "2", "-1"]) if i == j else "0" for j in range(size)] for i in range(size)]
             block.clear()
             block.update(other)
 

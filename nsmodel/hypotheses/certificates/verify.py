@@ -1174,8 +1174,7 @@ def dry(m: OscillatorData, s: VerifierStatement) -> str:
 def steps_grow(m: OscillatorData, s: VerifierStatement) -> str:
     """O-steps: the steps are > 0 and do not shrink. Premises: 1. the first is > 0; 2. each is >= the one before."""
     steps = vector(field(m.data, "steps"))
-    need(steps[0] > 0, "a step is not > 0")  # 1
-    need(all(a <= b for a, b in pairwise(steps)), "a step shrinks")  # 2
+    need(steps[0] > 0 and all(a <= b for a, b in pairwise(steps)), "a step is not > 0, or shrinks")  # 1, 2
     return f"0 < h_1 <= h_2 <= ... of all {len(steps)} steps, from {written(steps[0])} to {written(steps[-1])}"
 
 
@@ -1186,8 +1185,8 @@ def gap(low: Any, high: Any) -> Any:
 
 class VerifierLaw:
     """A product K of closed convex sets in R^count; ``ends`` of its intervals.
-    ``bounded`` and ``nonempty`` are True where that is known: of boxes, of balls and second-order cones, and of polyhedra {H l >=
-    K} and ellipsoids that hold 0.
+    ``bounded`` and ``nonempty`` are True where that is known: of boxes, of balls and second-order cones, of ellipsoids {l'Q l <=
+    1} with a psd Q, and of polyhedra {H l >= K} that hold 0.
     """
 
     def __init__(self, m: VerifierModel, data: Any, count: int) -> None:
@@ -1202,7 +1201,11 @@ class VerifierLaw:
         whole = all(gap(low, high) >= 0 and low != INF and high != -INF for low, high in self.ends)
         need(whole, "an interval of the law is empty")
         need(all(number(field(block, "radius")) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
-        self.nonempty = all(x <= 0 for block in blocks if block["kind"] == "polyhedron" for x in vector(field(block, "K")))
+        curved = [matrix(field(b, "Q"), b["size"], b["size"], m.parameters) for b in blocks if b["kind"] == "ellipsoid"]
+        need(all(map(psd, curved)), "an ellipsoid that is not convex")
+        flat = [(vector(field(b, "K")), b) for b in blocks if b["kind"] == "polyhedron"]
+        need(all(matrix(field(b, "H"), len(K), b["size"]) is not None for K, b in flat), "a polyhedron that is not written out")
+        self.nonempty = all(x <= 0 for K, _ in flat for x in K)
         finite = all(isinstance(x, Poly) or abs(x) < INF for pair in self.ends for x in pair)
         self.bounded = finite and self.kinds <= {"box", "ball"}
 
@@ -1500,8 +1503,7 @@ def monotone(m: InclusionData, s: VerifierStatement) -> str:
 def set_with_interior(m: InclusionData, s: VerifierStatement) -> str:
     """M-C: C is closed and convex, and has an interior point. Premises: 1. its rows are concave; 2. all are > 0 at a point."""
     C, point = m.program("C"), vector(field(s.proof, "interior"), m.n)
-    need(concave_rows(C), "a row is not concave by the rules")  # 1
-    need(inside(C, point), "the point is not inside")  # 2
+    need(concave_rows(C) and inside(C, point), "a row is not concave by the rules, or the point not inside")  # 1, 2
     return f"C, of {len(C.outputs)} rows, is closed and convex, and has interior points"
 
 
