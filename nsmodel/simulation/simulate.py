@@ -134,6 +134,7 @@ class _RunWithFallback(RunLoop):
 
 def _run_with_rtol(model: Model, options: Options, symbolic_model: Model) -> RunLoop:
     """An event-driven run where it applies and ``method`` lets it; ``whole``: the model with its parameters as symbols."""
+    model.check_allowed("rtol")
     if options.method == METHODS[2]:
         return _error_controlled_run(model, options)
     try:
