@@ -31,7 +31,7 @@ def simulate(model: Model, **options: Unpack[OptionKeywords]) -> Trajectory:
     """Run a model and return its trajectory; every step in it was verified.
 
     Args:
-        model: any of the six classes.
+        model: any of the seven classes.
         {entries}
 
     Raises:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_consequence, make_finding
 from nsmodel.hypotheses.region import Region
 from nsmodel.models.mechanical_system.model import MechanicalSystem
 from nsmodel.models.mechanical_system.schemes import start_values
@@ -32,6 +32,7 @@ UNDECIDED = (
     Hypothesis("C-F", "F is Lipschitz in (q, v) and grows at most linearly", "Monteiro Marques 1993"),
 )
 HYPOTHESES = (C_M, C_LIN, C_START, C_E, C_THETA, *UNDECIDED)
+GAP_ROUNDING = 1e-12  # Part of the size of positions and gaps that a gap may be below 0 by rounding.
 NOT_YET = "not decided yet: nothing here looks at it"
 
 
@@ -47,7 +48,18 @@ def check(
         quick: no search for the worst position.
     """
     others = [make_finding(hypothesis, UNKNOWN, NOT_YET) for hypothesis in UNDECIDED]
-    return [_check_mass(model, region, quick), _check_linear(model), _check_start(model), *_check_energy(model), *others], []
+    findings = [_check_mass(model, region, quick), _check_linear(model), _check_start(model), *_check_energy(model), *others]
+    return findings, _consequences(findings)
+
+
+def _consequences(findings: Sequence[Finding]) -> list[Consequence]:
+    """What follows of impacts alone, and of steps."""
+    kept = "an impact does not raise the kinetic energy: T+ - T- = -(1 - e)/(2 (1 + e)) <P, W P>; for e = 0, <P, u+> - <P, W P>/2"
+    one = "each step has one velocity"
+    return [
+        make_consequence("impacts keep or lose energy", kept, findings, ("C-M", "C-e"), MOREAU),
+        make_consequence("one answer", one, findings, ("C-M", "C-lin", "C-ind", "C-P"), "Moreau 1988; Génot and Brogliato 1999"),
+    ]
 
 
 def _check_mass(model: MechanicalSystem, region: Region, quick: bool) -> Finding:
@@ -84,7 +96,7 @@ def _check_start(model: MechanicalSystem) -> Finding:
         return make_finding(C_START, HOLDS, "There are no contacts; open joints are refused.", {"contacts": 0})
     names = [one.name for one in model.contact_rows]
     worst = int(np.argmin(gaps))
-    if gaps[worst] < 0:
+    if gaps[worst] < -GAP_ROUNDING * max(np.abs(np.array(ca.DM(model.x0))).max(initial=0.0), np.abs(gaps).max()):
         witness = {"contact": names[worst], "gap": gaps[worst]}
         return make_finding(C_START, VIOLATED, "A contact overlaps.", {"least gap": gaps[worst]}, witness)
     hits = [name for name, gap, speed in zip(names, gaps, u_N, strict=True) if gap == 0 and speed < 0]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from nsmodel.hypotheses.equations import (
+    SymbolNames,
     constraint_lines,
+    entry_formulas,
     function_call_latex,
     matrix_latex,
     start_line,
@@ -13,7 +15,8 @@ from nsmodel.hypotheses.equations import (
     symbol_names,
     vector_lines,
 )
-from nsmodel.models.mechanical_system.model import MechanicalSystem
+from nsmodel.hypotheses.latex import text_latex
+from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem
 
 
 def equations(model: MechanicalSystem) -> list[str]:
@@ -22,8 +25,8 @@ def equations(model: MechanicalSystem) -> list[str]:
     F = function_call_latex("F", model.F, model, names, "q", "v")
     moves = r"\dot q = v" if model.kinematics is None else rf"\dot q = {matrix_latex(model.kinematics, names)}\, v"
     contacts = {one.name: one.gap for one in model.contact_rows}
-    impulses = r" + \sum_a G_a(q)^\top \mathrm{d}P_a" if contacts else ""
-    held = r" + J(q)^\top \mathrm{d}L" if model.joints else ""
+    impulses = r" + G(q)^{\mathrm{T}} \mathrm{d}P" if contacts else ""
+    held = r" + J(q)^{\mathrm{T}} \mathrm{d}L" if model.joints else ""
     laws = [
         r"0 \leq u_{\mathrm{N}}^+ + e\, u_{\mathrm{N}}^- \perp P_{\mathrm{N}} \geq 0 \quad\text{where } g = 0"
     ] if contacts else []  # fmt: skip
@@ -39,7 +42,19 @@ def equations(model: MechanicalSystem) -> list[str]:
         *vector_lines(F, model.F, names),
         *constraint_lines("g", contacts, model, names, "q"),
         *laws,
+        *(_numbers_line(one, names) for one in model.contact_rows),
         *([rf"{ca_text} = 0" for ca_text in (function_call_latex("c", ca.vertcat(*model.joints.values()), model, names, "q"),)]
           if model.joints else []),
         start_line("(q, v)(0)", model.x0, names),
     ]  # fmt: skip
+
+
+def _numbers_line(one: ContactTerms, names: SymbolNames) -> str:
+    """The coefficients of a contact."""
+    given = (
+        {"e": one.e}
+        | ({r"\mu": one.mu} if one.slip.numel() else {})
+        | ({} if one.e_t.is_zero() else {r"e_{\mathrm{T}}": one.e_t})
+    )
+    texts = [rf"{letter} = {entry_formulas(value, names)[0]}" for letter, value in given.items()]
+    return rf"\text{{{text_latex(one.name)}}}:\quad " + r",\quad ".join(texts)

@@ -75,7 +75,7 @@ def corner(q: ca.SX, v: ca.SX, at: Sequence[float], wall: Any = FLOOR, **given: 
     q, v = ca.SX(q), ca.SX(v)
     if q.numel() != 3:
         raise ModelError(f"corner: the body has {q.numel()} positions; expected x, y and the angle phi")
-    arm = _turned(ca.SX(list(map(float, at))), q[2])
+    arm = _rotated(ca.SX(list(map(float, at))), q[2])
     base, normal = _wall(wall, 2)
     return _contact(q[:2] + arm, _rim_velocity(v, arm), base, normal, given)
 
@@ -156,7 +156,7 @@ def _rim_velocity(v: ca.SX, arm: Any) -> ca.SX:
     return v[:3] + ca.cross(v[3:6], arm) if v.numel() > 3 else v[:3]
 
 
-def _turned(arm: ca.SX, phi: ca.SX) -> ca.SX:
+def _rotated(arm: ca.SX, phi: ca.SX) -> ca.SX:
     c, s = ca.cos(phi), ca.sin(phi)
     return ca.vertcat(c * arm[0] - s * arm[1], s * arm[0] + c * arm[1])
 

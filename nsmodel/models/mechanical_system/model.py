@@ -41,7 +41,7 @@ class Contact:
     e_t: Any = 0.0
 
 
-class ContactRows(NamedTuple):
+class ContactTerms(NamedTuple):
     """A contact as a system has it: expressions of t, q and v in the symbols of the model."""
 
     name: str
@@ -112,7 +112,7 @@ class MechanicalSystem(Model):
 
     x: ca.SX = field(init=False, repr=False)
     x0: ca.SX = field(init=False, repr=False)
-    contact_rows: tuple[ContactRows, ...] = field(init=False, repr=False)
+    contact_rows: tuple[ContactTerms, ...] = field(init=False, repr=False)
     joint_names: tuple[str, ...] = field(init=False, repr=False)
 
     paper: ClassVar[str] = "Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988); Jean (1999)"
@@ -210,13 +210,13 @@ class MechanicalSystem(Model):
             )
         return self.inertia or ("derived" if moves else "given")
 
-    def _read_contacts(self, c: Converter, q: ca.SX, v: ca.SX) -> tuple[ContactRows, ...]:
+    def _read_contacts(self, c: Converter, q: ca.SX, v: ca.SX) -> tuple[ContactTerms, ...]:
         given = {} if self.contacts is None else self.contacts
         if not isinstance(given, Mapping):
             raise ModelError(f"contacts: {describe_argument(given)}; expected a dictionary {{name: Contact(gap, ...)}}")
         return tuple(self._read_contact(c, str(name), one, q, v) for name, one in given.items())
 
-    def _read_contact(self, c: Converter, name: str, one: Any, q: ca.SX, v: ca.SX) -> ContactRows:
+    def _read_contact(self, c: Converter, name: str, one: Any, q: ca.SX, v: ca.SX) -> ContactTerms:
         label = f"contact '{name}'"
         if not isinstance(one, Contact):
             raise ModelError(f"{label}: {describe_argument(one)}; expected Contact(gap, slip=, mu=, e=, e_t=)")
@@ -233,7 +233,7 @@ class MechanicalSystem(Model):
         )
         if slip.numel() == 0 and not (mu.is_zero() and e_t.is_zero()):
             raise ModelError(f"{label}: mu or e_t is given without slip; give slip=, the velocity along the contact")
-        return ContactRows(name, gap, ca.SX(0, 1) if mu.is_zero() else slip, mu, e, e_t)
+        return ContactTerms(name, gap, ca.SX(0, 1) if mu.is_zero() else slip, mu, e, e_t)
 
     def _read_number(self, c: Converter, label: str, value: Any, allow: list[ca.SX], low: float, high: float) -> ca.SX:
         """One number between two, or an expression."""
@@ -257,7 +257,7 @@ class MechanicalSystem(Model):
 
     @property
     def row_names(self) -> tuple[str, ...]:
-        """The same."""
+        """What may have a unit beside states: the impulses."""
         return self.multiplier_names
 
 

@@ -25,7 +25,7 @@ from nsmodel._utils import cached_per_object
 from nsmodel.errors import UsageError
 from nsmodel.modeling.laws import Law, complementarity, equality, product
 from nsmodel.modeling.variants import initial_inputs
-from nsmodel.models.mechanical_system.model import ContactRows, MechanicalSystem
+from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem
 from nsmodel.models.mechanical_system.several_answers import uniqueness_doubt
 from nsmodel.solvers.initial_checks import parameter_values_text
 from nsmodel.solvers.one_step_problem import OneStepProblem, SchemeOrder, rewrite_as_basic_law, with_carried_inputs
@@ -133,7 +133,7 @@ def _symbols_of_step(model: MechanicalSystem, u: ca.SX) -> StepSymbols:
     return StepSymbols(model, here, middle, end, h, v_next, ca.SX.sym("size"), T)
 
 
-def _contact_in_step(step: StepSymbols, one: ContactRows) -> ActiveContact:
+def _contact_in_step(step: StepSymbols, one: ContactTerms) -> ActiveContact:
     """Its rows at the middle; y_N moved by OPEN where it does not act."""
     model, v = step.model, step.model.v
     G = step.at(step.middle, ca.jacobian(one.gap, model.q)) @ step.T
@@ -150,7 +150,7 @@ def _contact_in_step(step: StepSymbols, one: ContactRows) -> ActiveContact:
     return ActiveContact(y, ca.SX.sym(f"P_{one.name}", u.numel()), G, u, acts)
 
 
-def _gap_ahead(step: StepSymbols, one: ContactRows) -> ca.SX:
+def _gap_ahead(step: StepSymbols, one: ContactTerms) -> ca.SX:
     """The gap at the end of a step free of all contacts, or at t + a h with the velocity that there is."""
     model, (t, q, v, u), h = step.model, step.here, step.h
     T = position_rates(model)
@@ -231,8 +231,8 @@ def start_values(model: MechanicalSystem) -> list[ca.SX]:
     """Gaps, normal and slip velocities of all contacts at the start."""
     gaps, slips = _gaps(model), _column(one.slip for one in model.contact_rows)
     u_N = ca.jacobian(gaps, model.q) @ (position_rates(model) @ model.v) + ca.jacobian(gaps, model.t)
-    here, there = ca.vertcat(model.t, model.x, model.u), ca.vertcat(0, model.x0, ca.SX(list(initial_inputs(model))))
-    return ca.substitute([gaps, u_N, slips], [here], [there])
+    here, start = ca.vertcat(model.t, model.x, model.u), ca.vertcat(0, model.x0, ca.SX(list(initial_inputs(model))))
+    return ca.substitute([gaps, u_N, slips], [here], [start])
 
 
 def derived_columns(model: MechanicalSystem, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
