@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from nsmodel.models.lure_system.model import LureSystem
     from nsmodel.models.many_bodies.families import Bodies, Family, Items, neighbours
     from nsmodel.models.many_bodies.model import ManyBodies
+    from nsmodel.models.mechanical_system.model import Contact, MechanicalSystem
     from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
     from nsmodel.models.sweeping_process.model import SweepingProcess
     from nsmodel.simulation.loop import RunInterrupted
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Block",
     "Bodies",
+    "Contact",
     "Family",
     "Finding",
     "FirstOrderSystem",
@@ -64,6 +66,7 @@ __all__ = [
     "Law",
     "LureSystem",
     "ManyBodies",
+    "MechanicalSystem",
     "MissingExtraError",
     "ModelError",
     "ModelStepper",
@@ -130,6 +133,7 @@ _later(
         "nsmodel.models.many_bodies.families": ["Bodies", "Family", "Items", "neighbours"],
         "nsmodel.models.many_bodies.model": ["ManyBodies"],
         "nsmodel.models.first_order_system.model": ["FirstOrderSystem"],
+        "nsmodel.models.mechanical_system.model": ["Contact", "MechanicalSystem"],
         "nsmodel.models.monotone_inclusion.model": ["MonotoneInclusion"],
         "nsmodel.models.lure_system.model": ["LureSystem"],
         "nsmodel.models.friction_oscillator.model": ["FrictionOscillator"],

@@ -24,7 +24,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 LIMITS = {  # A structure that needs more is to be thought over; a limit that has become loose is lowered.
     "packages": 14,
     "loose modules": 5,
-    "files": 330,
+    "files": 350,
     "lines of the longest module": 700,
     "lines of verify.py": 1690,
     "import circles": 0,

@@ -316,5 +316,10 @@ def _affine_work(flags: Set[str], sizes: dict[str, int], sets: int) -> int:
     if "CURVED" in flags or "SELECTION_CURVED" in flags:  # from two starts, each once more after Gauss-Seidel sweeps
         bound += 2 * (2 * (SEMISMOOTH_ITERATIONS + 1) + GAUSS_SEIDEL_SWEEPS)
     if "FRICTION" in flags:  # the last modes, those that stick; all modes, each polished
-        bound += 3 + (2 + REGULARISATIONS) * (SEMISMOOTH_ITERATIONS + 1) + (2 * MAX_MODES if "CONTACTS_IN_PLANE" in flags else 0)
+        bound += (
+            3
+            + (4 + REGULARISATIONS) * (SEMISMOOTH_ITERATIONS + 1)
+            + GAUSS_SEIDEL_SWEEPS
+            + (2 * MAX_MODES if "CONTACTS_IN_PLANE" in flags else 0)
+        )
     return bound

@@ -139,7 +139,7 @@ def check(
     """Decide each hypothesis that the theory of this model class rests on, and say what follows.
 
     Args:
-        model: any of the six classes. Parameters may stay without value for a LureSystem: the conditions on them are found.
+        model: any of the seven classes. Parameters may stay without value for a LureSystem: the conditions on them are found.
         runs: finished runs of this model; left out, the model is run (twice more with larger steps, for the observed order,
             and for two classes from another start, for the contraction).
         parameters: values of parameters, by name or symbol; a pair (low, high) stands for all values between: a hypothesis

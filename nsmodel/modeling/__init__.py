@@ -1,1 +1,1 @@
-"""What users write: the six model classes and the laws."""
+"""What users write: the seven model classes and the laws."""

@@ -1,4 +1,4 @@
-"""What the six model classes share: time, parameters, names, the conversion of what the user wrote, and its checks.
+"""What the seven model classes share: time, parameters, names, the conversion of what the user wrote, and its checks.
 
 What ``help`` says of a class of models: its own arguments and those of all classes, in its docstring and its signature.
 """

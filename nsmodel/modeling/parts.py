@@ -21,6 +21,7 @@ MODEL_CLASSES = {  # Class of models: its package.
     "LureSystem": "nsmodel.models.lure_system",
     "MonotoneInclusion": "nsmodel.models.monotone_inclusion",
     "ManyBodies": "nsmodel.models.many_bodies",
+    "MechanicalSystem": "nsmodel.models.mechanical_system",
 }
 
 T = TypeVar("T")

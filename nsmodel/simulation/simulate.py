@@ -31,7 +31,7 @@ def simulate(model: Model, **options: Unpack[OptionKeywords]) -> Trajectory:
     """Run a model and return its trajectory; every step in it was verified.
 
     Args:
-        model: any of the six classes.
+        model: any of the seven classes.
         {entries}
 
     Raises:
@@ -134,6 +134,7 @@ class _RunWithFallback(RunLoop):
 
 def _run_with_rtol(model: Model, options: Options, symbolic_model: Model) -> RunLoop:
     """An event-driven run where it applies and ``method`` lets it; ``whole``: the model with its parameters as symbols."""
+    model.check_allowed("rtol")
     if options.method == METHODS[2]:
         return _error_controlled_run(model, options)
     try:

@@ -7,6 +7,7 @@ direction of slip given, a choice of modes is one linear system.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -44,12 +45,10 @@ def modes_of(law: NumericLaw, index: np.ndarray) -> bool:
     return all((index[rows] == index[rows][0]).all() for rows, _ in law.curved)
 
 
-def stick_first(law: NumericLaw, b: np.ndarray) -> np.ndarray:
-    """Codes (m,) where every contact that would close sticks, and everything else is as it would be without l."""
-    code = np.where(law.lower == 0, np.where(b < 0, 0, -1), 0).astype(np.int8)
-    for rows, _ in law.curved:
-        code[rows] = 0 if b[rows][0] < 0 else -1
-    return code
+def associated_law(law: NumericLaw) -> NumericLaw:
+    """The law without ŷ: of a psd W a convex problem, which all that can stick solves by y = 0."""
+    sets = tuple((rows, replace(K, shifts=False) if isinstance(K, CoulombSet) else K) for rows, K in law.curved)
+    return NumericLaw(law.lower, law.upper, sets)
 
 
 def is_in_the_plane(law: NumericLaw) -> bool:

@@ -377,12 +377,21 @@ def _curved_candidates(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndar
 def _friction_candidates(
     W: np.ndarray, b: np.ndarray, law: NumericLaw, warm: np.ndarray, index: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Of several answers the first in a fixed order: the last modes, from the last multiplier, all that close stuck, from 0."""
+    """Of several answers the first in a fixed order: the last modes, from the last multiplier, all that close stuck, from 0.
+
+    Where the last multiplier is 0 it says nothing, and contacts that close stick first.
+    """
     if friction_contacts.modes_of(law, index):
         l = friction_contacts.solve_on_modes(W, b, law, warm, W @ warm + b, index)
         yield l, index
-    stuck = friction_contacts.solve_on_modes(W, b, law, warm, b, friction_contacts.stick_first(law, b))
-    for start in (warm, stuck, np.zeros_like(warm)):
+    starts = [warm] if warm.any() else []
+    associated = friction_contacts.associated_law(law)
+    stuck = semismooth_newton(W, b, associated, np.zeros_like(warm))
+    if stuck is None:
+        swept = projected_gauss_seidel(W, b, associated, np.zeros_like(warm))
+        stuck = semismooth_newton(W, b, associated, swept)
+        stuck = swept if stuck is None else stuck
+    for start in (*starts, stuck, np.zeros_like(warm)):
         if (l := semismooth_newton(W, b, law, start)) is not None:
             yield from _curved_candidates(W, b, law, l)
     for start in (warm, np.zeros_like(warm)):

@@ -22,9 +22,12 @@ from nsmodel.proof.verdict import not_none
 HOLDS = {
     "anti_windup": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "arch": "S-convex A0 A1 A2 A3 A4 S-start",
+    "ball_on_ramp": "C-M C-lin C-start C-e C-theta",
     "bang_bang": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "belt": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "boost": "F-jacobians F-W F-step",
+    "bouncing_ball": "C-M C-lin C-start C-e C-theta",
+    "bowling_ball": "C-M C-lin C-start C-e C-theta",
     "buck": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
     "buck_light_load": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
     "cabot_4_1": "O-theta O-g O-dry O-steps",
@@ -57,6 +60,7 @@ HOLDS = {
     "relay_oscillator": "3.1 4.1 5.4a 5.4b 5.4c 5.x0 7.1",
     "repressilator": "F-jacobians F-W F-step",
     "rlc_diode": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
+    "rocking_block": "C-M C-lin C-start C-e C-theta",
     "running_track": "S-convex A0 A1 A2 A3 A4 S-start",
     "sampled_pi": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "sandpile": "S-convex A0 A1 A2 A3 A4 S-f S-start",
@@ -105,8 +109,10 @@ VIOLATED = {
     "two_surfaces": {"7.1": "it is forced"},
     "zhuravlev_ivanov": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
 }
+NOT_DECIDED = dict.fromkeys("C-ind C-mfcq C-W C-P C-F".split(), "not decided yet")
 # What is not decided, and the reason that the report gives.
 UNKNOWN = {
+    **dict.fromkeys("ball_on_ramp bouncing_ball bowling_ball rocking_block".split(), NOT_DECIDED),
     "boost": {"F-unique": "index sets are not enumerated"},
     "relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"},
     "toggle_switch": {"F-unique": "index sets"},

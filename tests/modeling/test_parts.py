@@ -21,13 +21,14 @@ PARTS = {
     if isinstance(part, Part)
 }
 WITHOUT = {  # What a class need not have.
-    "function_values": {"SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem"},
-    "impact_structure": {"SweepingProcess", "MonotoneInclusion", "ManyBodies"},
-    "continuous_problem": {"ManyBodies"},
+    "function_values": {"SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MechanicalSystem"},
+    "impact_structure": {"SweepingProcess", "MonotoneInclusion", "ManyBodies", "MechanicalSystem"},
+    "continuous_problem": {"ManyBodies", "MechanicalSystem"},
     "grid_propagator": set(MODEL_CLASSES) - {"ManyBodies"},
     "end_of_run": set(MODEL_CLASSES) - {"FrictionOscillator"},
     "library_files": set(MODEL_CLASSES) - {"ManyBodies"},
-    "reference_step": {"ManyBodies"},
+    "reference_step": {"ManyBodies", "MechanicalSystem"},
+    "certificate_parts": {"MechanicalSystem"},
 }
 
 

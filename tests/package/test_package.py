@@ -178,5 +178,6 @@ def test_every_case_explains_itself(path):
 def test_there_are_cases_of_every_class():
     classes = {type(nsmodel.load(path)).__name__ for path in CASES}
     assert classes == {
-        "SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MonotoneInclusion", "ManyBodies"
+        "SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MonotoneInclusion", "ManyBodies",
+        "MechanicalSystem",
     }  # fmt: skip

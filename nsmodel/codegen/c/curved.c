@@ -32,7 +32,8 @@ static double natural_map(model_solver *s, const affine_problem *p, const double
 #if FRICTION
     for (int i = 0; i < p->m; i++)
         s->affine.y[i] += s->semismooth.added*l[i];
-    shift_all(s, s->affine.y);
+    if (!s->semismooth.associated)
+        shift_all(s, s->affine.y);
 #endif
     for (int i = 0; i < p->m; i++)
         s->semismooth.F[i] = s->semismooth.u[i] = l[i] - s->semismooth.c[i]*s->affine.y[i];
@@ -88,6 +89,8 @@ static void natural_jacobian(model_solver *s, const affine_problem *p)
 #if FRICTION
         double T[MODEL_BLOCK*MODEL_BLOCK];
         set_shift_jacobian(&curved[k], NUMBERS(k), s->affine.y + start, T); /* which y_T alone decides: y may be ŷ */
+        if (s->semismooth.associated)
+            unit_matrix(n, T);
 #endif
         for (int i = 0; i < n; i++)
             for (int j = 0; j < m; j++) {
@@ -163,7 +166,7 @@ static double relax(model_solver *s, const affine_problem *p, int k, int start, 
             b[i] -= W[i*n + j]*l[start + j];
         }
     }
-    if (k >= 0 && set_block_solution(&curved[k], NUMBERS(k), W, b, own)) {
+    if (k >= 0 && !s->semismooth.associated && set_block_solution(&curved[k], NUMBERS(k), W, b, own)) {
         COPY(u + start, own, n);
     } else
 #endif
@@ -314,13 +317,23 @@ static void block_scale(model_solver *s, const affine_problem *p)
 }
 
 #if FRICTION
-/* Codes where every contact that would close sticks, and everything else is as it would be without l. */
-static void stick_first(model_solver *s, const affine_problem *p)
+/* semismooth.l: the solution of the associated law, without ŷ: of a psd W a convex problem, which all that can stick solves by
+   y = 0. What is found of it where it has none. */
+static void solve_associated(model_solver *s, const affine_problem *p)
 {
+    double *l = s->semismooth.l;
+    s->semismooth.associated = 1;
     for (int i = 0; i < p->m; i++)
-        s->affine.code[i] = p->lo[i] == 0 && !(p->b[i] < 0) ? -1 : 0;
-    for (int k = 0; k < MODEL_CURVED; k++)
-        memset(s->affine.code + curved[k].start, p->b[curved[k].start] < 0 ? 0 : -1, (size_t)curved[k].size);
+        l[i] = 0;
+    if (semismooth_newton(s, p)) {
+        for (int i = 0; i < p->m; i++)
+            l[i] = 0;
+        gauss_seidel(s, p);
+        COPY(s->semismooth.swept, l, p->m);
+        if (semismooth_newton(s, p))
+            COPY(l, s->semismooth.swept, p->m);
+    }
+    s->semismooth.associated = 0;
 }
 #if CONTACTS_IN_PLANE
 
@@ -368,20 +381,18 @@ static int solve_curved(model_solver *s, const affine_problem *p, const double *
 {
     block_scale(s, p);
     s->semismooth.added = 0;
+    s->semismooth.associated = 0;
     COPY(s->affine.code, last, p->m);
     affine_output(p, warm, s->affine.y);
     if (spend(s) && !solve_on_modes(s, p, warm) && passes_known(s, p, accepted))
         return SEMISMOOTH;
-    for (int attempt = 0; attempt < 5; attempt++) { /* the last two after sweeps */
+    const int first = largest(p->m, warm) == 0; /* where it is 0 the last multiplier says nothing */
+    for (int attempt = first; attempt < 5; attempt++) { /* the last two after sweeps */
         double *l = s->semismooth.l;
         for (int i = 0; i < p->m; i++)
             l[i] = attempt == 0 || attempt == 3 ? warm[i] : 0;
-        if (attempt == 1) {
-            stick_first(s, p);
-            COPY(s->affine.y, p->b, p->m);
-            if (!solve_on_modes(s, p, warm))
-                COPY(l, s->affine.l, p->m);
-        }
+        if (attempt == 1)
+            solve_associated(s, p);
         if (attempt > 2)
             gauss_seidel(s, p);
         if (attempt > 2)

@@ -41,7 +41,7 @@
         double l[MODEL_ROWS], c[MODEL_ROWS], u[MODEL_ROWS], F[MODEL_ROWS], step[MODEL_ROWS], trial[MODEL_ROWS];
 #if FRICTION
         double swept[MODEL_ROWS], added; /* to the diagonal of W */
-        int choice[MODEL_ROWS];
+        int choice[MODEL_ROWS], associated; /* whether the law is taken without ŷ */
 #endif
         int width[MODEL_ROWS];
     } semismooth;

@@ -80,19 +80,22 @@ class CurvedSet(ABC):
     Attributes:
         kind: its name, and that of its file of C.
         is_cone: whether it is pointed at 0 and unbounded.
-        is_normal_cone: whether the law is -y ∈ N_K(l); else it is -ŷ(y) ∈ N_K(l).
         radius: max |l| over K; inf where K is not bounded.
     """
 
     kind: ClassVar[str]
     is_cone: ClassVar[bool] = False
-    is_normal_cone: ClassVar[bool] = True
     radius: float
 
     @property
     def is_bounded(self) -> bool:
         """Whether K is bounded."""
         return math.isfinite(self.radius)
+
+    @property
+    def is_normal_cone(self) -> bool:
+        """Whether the law is -y ∈ N_K(l); else it is -ŷ(y) ∈ N_K(l)."""
+        return True
 
     def shifted(self, y: np.ndarray) -> np.ndarray:
         """The output that the normal cone is taken at, (m,)."""

@@ -43,22 +43,27 @@ DRAG_BISECTIONS = 100  # Of that interval, until its ends are neighbours.
 
 @dataclass(frozen=True)
 class CoulombSet(CurvedSet):
-    """K_mu with its number, and ŷ."""
+    """K_mu with its number, and ŷ; where it is not ``shifts``, the associated law -y ∈ N_K(l), a convex problem of psd W."""
 
     mu: float
+    shifts: bool = True
     radius: float = np.inf
     kind: ClassVar[str] = "coulomb"
     is_cone: ClassVar[bool] = True
-    is_normal_cone: ClassVar[bool] = False
+
+    @property
+    def is_normal_cone(self) -> bool:
+        """Whether it is the associated law."""
+        return not self.shifts
 
     def shifted(self, y: np.ndarray) -> np.ndarray:
         """(y_N + mu |y_T|, y_T)."""
-        return np.concatenate(([y[0] + self.mu * safe_norm(y[1:])], y[1:]))
+        return np.concatenate(([y[0] + self.mu * safe_norm(y[1:])], y[1:])) if self.shifts else y
 
     def shift_jacobian(self, y: np.ndarray) -> np.ndarray:
         """The identity, with mu y_T/|y_T| beside the entry of y_N; 0 where y_T = 0."""
         J, size = np.eye(y.size), safe_norm(y[1:])
-        if size > 0:
+        if size > 0 and self.shifts:
             J[0, 1:] = self.mu * (y[1:] / size)
         return J
 
@@ -106,8 +111,10 @@ class CoulombSet(CurvedSet):
         e = -y[1:] / size if size > 0 else l[1:] / own if own > 0 else np.zeros(l.size - 1)
         return np.concatenate(([1.0], self.mu * e))
 
-    def block_solution(self, W: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def block_solution(self, W: np.ndarray, b: np.ndarray) -> np.ndarray | None:
         """Open, stick or slip, tried in this order; W (m, m) of this contact alone, 0 where none of them is possible."""
+        if not self.shifts:
+            return None
         if b[0] >= 0:
             return np.zeros_like(b)
         stuck = _solve_regular(W, -b)

@@ -1,0 +1,339 @@
+"""Mechanical systems: files of another program, helpers against their formulas, C, sweeps and checkpoints, what is refused."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+import sympy
+
+import nsmodel
+from nsmodel import Contact, MechanicalSystem, ModelError, UsageError, check, mechanics, simulate, sweep
+from tests.models.test_mechanical_scenes import G, S, ball, incline, pendulum, pile, rod
+from tests.simulation.test_compiled_runs import stop_after
+
+FILES = Path(__file__).resolve().parents[3] / "shared" / "data" / "mechanics"
+AS_SICONOS = {"restitution": "newton", "project": False, "tol_g": 0.0}
+
+
+def reference(name):
+    if not (FILES / name).exists():
+        pytest.skip("the reference files are not here")
+    return np.loadtxt(FILES / name, skiprows=1)
+
+
+# -- files of Siconos, first row: t, then columns ----------------------------------------------------------------------
+
+
+def test_a_ball_of_siconos():
+    ref, q, v = reference("BouncingBallTS.ref"), S("height"), S("speed")
+    model = MechanicalSystem(q=q, v=v, M=1, F=-G, contacts={"floor": Contact(q, e=0.9)}, q0=1, t_end=10, step=5e-3,
+                             activation=0.5, **AS_SICONOS)  # fmt: skip
+    run = simulate(model)
+    n = min(len(ref), len(run.t))
+    np.testing.assert_allclose(run.x[:n], ref[:n, 1:3], atol=1e-12)
+
+
+def test_a_disc_of_siconos():
+    ref, q, v, R = reference("Ball2D_kernel_only_with_friction.ref"), S("p", 3), S("w", 3), 0.5
+    floor = Contact(q[0] - R, slip=v[1] - R * v[2], mu=0.1, e=0.9)
+    model = MechanicalSystem(q=q, v=v, M=[1, 1, 0.4 * R**2], F=[-G, 0, 0], contacts={"floor": floor}, q0=[1, 0, 0], v0=[0, 0, 2],
+                             t_end=10, step=5e-3, activation=1, **AS_SICONOS)  # fmt: skip
+    run = simulate(model)
+    n = min(len(ref), len(run.t))
+    np.testing.assert_allclose(run.q[:n, 0], ref[:n, 1], atol=1e-12)
+    np.testing.assert_allclose(np.abs(run.v[:n]), np.abs(ref[:n, [2, 8, 3]]), atol=1e-12)
+
+
+def test_a_column_of_beads_of_siconos():
+    ref, n = reference("ColumnOfBeadsTS.ref"), 10
+    q, v = S("p", n), S("w", n)
+    contacts = {"floor": Contact(q[0] - 0.1, e=0.9)} | {f"pair {i}": Contact(q[i + 1] - q[i] - 0.2, e=0.9) for i in range(n - 1)}
+    model = MechanicalSystem(q=q, v=v, M=1, F=[-G] * n, contacts=contacts, q0=1 + 0.25 * np.arange(n), t_end=2, step=5e-4,
+                             activation=0.5, **AS_SICONOS)  # fmt: skip
+    run = simulate(model, compiled=True)
+    k = min(len(ref), len(run.t))
+    np.testing.assert_allclose(run.q[:k], ref[:k, 1:21:2], atol=1e-12)
+    np.testing.assert_allclose(run.v[:k], ref[:k, 2:22:2], atol=1e-12)
+
+
+def test_two_balls_of_siconos():
+    ref, q, v, R = reference("TwoBouncingBallTS-MoreauJeanGOSI.ref"), S("p", 6), S("w", 6), 0.1
+    contacts = {
+        "floor": Contact(q[0], slip=v[1:3], mu=0.6, e=0.95, e_t=0.95),
+        "pair": Contact(q[3] - q[0] - 2 * R, slip=v[4:6] - v[1:3], mu=0.6, e=0.95, e_t=0.95),
+    }
+    M, F = [1, 1, 0.4 * R**2, 2, 2, 0.8 * R**2], [-G, 0, 0, -2 * G, 0, 0]
+    model = MechanicalSystem(q=q, v=v, M=M, F=F, contacts=contacts, q0=[0.1, 0, 0, 0.301, 0, 0], t_end=3, step=1e-3,
+                             activation=1.5, **AS_SICONOS)  # fmt: skip
+    run = simulate(model, compiled=True)
+    n = min(len(ref), len(run.t))
+    np.testing.assert_allclose(run.x[:n][:, [0, 6, 3]], ref[:n][:, [1, 2, 5]], atol=1e-12)
+
+
+def test_a_stick_of_siconos():
+    ref, q, v, a = reference("ImpactingStick.ref"), S("p", 3), S("w", 3), np.pi / 4
+    tip = Contact(q[1] - 0.5 * ca.cos(q[2]), slip=-v[0] - 0.5 * ca.cos(q[2]) * v[2], mu=0.01, e=1)
+    model = MechanicalSystem(q=q, v=v, M=[1, 1, 1 / 12], F=[0, -10, 0], contacts={"tip": tip},
+                             q0=[0.5 * np.sin(a), 0.5 * np.cos(a) + 0.01, a], v0=[-0.5, 0.1, 0.1], t_end=0.2, step=1e-4,
+                             activation=0.5, geometry="begin", **AS_SICONOS)  # fmt: skip
+    run = simulate(model, compiled=True)
+    n = min(len(ref), len(run.t))
+    np.testing.assert_allclose(run.x[:n], ref[:n, 1:7], atol=1e-12)
+
+
+def woodpecker(t_end):
+    """Glocker's woodpecker toy: sleeve, spring and bird on a pole."""
+    rO, rM, hM, lM, lG, hS, lS = 0.0025, 0.0031, 0.0058, 0.010, 0.015, 0.02, 0.0201
+    mM, mS, JM, JS, c = 0.0003, 0.0045, 5e-9, 7e-7, 0.0056
+    q, v, (a, b, d) = S("p", 3), S("w", 3), (mS * lM, mS * lG, mS * lM * lG)
+    M = [[mS + mM, a, b], [a, JM + mS * lM**2, d], [b, d, JS + mS * lG**2]]
+    F = -G * ca.vertcat(mS + mM, a, b) - c * ca.vertcat(0, q[1] - q[2], q[2] - q[1])
+    contacts = {
+        "beak": Contact(-hS * q[2] + lM + lG - lS - rO, slip=v[0] + lM * v[1] + (lG - lS) * v[2], mu=0.3, e=0.5),
+        "upper": Contact(hM * q[1] + rM - rO, slip=v[0] + rM * v[1], mu=0.3),
+        "lower": Contact(-hM * q[1] + rM - rO, slip=v[0] + rM * v[1], mu=0.3),
+    }
+    return MechanicalSystem(q=q, v=v, M=M, F=F, contacts=contacts, q0=[0, -0.1036, -0.2788], v0=[-0.3411, 4.8572e-15, -7.4583],
+                            t_end=t_end, step=2e-5, activation=0.5, **AS_SICONOS)  # fmt: skip
+
+
+def test_a_woodpecker_of_siconos():
+    """Impacts with friction, stick, slip and self-locking; the file has rates of size 32, to 1e-8 by its own tolerance."""
+    ref, run = reference("Woodpecker.ref"), simulate(woodpecker(0.3), compiled=True)
+    n = min(len(ref), len(run.t))
+    np.testing.assert_allclose(run.q[:n], ref[:n, 1::2][:, :3], atol=1e-10)
+    np.testing.assert_allclose(run.v[:n], ref[:n, 2::2][:, :3], atol=1e-7)
+
+
+def test_a_bar_of_siconos():
+    ref, n, E, area, density = reference("ImpactingBar.ref"), 100, 210e9, 3.14e-4, 7800.0
+    line = np.eye(n, k=1) + np.eye(n, k=-1)
+    ends = np.eye(n)[0] + np.eye(n)[-1]
+    M = (np.diag(2 / 3 - ends / 3) + line / 6) * density * area / n
+    K = (np.diag(2 - ends) - line) * E * area * n
+    q, v = S("p", n), S("w", n)
+    model = MechanicalSystem(q=q, v=v, M=M, F=-ca.DM(K) @ q, contacts={"wall": Contact(q[0])}, q0=[5e-5] * n, v0=[-0.1] * n,
+                             t_end=2e-6 * (len(ref) - 1), step=2e-6, activation=0, **AS_SICONOS)  # fmt: skip
+    run = simulate(model, compiled=True)
+    np.testing.assert_allclose(run.q[:, 0], ref[:, 1], atol=1e-12)
+    np.testing.assert_allclose(run.v[:, 0], ref[:, 2], atol=1e-12)
+
+
+# -- helpers -----------------------------------------------------------------------------------------------------------
+
+
+def values(contact, q, v, at_q, at_v):
+    f = ca.Function("contact", [q, v], [contact.gap, ca.SX(0, 1) if contact.slip is None else contact.slip])
+    gap, slip = f(at_q, at_v)
+    return float(gap), np.array(slip).ravel()
+
+
+def test_helpers_say_what_their_geometry_is():
+    """Gaps by distances; slips and normal velocities by differences of the point that touches."""
+    q, v, h = S("p", 3), S("w", 3), 1e-6
+    place, speed = np.array([0.3, 1.2, 0.7]), np.array([0.4, -0.2, 1.5])
+    wall = ((1.0, 0.0), (-3.0, 4.0))
+    normal = np.array([-0.6, 0.8])
+    gap, slip = values(mechanics.disc(q, v, 0.25, wall, mu=0.1), q, v, place, speed)
+    assert gap == pytest.approx(normal @ (place[:2] - [1, 0]) - 0.25)
+    rim = speed[:2] + speed[2] * np.array([normal[1], -normal[0]]) * 0.25
+    assert slip == pytest.approx([np.array([0.8, 0.6]) @ rim])
+    c, s = np.cos(0.7), np.sin(0.7)
+    gap, slip = values(mechanics.corner(q, v, (0.5, -0.2), mu=0.1), q, v, place, speed)
+    assert gap == pytest.approx(1.2 + s * 0.5 + c * -0.2)
+    ahead = place + h * speed
+    moved = [part[0] + np.cos(part[2]) * 0.5 + np.sin(part[2]) * 0.2 for part in (place, ahead)]
+    assert slip == pytest.approx([(moved[1] - moved[0]) / h], abs=1e-5)
+    gap, _ = values(mechanics.segment(q, v, 0.1, (-1, 0), (0, 0.5)), q, v, place, speed)
+    assert gap == pytest.approx(np.hypot(0.3, 0.7) - 0.1)  # the end (0, 1/2) is nearest
+    gap, slip = values(mechanics.point(q[:2], v[:2], speed=(2.0, 0.0), mu=0.5), q, v, place, speed)
+    assert (gap, slip[0]) == pytest.approx((1.2, -1.6))
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 2, -2), (-2, 1, 0.5)])
+def test_spheres_slip_across_their_normal(normal):
+    q, v = S("p", 3), S("w", 6)
+    n = np.array(normal) / np.linalg.norm(normal)
+    contact = mechanics.sphere(q, v, 0.5, ((0, 0, 0), normal), mu=0.3)
+    rng = np.random.default_rng(0)
+    speed = rng.normal(size=6)
+    gap, slip = values(contact, q, v, [1.0, 2.0, 3.0], speed)
+    assert gap == pytest.approx(n @ [1, 2, 3] - 0.5)
+    rim = speed[:3] + np.cross(speed[3:], -0.5 * n)
+    assert np.linalg.norm(slip) == pytest.approx(np.linalg.norm(rim - n * (n @ rim)))
+
+
+def test_gravity_pulls_the_last_direction():
+    np.testing.assert_allclose(mechanics.gravity([(2, 0.1), 1], g=10), [0, -20, 0, 0, -10])
+    np.testing.assert_allclose(mechanics.gravity([3], size=3), [0, 0, -3 * 9.81])
+
+
+def test_a_sphere_rolls_as_a_bowling_ball():
+    """In space, with its spin and q' = T v; the lane along x: v = 5/7 of its speed, and a wall of another sphere stops it."""
+    R, q, v = 0.11, S("p", 3), S("w", 6)
+    contacts, M = {"lane": mechanics.sphere(q, v, R, mu=0.2)}, [1, 1, 1, *[0.4 * R**2] * 3]
+    start = {"q0": [0, 0, R], "v0": [3, 0, 0, 0, 0, 0], "t_end": 1, "step": 5e-3}
+    model = MechanicalSystem(q=q, v=v, M=M, F=[0, 0, -G, 0, 0, 0], kinematics=np.eye(3, 6), contacts=contacts, **start)
+    run = simulate(model)
+    assert run.v[-1, 0] == pytest.approx(5 / 7 * 3, abs=1e-11)
+    assert run.v[-1, 4] == pytest.approx(5 / 7 * 3 / R, abs=1e-9)
+    assert run.q[-1, 0] == pytest.approx(2.330088, abs=2e-4)
+
+
+# -- with the rest of the package --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", [ball(0.5, 1e-2), incline(25, -2.0), pendulum(5e-3), rod(5e-2), woodpecker(0.01)])
+def test_c_is_the_interpreted_run(model):
+    here, there = simulate(model, compiled=False), simulate(model, compiled=True)
+    for name in {"x", "multipliers", "u_N", "u_T", "gap", "acting", "energy"} & set(here.arrays):
+        size = max(1.0, np.nanmax(np.abs(here.arrays[name]), initial=0.0))
+        np.testing.assert_allclose(there.arrays[name][1:], here.arrays[name][1:], atol=1e-11 * size)
+    rows = here.multipliers.shape[1]  # of positions that touch without push, the code is a matter of rounding
+    np.testing.assert_array_equal(there.index_set[1:, :rows], here.index_set[1:, :rows])
+
+
+def test_a_run_goes_on_as_it_would_have(tmp_path, monkeypatch):
+    model = woodpecker(0.01)
+    whole = simulate(model, compiled=True)
+    with monkeypatch.context() as patch:
+        stop_after(patch, 150)
+        with pytest.raises(nsmodel.RunInterrupted):
+            simulate(model, compiled=True, out=tmp_path)
+    resumed = simulate(model, out=tmp_path, resume=True, compiled=True)
+    np.testing.assert_array_equal(resumed.x, whole.x)
+    np.testing.assert_array_equal(resumed.index_set, whole.index_set)
+
+
+def test_columns_are_what_they_say():
+    run = simulate(incline(25, 2.0))
+    np.testing.assert_allclose(run.reactions[1:, 0], G * np.cos(np.deg2rad(25)), rtol=1e-12)
+    np.testing.assert_allclose(run.reactions[1:, 1], -0.5 * run.reactions[1:, 0], rtol=1e-12)
+    np.testing.assert_array_equal(run.q, run.x[:, :2])
+    np.testing.assert_allclose(run.u_T[1:], run.v[1:, 0], rtol=1e-14)
+    assert (run.acting[1:] == 1).all()
+    work = np.diff(run.energy) - run.step[1:] * G * np.sin(np.deg2rad(25)) * (run.v[1:, 0] + run.v[:-1, 0]) / 2
+    np.testing.assert_allclose(run.impulse_work[1:], work, atol=1e-13)
+
+
+def test_models_are_swept_pickled_saved_and_checked(tmp_path):
+    e, q, v = S("e"), S("height"), S("speed")
+    model = MechanicalSystem(
+        q=q, v=v, M=1, F=-G, contacts={"floor": Contact(q, e=e)}, q0=1, t_end=1, step=1e-2, parameters={"e": 0.5}
+    )
+    found = sweep(model, grid={"e": [0.2, 0.8]}, outputs={"end": "height[-1]"})
+    for value, end in zip((0.2, 0.8), found["end"].values, strict=True):
+        assert end == pytest.approx(simulate(model, parameters={"e": value}).height[-1], abs=1e-12)
+    other = pickle.loads(pickle.dumps(model))
+    np.testing.assert_array_equal(simulate(other).x, simulate(model).x)
+    simulate(model).save(tmp_path / "run.npz")
+    np.testing.assert_array_equal(nsmodel.Trajectory.load(tmp_path / "run.npz").gap, simulate(model).gap)
+    verdicts = {f.id: f.verdict for f in check(model).findings}
+    assert {verdicts[id] for id in ("C-M", "C-lin", "C-start", "C-e", "C-theta")} == {"holds"}
+    assert {verdicts[id] for id in ("C-ind", "C-mfcq", "C-W", "C-P", "C-F")} == {"unknown"}
+    with pytest.raises(UsageError, match="not located; give step="):
+        simulate(model, rtol=1e-4)
+
+
+def test_sympy_writes_the_same_model():
+    q, v = sympy.symbols("p_0 p_1"), sympy.symbols("w_0 w_1")
+    floor = Contact(q[1], slip=v[0], mu=0.5)
+    run = simulate(
+        MechanicalSystem(q=q, v=v, M=1, F=[0, -G], contacts={"floor": floor}, q0=[0, 0], v0=[1, 0], t_end=1, step=1e-2)
+    )
+    assert run.v[-1, 0] == 0
+    assert run.q[-1, 0] == pytest.approx(1 / (2 * 0.5 * G), rel=2e-2)
+
+
+def test_several_answers_are_said_unless_one_is_proved():
+    def warned(model):
+        return [text for text in simulate(model).metadata["warnings"] if text.startswith("unique")]
+
+    assert not warned(ball(0.5, 0.1))
+    assert not warned(incline(25, 0.0, step=0.1))  # one contact on a line, mu below mu_c
+    assert warned(woodpecker(4e-5))
+    assert "rank 18 of 24" in warned(pile(0.5, 0.1))[0]
+
+
+def test_checks_find_what_the_theory_forbids():
+    q, v = S("p", 2), S("w", 2)
+    contacts = {"a": Contact(q[1], slip=v[0], mu=0.3, e=0.5), "b": Contact(q[0] + 1, e=0.2)}
+    M = [[2 + ca.sin(q[0]), 0], [0, 1]]
+    model = MechanicalSystem(q=q, v=v, M=M, F=[0, -1], contacts=contacts, q0=[0, 0], theta=0.8, t_end=0.1, step=0.01)
+    found = {f.id: f for f in check(model).findings}
+    assert found["C-M"].verdict == "holds"
+    assert found["C-M"].value["least eigenvalue"] <= 1
+    assert [found[id].verdict for id in ("C-e", "C-theta")] == ["violated", "violated"]
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+def made(**given):
+    q, v = S("p", 2), S("w", 2)
+    standard = {"q": q, "v": v, "M": 1, "F": [0, -1], "q0": [0, 1], "t_end": 1, "step": 0.1}
+    return MechanicalSystem(**standard | {name: part(q, v) if callable(part) else part for name, part in given.items()})
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"M": [[1, 0.5], [0, 1]]}, r"M: entry \(1, 0\) is 0, and \(0, 1\) is 0.5; a mass matrix is symmetric"),
+        ({"M": np.eye(3)}, r"M: shape \(3, 3\); expected \(2, 2\)"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1], slip=v[0] ** 2, mu=0.1)}}, "contact 'a': slip = .* is not affine"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1], slip=v[0], mu=-0.1)}}, r"contact 'a': mu = -0.1; expected a number"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1], slip=v[0], mu=[0.1, 0.2])}}, "contact 'a': mu: 2 values; expected one"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1], e=1.5)}}, r"contact 'a': e = 1.5; expected a number in \[0, 1\]"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1] + v[0])}}, "contact 'a': gap depends on 'w_0'"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1], slip=[v[0], v[1], v[0]], mu=0.1)}}, "slip has 3 rows; a contact has 1"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1], mu=0.1)}}, "contact 'a': mu or e_t is given without slip"),
+        ({"contacts": lambda q, v: {"a": q[1]}}, r"contact 'a': .*expected Contact\(gap"),
+        ({"contacts": lambda q, v: [Contact(q[1])]}, "expected a dictionary {name: Contact"),
+        ({"contacts": lambda q, v: {"a": Contact(q[1])}, "joints": lambda q, v: {"a": q[0]}}, "'a' names two of the states"),
+        ({"v": S("w", 3)}, "v: 3 velocities for 2 positions; give kinematics"),
+        ({"theta": 0.3}, r"theta = 0.3; expected a number in \[1/2, 1\]"),
+        ({"activation": "soon"}, "activation = 'soon'; expected one of 'free', 0, 0.5, 1, 1.5"),
+        ({"restitution": "poisson"}, "restitution = 'poisson'"),
+        ({"geometry": "left"}, "geometry = 'left'"),
+        ({"inertia": "both"}, "inertia = 'both'"),
+        ({"tol_g": -1}, "tol_g = -1"),
+        ({"project": 1}, "project = 1"),
+    ],
+)  # fmt: skip
+def test_bad_models_are_named(given, text):
+    with pytest.raises(ModelError, match=text):
+        made(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"M": np.diag([1.0, 0.0])}, "M: its least eigenvalue at the start is 0"),
+        ({"contacts": lambda q, v: {"wall": Contact(q[0] - 0.5)}}, "contact 'wall' overlaps at the start: its gap is -0.5"),
+        ({"joints": lambda q, v: {"rod": ca.sumsqr(q) - 4}}, "joint 'rod' is open at the start: c = -3"),
+        ({"joints": lambda q, v: {"rod": ca.sumsqr(q) - 1}, "v0": [0, 1]}, "joint 'rod' moves apart at the start: dc/dt = 2"),
+    ],
+)  # fmt: skip
+def test_bad_starts_are_named(given, text):
+    with pytest.raises(UsageError, match=text):
+        simulate(made(**given))
+
+
+def test_a_step_without_an_answer_names_its_contacts():
+    """Two walls that close on a body."""
+    t = S("t")
+    walls = {"contacts": lambda q, v: {"left": Contact(q[0] + 0.1 - t), "right": Contact(0.1 - t - q[0])}}
+    with pytest.raises(nsmodel.StepError, match=r"left|right"):
+        simulate(made(t=t, project=False, **walls))
+
+
+def test_bad_walls_are_named():
+    q, v = S("p", 2), S("w", 2)
+    with pytest.raises(ModelError, match=r"wall: .*the normal not 0"):
+        mechanics.disc(q, v, 1.0, ((0, 0), (0, 0)))
+    with pytest.raises(ModelError, match="segment: both ends are"):
+        mechanics.segment(q, v, 1.0, (0, 0), (0, 0))
