@@ -207,3 +207,13 @@ TRUE["S-convex, a norm"] = (
         forms({"form": "norm", "w": "3", "A": [["1"]], "c": [at_all_times("0")], "offset": at_all_times("-1"), "time": None}),
     ),
 )
+
+
+NOWHERE = [["in", 0], ["const", "-1"], ["mul", 1, 0], ["pow", 2, "3/2"]]  # (-s)^(3/2), defined at s = 0 alone.
+FORGERIES["O-dry of (-s)^(3/2)"] = (
+    {
+        **oscillator(theta=[s, s], H=[[["1"]], [["1"]]]),
+        "theta": [program(s, s), {"inputs": ["s"], "steps": NOWHERE, "outputs": [3]}],
+    },
+    claim("O-dry", **{"radius of A(0)": "1"}),
+)

@@ -557,7 +557,7 @@ def _turning(g: Function, delta: Any, a: Point, sampler: Sampler) -> str:
     """A point of U, down from a, at which the gradient jumps: as in the centre of a distance."""
     (at,) = g.values(a)
     down, scale = [0, *(-d for d in at.g[1:])], norm(at.g[1:])
-    if not scale or not abs(scale) < HUGE:
+    if not 1e-3 < scale < 1e6:  # Else the widths below are no small ones.
         return ""
 
     def slope(length: Any) -> Any:

@@ -1157,15 +1157,15 @@ def potential(m: OscillatorData, s: VerifierStatement) -> str:
 
 def dry(m: OscillatorData, s: VerifierStatement) -> str:
     """O-dry: sum theta_j'(0) |H_j d| >= r |d| for all d.
-    Theorem: a sum of numbers >= 0 is not below the root of the sum of their squares. Premises: 1. r > 0; 2. theta_j'(0) >= 0; 3.
-    sum theta_j'(0)^2 H_j'H_j - r^2 is psd.
+    Theorem: a sum of numbers >= 0 is not below the root of the sum of their squares. Premises: 1. r > 0; 2. theta_j'(0) >= 0,
+    theta_j being defined on [0, 2^-30]; 3. sum theta_j'(0)^2 H_j'H_j - r^2 is psd.
     """
     r, frictions = s.value["radius of A(0)"], m.frictions()
     need(r > 0, "r is not > 0")  # 1
     gram = eye(m.n, -r * r)
     for theta, entry in zip(frictions, entries(field(m.data, "H"), len(frictions)), strict=True):
         H, low = matrix(entry, None, m.n, m.parameters), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
-        need(low >= 0, "theta'(0) < 0")  # 2
+        need(low >= 0 and defined(theta, [VerifierInterval(ZERO, Q(1, 2**30))]), "theta'(0) < 0, or no theta")  # 2
         gram = plus(gram, times(transpose(H), H), low * low)
     need(psd(gram), "the radius")  # 3
     return f"sum_j theta_j'(0) |H_j d| >= {written(r, DOWN)} |d| for all d"
