@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from search import falsity
-from test_certificate_forgeries import claim, first_order, forms, inclusion, lure, oscillator, program, q, s, sweeping, t, x, y, z
+from search.claims import claim, first_order, forms, inclusion, lure, oscillator, program, q, s, sweeping, t, x, y, z
 
 from nsmodel import (
     Bodies,
@@ -187,7 +187,7 @@ def at(model, values):
         steps = [["const", fixed[step[1]]] if step[0] == "in" and step[1] in fixed else step for step in item["steps"]]
         if own or len(item["outputs"]) != 1:
             return {"inputs": own, "steps": steps, "outputs": item["outputs"]}
-        (value,) = falsity.values({"inputs": [], "steps": steps, "outputs": item["outputs"]}, [])
+        value = falsity.digits({"steps": steps}, [])[item["outputs"][0]]
         return str(Fraction(str(value.v)))
 
     return {name: put(part) for name, part in model.items() if name != "parameters"}
