@@ -18,7 +18,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PARTS = ("nsmodel", "tests", "docs", "cases", "pyproject.toml")
-NOT_COPIED = shutil.ignore_patterns("__pycache__", "gallery", "fixtures", "bench", "search", "images", "notebooks")
+NOT_COPIED = shutil.ignore_patterns("__pycache__", "gallery", "fixtures", "bench", "images", "notebooks")
 
 
 class Recipe(NamedTuple):
@@ -287,7 +287,7 @@ RECIPES = [
             "nsmodel/modeling/laws/__init__.py": {
                 "from nsmodel.modeling.laws.polyhedron": "from nsmodel.modeling.laws.l1_ball import L1Ball, l1_ball\n"
                 "from nsmodel.modeling.laws.polyhedron",
-                "Polyhedron, Ellipsoid)": "Polyhedron, Ellipsoid, L1Ball)",
+                "Ellipsoid, Coulomb)": "Ellipsoid, Coulomb, L1Ball)",
                 '    "polyhedron",\n': '    "l1_ball",\n    "polyhedron",\n',
             },
             "nsmodel/__init__.py": {"    equality,\n": "    equality,\n    l1_ball,\n", '"latch",': '"l1_ball",\n    "latch",'},

@@ -19,7 +19,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.modeling.laws import CURVED_KINDS
 from nsmodel.solvers import mlcp
 from nsmodel.solvers import mlcp as qp
 from nsmodel.solvers.newton import uses_working_set
@@ -146,9 +145,8 @@ def _check_solver_applies(solver: str, structure: StepStructure, law: NumericLaw
     if not structure.m:
         raise UsageError(f"solver '{solver}' does not apply: the model has no multipliers; leave --solver out")
     if law.curved and solver not in (IPOPT_SOLVER, "semismooth"):
-        kinds = [f"{kind}s" for kind in CURVED_KINDS]
-        either = f"{', '.join(kinds[:-1])} or {kinds[-1]}"
-        raise UsageError(f"solver '{solver}' does not apply: the law has {either}; use semismooth or ipopt")
+        kinds = " and ".join(dict.fromkeys(K.plural for _, K in law.curved))
+        raise UsageError(f"solver '{solver}' does not apply: the law has {kinds}; use semismooth or ipopt")
     if solver in qp.QP_SOLVERS and not monotone:
         raise UsageError(
             f"solver '{solver}' does not apply: the step is not a convex QP (least eigenvalue of W + W' {least:.3g}); "

@@ -51,7 +51,7 @@ def test_what_the_check_says_of_tables():
     oscillator = FrictionOscillator(x=x, potential=LUT(x), friction=0.1 * s, s=s, x0=[1.5], v0=[0.0], t_end=1, step=0.01)
     report = check(oscillator, quick=True)
     assert report["O-g"].verdict == "holds"
-    assert report["O-g"].value["least g met"] == 0
+    assert report["O-g"].value["inf g"] == 0
     sweeping = SweepingProcess(q=x, f=-LUT(x), constraints={"wall": x + 1}, q0=[1.0], t_end=1, step=0.1)
     velocity = check(sweeping, region={"x": (-2, 2)})["S-f"]
     assert velocity.verdict == "holds"

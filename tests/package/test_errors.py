@@ -688,7 +688,7 @@ def test_a_wrong_value_for_a_parameter_is_refused():
         (
             lambda: lure_2(law=ball(2)),
             "qpoases",
-            "solver 'qpoases' does not apply: the law has balls, cones or ellipsoids; use semismooth or ipopt",
+            "solver 'qpoases' does not apply: the law has balls; use semismooth or ipopt",
         ),
         (
             lambda: lure(D=-5),

@@ -274,10 +274,12 @@ def test_names_that_matplotlib_would_misread():
         ("ball", ["l inside the ball (y = 0)", "l on the sphere"]),
         ("cone", ["open (l = 0)", "l inside the cone (y = 0)", "l on the cone"]),
         ("ellipsoid", ["l inside the ellipsoid (y = 0)", "l on the ellipsoid"]),
+        ("Coulomb friction", ["open (l = 0)", "stick (y = 0)", "slip (l on the cone)"]),
     ],
 )
 def test_the_strip_speaks_each_laws_words(kind, words):
-    assert set(strips.STATE_LABELS) == {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid"}
+    known = {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid", "Coulomb friction"}
+    assert set(strips.STATE_LABELS) == known
     run = altered(oscillator(), law_kinds=[kind], model_class="LureSystem")
     assert legend(plot.index_strip(run)) == words
 

@@ -93,6 +93,11 @@ class CurvedSet(ABC):
         return math.isfinite(self.radius)
 
     @property
+    def plural(self) -> str:
+        """What messages call several of them."""
+        return f"{self.kind}s"
+
+    @property
     def is_normal_cone(self) -> bool:
         """Whether the law is -y ∈ N_K(l); else it is -ŷ(y) ∈ N_K(l)."""
         return True

@@ -52,6 +52,11 @@ class CoulombSet(CurvedSet):
     is_cone: ClassVar[bool] = True
 
     @property
+    def plural(self) -> str:
+        """What messages call several of them."""
+        return "contacts with friction"
+
+    @property
     def is_normal_cone(self) -> bool:
         """Whether it is the associated law."""
         return not self.shifts

@@ -17,7 +17,7 @@ from nsmodel.proof import conic, exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.convex import rules
 from nsmodel.proof.convex.quasiconcave import has_convex_superlevel_set
 from nsmodel.proof.domain import NONZERO, domain_conditions
-from nsmodel.proof.expression_graph import stack_column
+from nsmodel.proof.expression_graph import operation_codes, stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, HypothesisPart, not_none, suppress_output
 
@@ -151,6 +151,8 @@ class ConvexSet:
 
 def natural_domain(g: ca.SX, x: ca.SX) -> ca.SX:
     """Rows u(x) with g finite only where u >= 0: concave arguments of the logarithms and roots that it always evaluates."""
+    if ca.OP_CALL in operation_codes(g):  # what cannot be looked into
+        return ca.SX(0, 1)
     arguments = [one.u for one in domain_conditions(g) if one.relation != NONZERO and not one.guards and ca.depends_on(one.u, x)]
     return stack_column(u for u in arguments if rules.global_curvatures(u, x)[0].concave)
 
