@@ -270,6 +270,24 @@ def test_checks_find_what_the_theory_forbids():
     assert [found[id].verdict for id in ("C-e", "C-theta")] == ["violated", "violated"]
 
 
+def test_the_energy_of_impacts_is_promised_where_it_is_kept():
+    """Not where walls move, nor where e acts on approach alone and others push what separates."""
+    t, (q, v) = S("t"), (S("p", 2), S("w", 2))
+
+    def promised(contacts, **given):
+        model = MechanicalSystem(t=t, q=q, v=v, M=1, contacts=contacts, q0=[1, 1], t_end=0.1, step=0.1, **given)
+        return {one.name: one.verdict for one in check(model, quick=True).consequences}.get("impacts keep or lose energy")
+
+    floor, wall = Contact(q[1], e=0.5), Contact(q[0], e=0.5)
+    assert promised({"floor": floor}) == "holds"
+    assert promised({"floor": floor, "wall": wall}) is None
+    assert promised({"floor": floor, "wall": wall}, restitution="newton") == "holds"
+    assert promised({"floor": Contact(q[1], slip=v[0], mu=0.3), "wall": Contact(q[0])}) == "holds"
+    assert promised({"floor": Contact(q[1] - t)}) is None
+    assert promised({"belt": Contact(q[1], slip=v[0] - 1, mu=0.3)}) is None
+    assert promised({"floor": Contact(q[1], slip=v[0], mu=0.3, e=0.5)}) == "unknown"
+
+
 # -- what is refused ---------------------------------------------------------------------------------------------------
 
 

@@ -49,17 +49,30 @@ def check(
     """
     others = [make_finding(hypothesis, UNKNOWN, NOT_YET) for hypothesis in UNDECIDED]
     findings = [_check_mass(model, region, quick), _check_linear(model), _check_start(model), *_check_energy(model), *others]
-    return findings, _consequences(findings)
+    return findings, _consequences(model, findings)
 
 
-def _consequences(findings: Sequence[Finding]) -> list[Consequence]:
+def _consequences(model: MechanicalSystem, findings: Sequence[Finding]) -> list[Consequence]:
     """What follows of impacts alone, and of steps."""
     kept = "an impact does not raise the kinetic energy: T+ - T- = -(1 - e)/(2 (1 + e)) <P, W P>; for e = 0, <P, u+> - <P, W P>/2"
-    one = "each step has one velocity"
-    return [
-        make_consequence("impacts keep or lose energy", kept, findings, ("C-M", "C-e"), MOREAU),
-        make_consequence("one answer", one, findings, ("C-M", "C-lin", "C-ind", "C-P"), "Moreau 1988; Génot and Brogliato 1999"),
-    ]
+    one, paper = "each step has one velocity", "Moreau 1988; Génot and Brogliato 1999"
+    found = [make_consequence("one answer", one, findings, ("C-M", "C-lin", "C-ind", "C-P"), paper)]
+    if _has_one_restitution(model) and not _has_moving_contact(model):
+        found.insert(0, make_consequence("impacts keep or lose energy", kept, findings, ("C-M", "C-e"), MOREAU))
+    return found
+
+
+def _has_one_restitution(model: MechanicalSystem) -> bool:
+    """Whether e is the same for all that push: where it acts on approach alone, what separates and is pushed has e = 0."""
+    restitution = any(float(one.e) for one in model.contact_rows)
+    return not restitution or model.restitution == "newton" or len(model.contact_rows) == 1
+
+
+def _has_moving_contact(model: MechanicalSystem) -> bool:
+    """Whether a wall or a belt moves by itself: it may do work."""
+    at_rest = [ca.substitute(one.slip, model.v, ca.SX.zeros(model.v.numel())) for one in model.contact_rows if one.slip.numel()]
+    rates = [ca.jacobian(one.gap, model.t) for one in model.contact_rows]
+    return not all(part.is_zero() for part in [*at_rest, *rates])
 
 
 def _check_mass(model: MechanicalSystem, region: Region, quick: bool) -> Finding:

@@ -1,8 +1,9 @@
 """Whether a step with contacts has one answer: W = G M^-1 G' at the start, where it is the same at all positions.
 
 Without friction one, where W is definite. On lines with W definite one for every b where all determinants of the modes are > 0:
-the map is piecewise linear with a piece for each choice of modes, rows of W for stick, P_T = -+ mu P_N for slip; for a single
-contact that is mu < mu_c = W_NN/|W_NT|. Elsewhere there may be several (Painlevé; hyperstatic piles).
+the map is piecewise linear with a piece for each choice of modes, rows of W for stick, P_T = -+ mu P_N for slip, and at most four
+of them meet at a face of codimension 2 (Kuhn and Löwen, Linear Algebra and its Applications 97, 1987); for a single contact that
+is mu < mu_c = W_NN/|W_NT|. Elsewhere there may be several (Painlevé; hyperstatic piles).
 """
 
 from __future__ import annotations
