@@ -650,6 +650,7 @@ def test_the_check_makes_its_own_runs():
 # -- sizes, and what is refused ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_twenty_thousand_are_decided_without_their_pairs():
     import tracemalloc
 

@@ -92,6 +92,7 @@ def inclusion(field: ca.SX, operator: ca.SX, low: int | None, high: int | None) 
     return MonotoneInclusion(x=x, field=field, operator=operator, x0=start, t_end=1, step=0.1, **ends)
 
 
+@pytest.mark.long
 def test_sums_of_steps_on_intervals_are_what_they_are():
     """What holds is true and what is violated is false, of all; of those without floor and ceil most are decided."""
     decided = asked = 0
