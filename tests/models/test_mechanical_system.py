@@ -341,6 +341,27 @@ def test_bad_starts_are_named(given, text):
         simulate(made(**given))
 
 
+def test_a_coefficient_that_a_parameter_takes_out_of_its_range_is_named():
+    e, part = S("e"), {"contacts": lambda q, v: {"floor": Contact(q[1], e=S("e"))}}
+    assert simulate(made(parameters={e: 0.5}, **part)).status == "done"
+    with pytest.raises(UsageError, match="contact 'floor': e = 2 with e = 2; expected a number in"):
+        simulate(made(parameters={e: 0.5}, **part), parameters={"e": 2.0})
+
+
+def test_friction_may_move_with_time():
+    """mu(t) constant gives the run of the number, and mu < 0 is refused by its row."""
+    t = S("t")
+
+    def slid(mu):
+        part = {"contacts": lambda q, v: {"floor": Contact(q[1], slip=v[0], mu=mu)}, "q0": [0, 0], "v0": [1, 0]}
+        return simulate(made(t=t, **part))
+
+    np.testing.assert_allclose(slid(0.05 + 0 * ca.fmax(t, 0) * t).x, slid(0.05).x, atol=1e-13)
+    np.testing.assert_allclose(slid(ca.fmax(0.05, -t)).x, slid(0.05).x, atol=1e-13)
+    with pytest.raises(nsmodel.StepError, match="the law of 'floor' at t = "):
+        slid(0.05 - t)
+
+
 def test_a_step_without_an_answer_names_its_contacts():
     """Two walls that close on a body."""
     t = S("t")

@@ -113,6 +113,7 @@ class MechanicalSystem(Model):
     x: ca.SX = field(init=False, repr=False)
     x0: ca.SX = field(init=False, repr=False)
     contact_rows: tuple[ContactTerms, ...] = field(init=False, repr=False)
+    law: Law = field(init=False, repr=False)
     joint_names: tuple[str, ...] = field(init=False, repr=False)
 
     paper: ClassVar[str] = "Moreau, Unilateral contact and dry friction in finite freedom dynamics (1988); Jean (1999)"
@@ -152,6 +153,7 @@ class MechanicalSystem(Model):
         self._set(
             q=q, v=v, M=M, F=F, potential=V, kinematics=kinematics, contact_rows=contacts,
             joints=MappingProxyType(joints), joint_names=tuple(joint_names),
+            law=product(*(one.law for one in contacts), equality(len(joint_names))),
             inertia=self._chosen_inertia(M, F, q, v), stems=self._stems_of_parts(n, nv),
             x0=ca.vertcat(
                 self._read_start(c, self.q0, "q0", n), self._read_start(c, 0 if self.v0 is None else self.v0, "v0", nv)
@@ -244,11 +246,6 @@ class MechanicalSystem(Model):
         if found.is_constant() and not low <= float(found) <= high:
             raise ModelError(f"{label} = {float(found):g}; expected a number in [{low:g}, {high:g}]")
         return found
-
-    @property
-    def law(self) -> Law:
-        """The law of all contacts, as impulses; then of the joints."""
-        return product(*(one.law for one in self.contact_rows), equality(len(self.joint_names)))
 
     @property
     def multiplier_names(self) -> tuple[str, ...]:

@@ -277,6 +277,10 @@ def check_start(model: MechanicalSystem) -> None:
             raise UsageError(f"joint '{name}' is open at the start: c = {value:g}{given}; choose q0 with c = 0")
         if abs(moves) > JOINT_SLACK * max(speed, 1.0) * max(size, 1.0):
             raise UsageError(f"joint '{name}' moves apart at the start: dc/dt = {moves:g}{given}; choose v0 with dc/dt = 0")
+    for one in model.contact_rows:
+        for letter, value, low in (("e", float(one.e), 0.0), ("e_t", float(one.e_t), -1.0)):
+            if not low <= value <= 1:
+                raise UsageError(f"contact '{one.name}': {letter} = {value:g}{given}; expected a number in [{low:g}, 1]")
     for block, one in zip(model.law.blocks, model.contact_rows, strict=False):
         if why := block.invalidity_reason(given):
             raise UsageError(f"contact '{one.name}': {why}")

@@ -35,6 +35,8 @@ def uniqueness_doubt(model: MechanicalSystem) -> str:
         return ""
     if not constant:
         return f"W changes with positions; at the start rank {rank} of {len(W)}{_critical_text(model, W)}"
+    if not all(one.mu.is_constant() for one in friction):
+        return f"mu moves; rank {rank} of {len(W)}{_critical_text(model, W)}"
     if any(one.slip.numel() > 1 for one in friction):
         return f"friction in space: rank {rank} of {len(W)}{_critical_text(model, W)}"
     if len(model.contact_rows) > MAX_CONTACTS:
