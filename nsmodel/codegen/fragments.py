@@ -124,7 +124,7 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
     ("solvers.structure", "MONOTONE_ERROR"),
     ("solvers.catching_up", "USED CUT_ITERATIONS CUT_TOLERANCE ACTS BISECTIONS"),
     ("modeling.laws.ellipsoid", "MULTIPLIER_ITERATIONS"),
-    ("modeling.laws.coulomb", "MIN_DRAG MAX_DRAG MAX_CANCELLATION DRAG_BISECTIONS"),
+    ("modeling.laws.coulomb", "MIN_DRAG DRAG_DECADES MAX_CANCELLATION DRAG_BISECTIONS"),
     ("solvers.friction_contacts", "MAX_MODES"),
     ("codegen.features", "AFFINE_ITERATIONS FRAGILE_REFINEMENTS"),
     ("codegen.structs", "READY"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,11 +11,11 @@ from conftest import optimised
 from search.contacts import KINDS, TOLERANCE, ContactProblem, answer, draw_problem, judge, natural_map, planted_point
 
 import nsmodel
-from nsmodel import ModelError, coulomb, product
+from nsmodel import ModelError, complementarity, coulomb, equality, product
 from nsmodel.modeling.laws import CoulombSet
 from nsmodel.solvers import friction_contacts, mlcp
 from nsmodel.solvers.residuals import numeric_law
-from tests.codegen.test_codegen_affine import COMPILER, Library, compiled, source
+from tests.codegen.test_codegen_affine import COMPILER, Library, compiled, hostile, source
 
 MUS = (0.0, 0.3, 1.0, 2.5)
 G = 9.81
@@ -156,6 +158,32 @@ def test_the_chain_in_c_is_that_of_python(d, count, tmp_path):
             assert natural_map(problem, c.l) <= TOLERANCE
         if c.solver != "none" and seed % 2 == 0:  # W definite
             np.testing.assert_allclose(problem.W @ c.l, problem.W @ python.l, atol=1e-11 * np.abs(problem.b).max())
+
+
+MIXED = product(coulomb(0.4), coulomb(0.3, slip=2), complementarity(1), coulomb(0.0), equality(1))
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_hostile_numbers_end_and_nothing_false_passes(tmp_path):
+    """NaN, infinities, sizes to 1e300, in C under a sanitizer and, a few of them, in Python."""
+    law, checked = numeric_law(MIXED), ("-fsanitize=undefined", "-fno-sanitize-recover=all")
+    text = source(MIXED, rows=2 * law.size)
+    library = Library(compiled(tmp_path, text, optimised("-O1"), "-shared", "-fPIC", *checked, name="hostile"))
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        W, b = hostile(rng, law.size)
+        warm, index = rng.choice([np.nan, np.inf, 1e300, 0.0, 1.0], law.size), rng.integers(-1, 2, law.size).astype(np.int8)
+        with np.errstate(all="ignore"):
+            c = library.solve(W, b, law, warm, index)
+            found = [c.l] * (c.solver != "none")
+            if seed < 8:
+                with contextlib.suppress(np.linalg.LinAlgError):  # which a run takes for a step that fails
+                    python = mlcp.solve_mlcp(W, b, law, warm, index, (mlcp.SEMISMOOTH,), False, 1e-10)
+                    found += [python.l] * (python.residual <= 1e-10)
+            for l in found:
+                assert np.isfinite(l).all()
+                rounding = 8 * 2.0**-53 / 1e-10 * (np.abs(W) @ np.abs(l) + np.abs(b))
+                assert mlcp._residual_given_rounding(W, b, law, l, rounding).max() <= 2e-10
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------

@@ -124,14 +124,15 @@ static void slip_in_space(const double *W, const double *b, double mu, double *l
     for (int i = 0; i < 9; i++)
         size = max_of(size, fabs(W[i]));
     double low = 0, high = MIN_DRAG*size;
-    while (drag(W, b, mu, high, l)) {
+    int decades = 0;
+    for (; decades < DRAG_DECADES && drag(W, b, mu, high, l); decades++) {
         low = high;
         high *= 10;
-        if (!(high <= MAX_DRAG*size)) {
-            l[0] = mu == 0 ? -b[0]/W[0] : 0;
-            l[1] = l[2] = 0;
-            return;
-        }
+    }
+    if (decades == DRAG_DECADES) {
+        l[0] = mu == 0 ? -b[0]/W[0] : 0;
+        l[1] = l[2] = 0;
+        return;
     }
     for (int i = 0; i < DRAG_BISECTIONS; i++) {
         const double middle = (low + high)/2;

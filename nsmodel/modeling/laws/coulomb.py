@@ -36,7 +36,7 @@ from nsmodel.modeling.laws.base import (
 )
 
 SLIP_ROWS = (1, 2)  # Of a contact in the plane, and in space.
-MIN_DRAG, MAX_DRAG = 1e-12, 1e18  # |y_T|/|P_T| of a contact that slips, beside the largest entry of W: where it is looked for.
+MIN_DRAG, DRAG_DECADES = 1e-12, 30  # |y_T|/|P_T| in slip, beside the largest entry of W: the least, and how far it is looked for.
 MAX_CANCELLATION = 1e12  # Terms of W l beside b from which on W seems singular.
 DRAG_BISECTIONS = 100  # Of that interval, until its ends are neighbours.
 
@@ -186,12 +186,13 @@ def _slip_in_space(W: np.ndarray, b: np.ndarray, mu: float) -> np.ndarray:
         n, p1, p2 = at(a)
         return not math.hypot(p1, p2) <= mu * n
 
-    size = float(np.abs(W).max())
-    low, high = 0.0, MIN_DRAG * size
-    while is_outside(high):
+    low, high = 0.0, MIN_DRAG * float(np.abs(W).max())
+    for _ in range(DRAG_DECADES):
+        if not is_outside(high):
+            break
         low, high = high, 10 * high
-        if high > MAX_DRAG * size:
-            return np.array([-b0 / w0, 0.0, 0.0]) if mu == 0 else np.zeros(3)
+    else:
+        return np.array([-b0 / w0, 0.0, 0.0]) if mu == 0 else np.zeros(3)
     for _ in range(DRAG_BISECTIONS):
         middle = (low + high) / 2
         if not low < middle < high:
