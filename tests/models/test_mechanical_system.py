@@ -374,5 +374,8 @@ def test_bad_walls_are_named():
     q, v = S("p", 2), S("w", 2)
     with pytest.raises(ModelError, match=r"wall: .*the normal not 0"):
         mechanics.disc(q, v, 1.0, ((0, 0), (0, 0)))
+    for other in (3.0, (1,), [], ((0, 0), (0, 1), 1.0, 4)):
+        with pytest.raises(ModelError, match=r"wall: .*expected \(a point on it, its normal\), 2 numbers each"):
+            mechanics.disc(q, v, 1.0, other)
     with pytest.raises(ModelError, match="segment: both ends are"):
         mechanics.segment(q, v, 1.0, (0, 0), (0, 0))

@@ -57,11 +57,7 @@ def disc(q: ca.SX, v: ca.SX, radius: Any, other: Any = FLOOR, **given: Any) -> C
         other: a wall, (a point on it, its normal), or another disc, (q, v, radius).
         given: mu, e, e_t of the `Contact`; ``speed``: the velocity of the wall, (2,).
     """
-    q, v = ca.SX(q), ca.SX(v)
-    if len(other) == 3:
-        return _two_round_bodies(q, v, radius, *other, size=2, **given)
-    base, normal = _wall(other, 2)
-    return _contact(q[:2] - radius * normal, _rim_velocity(v, -radius * normal), base, normal, given)
+    return _round_body(ca.SX(q), ca.SX(v), radius, other, 2, given)
 
 
 def corner(q: ca.SX, v: ca.SX, at: Sequence[float], wall: Any = FLOOR, **given: Any) -> Contact:
@@ -107,15 +103,15 @@ def sphere(q: ca.SX, v: ca.SX, radius: Any, other: Any = GROUND, **given: Any) -
         other: a plane, (a point on it, its normal), or another sphere, (q, v, radius).
         given: mu, e, e_t of the `Contact`; ``speed``: the velocity of the plane, (3,).
     """
-    q, v = ca.SX(q), ca.SX(v)
-    if len(other) == 3:
-        return _two_round_bodies(q, v, radius, *other, size=3, **given)
-    base, normal = _wall(other, 3)
-    return _contact(q[:3] - radius * normal, _rim_velocity(v, -radius * normal), base, normal, given)
+    return _round_body(ca.SX(q), ca.SX(v), radius, other, 3, given)
 
 
-def _two_round_bodies(q: ca.SX, v: ca.SX, r: Any, q_2: Any, v_2: Any, r_2: Any, *, size: int, **given: Any) -> Contact:
-    q_2, v_2 = ca.SX(q_2), ca.SX(v_2)
+def _round_body(q: ca.SX, v: ca.SX, r: Any, other: Any, size: int, given: dict[str, Any]) -> Contact:
+    """With a wall, or with another round body, (q, v, radius)."""
+    if not isinstance(other, Sequence) or len(other) != 3:
+        base, normal = _wall(other, size)
+        return _contact(q[:size] - r * normal, _rim_velocity(v, -r * normal), base, normal, given)
+    q_2, v_2, r_2 = ca.SX(other[0]), ca.SX(other[1]), other[2]
     away = q[:size] - q_2[:size]
     normal = away / ca.norm_2(away)
     velocity = _rim_velocity(v, -r * normal) - _rim_velocity(v_2, r_2 * normal)
