@@ -90,7 +90,7 @@ def natural_map(problem: ContactProblem, l: np.ndarray) -> float:
         moved[0] += rho * mu * np.linalg.norm(y[own][1:])
         u = l[own] - moved
         n, s = u[0], np.linalg.norm(u[1:])
-        if s <= mu * n:
+        if 0 < mu and 0 <= n and s <= mu * n:
             nearest = u
         elif mu * s <= -n:
             nearest = np.zeros(d)
@@ -124,7 +124,7 @@ def _gauss_seidel(problem: ContactProblem) -> np.ndarray:
             u = l[own] - rho * (y + np.r_[mu * np.linalg.norm(y[1:]), np.zeros(d - 1)])
             n, s = u[0], np.linalg.norm(u[1:])
             k = max((n + mu * s) / (1 + mu**2), 0.0)
-            l[own] = u if s <= mu * n else np.concatenate([[k], mu * k / s * u[1:] if s > 0 else u[1:] * 0])
+            l[own] = u if 0 <= n and s <= mu * n else np.concatenate([[k], mu * k / s * u[1:] if s > 0 else u[1:] * 0])
         if not np.isfinite(l).all():
             return last
         if np.abs(l - last).max() <= 1e-13 * np.abs(l).max():

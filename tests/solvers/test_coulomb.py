@@ -40,6 +40,26 @@ def test_the_projection_is_the_nearest_point(mu, d):
         assert ((inside - p) @ (u - p)).max() <= 1e-12 * size * np.abs(inside).max() + 1e-12 * size**2
 
 
+@pytest.mark.parametrize("mu", [0.0, 5e-324, 0.3])
+def test_nothing_pulls(mu):
+    """Without friction the cone is a half line: -1 is not in it, though |P_T| = 0 <= mu P_N = 0."""
+    K, u = CoulombSet(mu), np.array([-1.0, 0.0])
+    np.testing.assert_array_equal(K.project(u), 0)
+    np.testing.assert_array_equal(K.jacobian(u), 0)
+    assert K.code(u) == -1
+    assert float(coulomb(mu).blocks[0].excess(u[None])[0, 0]) == 1
+    problem = ContactProblem(np.eye(2), np.array([1.0, 0.0]), np.array([mu]), 2, None)
+    assert mlcp.affine_law_residual(problem.W, problem.b, problem.law, u).max() > 0.1
+    assert natural_map(problem, u) > 0.1
+
+
+@pytest.mark.parametrize("mu", [1.0, 1e3, 1e9, 1e300])
+def test_much_friction_hides_no_approach(mu):
+    """y_N = -1 with P = 0 is judged as what it is, however large mu |y_T| is beside it."""
+    problem = ContactProblem(np.eye(2), np.array([-1.0, 0.3]), np.array([mu]), 2, None)
+    assert mlcp.affine_law_residual(problem.W, problem.b, problem.law, np.zeros(2)).max() > 0.1
+
+
 @pytest.mark.parametrize("mu", MUS)
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_derivatives_are_those_of_differences(mu, d):

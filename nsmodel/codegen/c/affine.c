@@ -66,8 +66,8 @@ static double row_residual(double lo, double up, double l, double y, double s_y,
 }
 #if CURVED
 
-/* |l - P_K(l - c ŷ)| / (c s_y), ŷ = y where the law is a normal cone, of a block whose rows begin at l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the
-   graph, c = min(s_l / s_y, 1 / w). */
+/* |l - P_K(l - c ŷ)| / (c s_y), ŷ = y where the law is a normal cone, of a block whose rows begin at l: by Minty
+   (P_K(u), (P_K(u) - u)/c), u = l - c ŷ, is a point of the graph, c = min(s_l / s_y, 1 / w). */
 static double block_residual(const curved_block *k, const double *numbers, const double *l, const double *y,
                              const double *s_y, const double *s_l, const double *w_max)
 {
@@ -81,6 +81,8 @@ static double block_residual(const curved_block *k, const double *numbers, const
     double shifted[MODEL_BLOCK];
     COPY(shifted, y, k->size);
     set_shift(k, numbers, shifted);
+    if (shifted[0] != y[0]) /* mu |y_T| may hide y_N: 0 <= l_N ⟂ y_N >= 0 */
+        distance = fabs(min_of(l[0], c*y[0]));
     y = shifted;
 #endif
     int inside = 1;
@@ -89,8 +91,10 @@ static double block_residual(const curved_block *k, const double *numbers, const
     set_project(k, numbers, nearest);
     for (int i = 0; i < k->size; i++)
         inside = inside && nearest[i] == u[i];
+    double off = 0;
     for (int i = 0; i < k->size; i++)
-        distance = hypot(distance, inside ? c*y[i] : l[i] - nearest[i]);
+        off = hypot(off, inside ? c*y[i] : l[i] - nearest[i]);
+    distance = max_of(distance, off);
     if (EPS*norm(k->size, l) > UNSEEN*(c*of_y)) /* y is lost in the rounding of l */
         distance = max_of(distance, EPS*norm(k->size, l));
     return ratio(distance, c*of_y);

@@ -75,7 +75,7 @@ class CoulombSet(CurvedSet):
     def project(self, u: np.ndarray) -> np.ndarray:
         """u inside, 0 in the polar cone, else k (1, mu e), k = (u_N + mu |u_T|)/(1 + mu^2), e = u_T/|u_T|."""
         head, size = u[0], safe_norm(u[1:])
-        if size <= self.mu * head:
+        if self._holds(head, size):
             return u
         if self.mu * size <= -head:
             return np.zeros_like(u)
@@ -85,7 +85,7 @@ class CoulombSet(CurvedSet):
     def jacobian(self, u: np.ndarray) -> np.ndarray:
         """Of the three branches of P_K."""
         mu, head, size = self.mu, u[0], safe_norm(u[1:])
-        if size <= mu * head:
+        if self._holds(head, size):
             return np.eye(u.size)
         J = np.zeros((u.size, u.size))
         if mu * size <= -head:
@@ -101,9 +101,13 @@ class CoulombSet(CurvedSet):
     def code(self, u: np.ndarray) -> int:
         """Stick, open or slip; contact without friction is slip."""
         head, size = u[0], safe_norm(u[1:])
-        if size <= self.mu * head and self.mu > 0:
+        if self._holds(head, size):
             return 0
         return -1 if self.mu * size <= -head else 1
+
+    def _holds(self, head: float, size: float) -> bool:
+        """Whether u with u_N = head, |u_T| = size is in the cone with an interior: without friction it is a half line."""
+        return self.mu > 0 and 0 <= head and size <= self.mu * head
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
         """Scale P_T, so that P_N stays."""
@@ -286,7 +290,7 @@ class Coulomb(LawFactor):
 
 def excess_at_rows(l: np.ndarray, mu: Any) -> np.ndarray:
     """How far rows l (N, m) are outside the cone of mu, one number or (N, 1): (N, 1) >= 0."""
-    return np.maximum(np.linalg.norm(l[:, 1:], axis=1, keepdims=True) - mu * l[:, :1], 0)
+    return np.maximum(np.linalg.norm(l[:, 1:], axis=1, keepdims=True) - mu * np.maximum(l[:, :1], 0), np.maximum(-l[:, :1], 0))
 
 
 def rivals_at_rows(l: np.ndarray, y: np.ndarray, mu: Any) -> np.ndarray:
