@@ -74,7 +74,7 @@ def _property_flags(spec: StepSpec) -> dict[str, bool]:
             "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
             "VELOCITY": bool(problem.velocity),
             "DIFFERENCE": bool(problem.velocity) and problem.difference,
-            "FORCE": problem.state.numel() - 2 * problem.inputs > len(spec.model.names) and not problem.velocity,
+            "FORCE": problem.start is not None,
             "FIXED_MAPS": spec.path == FIXED and structure.m > 0 and not law.curved,
             "ONE_STEP": (spec.path in (FIXED, BANDED) and not _has_lengths(spec))
             or varying_steps.is_step_fixed_by_tolerance(spec),

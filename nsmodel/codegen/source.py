@@ -126,10 +126,8 @@ def _step_replacements(
     model, problem = spec.model, spec.problem
     one = "MODEL_STEP to 1e-12: the matrices in the code belong to it" if spec.path in (FIXED, BANDED) else "MODEL_STEP"
     known = " or ".join(c_number(h).text for h in spec.known_lengths if h)
-    moved = "last difference of positions" if problem.difference else "velocity"
-    last = moved if problem.velocity else "reaction of the last step"
     layout = varying_steps.packed_layout(spec)
-    behind = [f"the {last}"] if {"VELOCITY", "FORCE"} & flags else []
+    behind = [problem.carried] if problem.carried else []
     behind += ["the inputs at the begin and at the end of a step"] if problem.inputs else []
     carried = "".join(f", then {what}" for what in behind)
     return {

@@ -94,6 +94,7 @@ class OneStepProblem:
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
         order: of the scheme between switches.
+        carried: what the state carries between the model's own and the inputs, in words; "" where nothing.
         velocity: the record that is the change of the state in a step over h, where the state carries that change; else "".
         difference: whether it carries the change itself, and not the velocity.
         gap: the record of how far next_state is inside what it is projected on, where it is; else "".
@@ -126,6 +127,7 @@ class OneStepProblem:
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
     order: SchemeOrder = field(default_factory=lambda: SchemeOrder(1))
+    carried: str = ""
     velocity: str = ""
     difference: bool = True
     gap: str = ""

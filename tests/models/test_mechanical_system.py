@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -239,6 +240,52 @@ def test_models_are_swept_pickled_saved_and_checked(tmp_path):
         simulate(model, rtol=1e-4)
 
 
+def dropped(**given):
+    """A point dropped on a floor; all that it depends on is a parameter."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    e, height, mu, m = (ca.SX.sym(name) for name in ("e", "height", "mu", "m"))
+    start = {e: 0.5, height: 0.5, mu: 0.3, m: 1.0}
+    return MechanicalSystem(
+        q=q, v=v, M=m * np.eye(2), F=ca.vertcat(0, -G * m), contacts={"floor": Contact(q[1], slip=v[0], mu=mu, e=e)},
+        q0=[0, height], v0=[1, 0], t_end=0.5, step=0.01, parameters=start | given,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("is_compiled", [False, True])
+def test_a_contact_without_friction_does_not_pull(is_compiled):
+    """mu = 0 as a parameter: free flight until it lands, and never an impulse < 0."""
+    run = simulate(dropped(), parameters={"mu": 0.0}, compiled=is_compiled)
+    above = run.t < np.sqrt(2 * 0.5 / G) - 0.02
+    np.testing.assert_allclose(run.v[above, 1], -G * run.t[above], atol=1e-12)
+    assert (run.multipliers[1:, 0] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "bad", "message"),
+    [
+        ("e", 2.0, "e = 2 with .*expected a number in \\[0, 1\\]"),
+        ("e", -0.1, "e = -0.1 with .*expected a number in \\[0, 1\\]"),
+        ("height", -0.5, "contact 'floor' overlaps at the start: its gap = -0.5"),
+        ("mu", -0.5, "mu = -0.5"),
+        ("m", -1.0, "M: its least eigenvalue at the start is -1"),
+        ("m", 0.0, "M: its least eigenvalue at the start is 0"),
+    ],
+)
+def test_a_compiled_sweep_refuses_what_a_run_refuses(name, bad, message):
+    found = sweep(dropped(), grid={name: [0.6, bad, 0.7]}, outputs={"end": "q_1[-1]"}, compiled=True)
+    assert (found.status != 0).tolist() == [False, True, False]
+    assert re.search(message, found.messages[1])
+
+
+def test_the_code_of_a_system_carries_its_largest_gap_and_no_reaction(tmp_path):
+    """A reaction in the state would have its own setter, of n numbers."""
+    about = nsmodel.codegen.write(dropped(), tmp_path, name="scene").about
+    header = (tmp_path / "scene.h").read_text()
+    assert not about["force"]
+    assert "set_force" not in header
+    assert "the states, then the largest gap so far" in header
+
+
 def test_sympy_writes_the_same_model():
     q, v = sympy.symbols("p_0 p_1"), sympy.symbols("w_0 w_1")
     floor = Contact(q[1], slip=v[0], mu=0.5)
@@ -331,7 +378,7 @@ def test_bad_models_are_named(given, text):
     ("given", "text"),
     [
         ({"M": np.diag([1.0, 0.0])}, "M: its least eigenvalue at the start is 0"),
-        ({"contacts": lambda q, v: {"wall": Contact(q[0] - 0.5)}}, "contact 'wall' overlaps at the start: its gap is -0.5"),
+        ({"contacts": lambda q, v: {"wall": Contact(q[0] - 0.5)}}, "contact 'wall' overlaps at the start: its gap = -0.5"),
         ({"joints": lambda q, v: {"rod": ca.sumsqr(q) - 4}}, "joint 'rod' is open at the start: c = -3"),
         ({"joints": lambda q, v: {"rod": ca.sumsqr(q) - 1}, "v0": [0, 1]}, "joint 'rod' moves apart at the start: dc/dt = 2"),
     ],

@@ -75,6 +75,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         ends=basic.ends, scale=basic.scale,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start_problem(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        carried="the reaction of the last step" if ga < 1 else "",
         order=SchemeOrder.from_weights(th, ga, gx, ca.vertcat(t, h, x, u), basic.law, Y, basic.l),
         explicit=tuple(range(n, 2 * n)),
     )  # fmt: skip

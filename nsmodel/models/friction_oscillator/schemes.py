@@ -84,7 +84,7 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
         multipliers=own.multipliers, outputs=None if own.multipliers is None else y, declared=rows,
         ends=own.ends, scale=own.scale,
         records={"v": v},
-        velocity="v", difference=not keeps,
+        carried="the velocity" if keeps else "the last difference of positions", velocity="v", difference=not keeps,
     )  # fmt: skip
     return with_carried_inputs(problem, model.u, u)
 

@@ -62,6 +62,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         outputs=moving_law_outputs(law.outputs, y, law.ends) if law.rewritten else None,
         ends=law.ends, scale=law.scale,
         start=_initial_multiplier_problem(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        carried="the reaction of the last step" if ga < 1 else "",
         order=SchemeOrder.from_weights(th, ga, r, ca.vertcat(t, h, u, x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
     )  # fmt: skip
     return with_carried_inputs(problem, model.u, u)

@@ -40,7 +40,7 @@ def initial_checks() -> InitialChecks:
     from nsmodel.models.mechanical_system import schemes
     from nsmodel.solvers.initial_checks import InitialChecks
 
-    return InitialChecks(check_start=schemes.check_start, warnings=schemes.warnings)
+    return InitialChecks(check_start=schemes.check_start, warnings=schemes.warnings, admitted=schemes.admitted)
 
 
 def hypothesis_checks() -> HypothesisChecks:

@@ -116,6 +116,7 @@ def one_step_problem(model: MechanicalSystem) -> OneStepProblem:
         scheme=f"Moreau-Jean, theta = {th:g}", t=model.t, h=h, state=ca.vertcat(q, v, step.size), p=model.p,
         z=z, l=l, y=ca.SX.sym("y", l.numel()), E=E, Y=Y, law=law, rows=rows, guess=guess,
         next_state=ca.vertcat(q_end, step.v_next, largest), order=SchemeOrder(1),
+        carried="the largest gap so far",
         multipliers=basic.multipliers, outputs=_column([*(one.u for one in contacts), held]), declared=model.multiplier_names,
         ends=basic.ends, records=records,
     )  # fmt: skip
@@ -255,35 +256,67 @@ def energy_function(model: MechanicalSystem) -> ca.Function:
 GAP_SLACK, JOINT_SLACK = 1e-5, 1e-8  # Parts of the size of positions by which a start may overlap, and a joint be open.
 
 
-def check_start(model: MechanicalSystem) -> None:
-    """Refuse M that is not positive definite at the start, contacts that overlap, joints that are open or move apart."""
+class StartCondition(NamedTuple):
+    """What a model asks of its start and its parameters: ``margin`` >= 0; else "what = value; expected"."""
+
+    margin: ca.SX
+    value: ca.SX
+    what: str
+    expected: str
+
+
+def start_conditions(model: MechanicalSystem) -> list[StartCondition]:
+    """No contact overlaps, no joint is open or moves apart, coefficients of restitution are in their ranges."""
     at = ca.vertcat(model.t, model.x), ca.vertcat(0, model.x0)
-    M = np.array(ca.DM(ca.substitute(model.M, *at)))
+    gaps, q0, v0 = start_values(model)[0], model.x0[: model.q.numel()], model.x0[model.q.numel() :]
+    joints = _column(model.joints.values())
+    rate = ca.jacobian(joints, model.q) @ (position_rates(model) @ model.v) + ca.jacobian(joints, model.t)
+    values, rates = ca.substitute([joints, rate], *([part] for part in at))
+    size = ca.fmax(1e-300, ca.norm_inf(ca.vertcat(0, q0, gaps)))
+    open_slack = JOINT_SLACK * ca.fmax(size, size**2)
+    rate_slack = JOINT_SLACK * ca.fmax(ca.norm_inf(ca.vertcat(1, v0)), 1) * ca.fmax(size, 1)
+    found = [
+        StartCondition(gap + GAP_SLACK * size, gap, f"contact '{one.name}' overlaps at the start: its gap", "move q0 until it is >= 0")
+        for one, gap in zip(model.contact_rows, ca.vertsplit(gaps), strict=True)
+    ]
+    for name, c, moves in zip(model.joint_names, ca.vertsplit(values), ca.vertsplit(rates), strict=True):
+        found.append(StartCondition(open_slack - ca.fabs(c), c, f"joint '{name}' is open at the start: c", "choose q0 with c = 0"))
+        what, fix = f"joint '{name}' moves apart at the start: dc/dt", "choose v0 with dc/dt = 0"
+        found.append(StartCondition(rate_slack - ca.fabs(moves), moves, what, fix))
+    for one in model.contact_rows:
+        for letter, value, low in (("e", ca.SX(one.e), 0), ("e_t", ca.SX(one.e_t), -1)):
+            what = f"contact '{one.name}': {letter}"
+            found.append(StartCondition(ca.fmin(value - low, 1 - value), value, what, f"expected a number in [{low}, 1]"))
+    return found
+
+
+def check_start(model: MechanicalSystem) -> None:
+    """Refuse M that is not positive definite at the start, `start_conditions` that do not hold, and laws that are none.
+
+    Raises:
+        UsageError: names the contact or the joint, its value, and what is expected.
+    """
+    M = np.array(ca.DM(_mass_at_start(model)))
     least = np.linalg.eigvalsh(M) if M.size else np.ones(1)
     given = parameter_values_text(model)
     if not least[0] > 0:
         raise UsageError(f"M: its least eigenvalue at the start is {least[0]:g}{given}; a mass matrix is positive definite")
-    gaps, *_ = (np.array(ca.DM(part)).ravel() for part in start_values(model))
-    size = max(1e-300, np.abs(np.array(ca.DM(model.x0))[: model.q.numel()]).max(initial=0.0), np.abs(gaps).max(initial=0.0))
-    for one, gap in zip(model.contact_rows, gaps, strict=True):
-        if gap < -GAP_SLACK * size:
-            raise UsageError(f"contact '{one.name}' overlaps at the start: its gap is {gap:g}{given}; move q0 until it is >= 0")
-    joints = _column(model.joints.values())
-    rate = ca.jacobian(joints, model.q) @ (position_rates(model) @ model.v) + ca.jacobian(joints, model.t)
-    values, rates = (np.array(ca.DM(ca.substitute(part, *at))).ravel() for part in (joints, rate))
-    speed = np.abs(np.array(ca.DM(model.x0))[model.q.numel() :]).max(initial=0.0)
-    for name, value, moves in zip(model.joint_names, values, rates, strict=True):
-        if abs(value) > JOINT_SLACK * max(size, size**2):
-            raise UsageError(f"joint '{name}' is open at the start: c = {value:g}{given}; choose q0 with c = 0")
-        if abs(moves) > JOINT_SLACK * max(speed, 1.0) * max(size, 1.0):
-            raise UsageError(f"joint '{name}' moves apart at the start: dc/dt = {moves:g}{given}; choose v0 with dc/dt = 0")
-    for one in model.contact_rows:
-        for letter, value, low in (("e", float(one.e), 0.0), ("e_t", float(one.e_t), -1.0)):
-            if not low <= value <= 1:
-                raise UsageError(f"contact '{one.name}': {letter} = {value:g}{given}; expected a number in [{low:g}, 1]")
+    for condition in start_conditions(model):
+        if not float(condition.margin) >= 0:
+            raise UsageError(f"{condition.what} = {float(condition.value):g}{given}; {condition.expected}")
     for block, one in zip(model.law.blocks, model.contact_rows, strict=False):
         if why := block.invalidity_reason(given):
             raise UsageError(f"contact '{one.name}': {why}")
+
+
+def admitted(model: MechanicalSystem) -> list[ca.SX]:
+    """What `check_start` asks, as expressions >= 0 of the parameters; of M = L D L', the 1/D_ii, infinite where M is singular."""
+    D, *_ = ca.ldl(_mass_at_start(model))
+    return [1 / D, *(one.margin for one in start_conditions(model))]
+
+
+def _mass_at_start(model: MechanicalSystem) -> ca.SX:
+    return ca.substitute(model.M, ca.vertcat(model.t, model.x), ca.vertcat(0, model.x0))
 
 
 def warnings(model: MechanicalSystem) -> list[str]:
