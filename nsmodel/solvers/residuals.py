@@ -188,8 +188,8 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     u = l - moved
     nearest = K.project(u)
     distance = safe_norm(moved) if (nearest == u).all() else safe_norm(l - nearest)
-    if moved[0] != c * y[0]:  # mu |y_T| may hide y_N: 0 <= l_N ⟂ y_N >= 0
-        distance = max(distance, abs(min(l[0], c * y[0])))
+    if moved[0] != c * y[0]:  # mu |y_T| may hide y_N: 0 <= l_N ⟂ y_N >= 0, and nothing rubs where y_N > 0
+        distance = max(distance, abs(min(l[0], c * y[0])), min(safe_norm(l), c * y[0]))
     if (unseen := EPS * safe_norm(l)) > UNSEEN * c * of_y:  # y is lost in the rounding of l
         distance = max(distance, unseen)
     return float(distance / (c * of_y)) if distance else 0.0

@@ -54,10 +54,11 @@ def test_nothing_pulls(mu):
 
 
 @pytest.mark.parametrize("mu", [1.0, 1e3, 1e9, 1e300])
-def test_much_friction_hides_no_approach(mu):
-    """y_N = -1 with P = 0 is judged as what it is, however large mu |y_T| is beside it."""
-    problem = ContactProblem(np.eye(2), np.array([-1.0, 0.3]), np.array([mu]), 2, None)
-    assert mlcp.affine_law_residual(problem.W, problem.b, problem.law, np.zeros(2)).max() > 0.1
+def test_much_friction_hides_nothing(mu):
+    """y_N = -1 with P = 0, and friction where y_N = 1, are judged as what they are, however large mu |y_T| is beside them."""
+    for b, l in (([-1.0, 0.3], [0.0, 0.0]), ([1.0, -0.3], [0.0, 0.2])):
+        problem = ContactProblem(np.eye(2), np.array(b), np.array([mu]), 2, None)
+        assert mlcp.affine_law_residual(problem.W, problem.b, problem.law, np.array(l)).max() > 0.1
 
 
 @pytest.mark.parametrize("mu", MUS)

@@ -81,8 +81,8 @@ static double block_residual(const curved_block *k, const double *numbers, const
     double shifted[MODEL_BLOCK];
     COPY(shifted, y, k->size);
     set_shift(k, numbers, shifted);
-    if (shifted[0] != y[0]) /* mu |y_T| may hide y_N: 0 <= l_N ⟂ y_N >= 0 */
-        distance = fabs(min_of(l[0], c*y[0]));
+    if (shifted[0] != y[0]) /* mu |y_T| may hide y_N: 0 <= l_N ⟂ y_N >= 0, and nothing rubs where y_N > 0 */
+        distance = max_of(fabs(min_of(l[0], c*y[0])), min_of(norm(k->size, l), c*y[0]));
     y = shifted;
 #endif
     int inside = 1;

@@ -5,12 +5,18 @@ static int coulomb_holds(double mu, double head, double size)
     return mu > 0 && head >= 0 && size <= mu*head; /* without friction the cone is a half line */
 }
 
+/* (u_N + mu |u_T|)/(1 + mu^2), for any mu. */
+static double coulomb_nearest_normal(double mu, double head, double size)
+{
+    return mu <= 1 ? (head + mu*size)/(1 + mu*mu) : (head/mu + size)/(1/mu + mu);
+}
+
 static void coulomb_project(int m, const double *k, double *u)
 {
     const double mu = k[0], head = u[0], size = norm(m - 1, u + 1);
     if (coulomb_holds(mu, head, size))
         return;
-    u[0] = mu*size <= -head ? 0 : (head + mu*size)/(1 + mu*mu);
+    u[0] = mu*size <= -head ? 0 : coulomb_nearest_normal(mu, head, size);
     for (int i = 1; i < m; i++)
         u[i] *= size > 0 ? mu*u[0]/size : 0;
 }
@@ -19,11 +25,11 @@ static void coulomb_jacobian(int m, const double *k, const double *u, double *J)
 {
     const double mu = k[0], head = u[0], size = norm(m - 1, u + 1);
     const int inside = coulomb_holds(mu, head, size), opens = mu*size <= -head;
-    const double along = (head + mu*size)/(1 + mu*mu);
+    const double along = coulomb_nearest_normal(mu, head, size), unit = hypot(1, mu);
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++) {
             const double same = i == j, e_i = i ? (size > 0 ? u[i]/size : 0) : 1, e_j = j ? (size > 0 ? u[j]/size : 0) : 1;
-            J[i*m + j] = inside ? same : opens ? 0 : (i ? mu*e_i : 1)*(j ? mu*e_j : 1)/(1 + mu*mu);
+            J[i*m + j] = inside ? same : opens ? 0 : (i ? mu*e_i : 1)/unit*((j ? mu*e_j : 1)/unit);
             if (!inside && !opens && i && j && size > 0)
                 J[i*m + j] += mu*along/size*(same - e_i*e_j);
         }

@@ -79,7 +79,7 @@ class CoulombSet(CurvedSet):
             return u
         if self.mu * size <= -head:
             return np.zeros_like(u)
-        k = (head + self.mu * size) / (1 + self.mu**2)
+        k = self._nearest_normal(head, size)
         return np.concatenate(([k], u[1:] * (self.mu * k / size if size > 0 else 0.0)))
 
     def jacobian(self, u: np.ndarray) -> np.ndarray:
@@ -93,10 +93,10 @@ class CoulombSet(CurvedSet):
         if size == 0:  # mu = 0: the half line
             J[0, 0] = 1.0
             return J
-        e, k = u[1:] / size, (head + mu * size) / (1 + mu**2)
-        ray = np.concatenate(([1.0], mu * e))
+        e, k = u[1:] / size, self._nearest_normal(head, size)
+        ray = np.concatenate(([1.0], mu * e)) / math.hypot(1, mu)
         J[1:, 1:] = mu * k / size * (np.eye(e.size) - np.outer(e, e))
-        return J + np.outer(ray, ray) / (1 + mu**2)
+        return J + np.outer(ray, ray)
 
     def code(self, u: np.ndarray) -> int:
         """Stick, open or slip; contact without friction is slip."""
@@ -108,6 +108,11 @@ class CoulombSet(CurvedSet):
     def _holds(self, head: float, size: float) -> bool:
         """Whether u with u_N = head, |u_T| = size is in the cone with an interior: without friction it is a half line."""
         return self.mu > 0 and 0 <= head and size <= self.mu * head
+
+    def _nearest_normal(self, head: float, size: float) -> float:
+        """(u_N + mu |u_T|)/(1 + mu^2), for any mu."""
+        mu = self.mu
+        return (head + mu * size) / (1 + mu * mu) if mu <= 1 else (head / mu + size) / (1 / mu + mu)
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
         """Scale P_T, so that P_N stays."""
@@ -144,7 +149,7 @@ class CoulombSet(CurvedSet):
 
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
         """mu^2 P_N^2 - |P_T|^2."""
-        return np.diag(np.r_[-(self.mu**2), np.ones(m - 1)]), 0.0
+        return np.diag(np.r_[-(self.mu * self.mu), np.ones(m - 1)]), 0.0
 
 
 def _solve_regular(W: np.ndarray, rhs: np.ndarray) -> np.ndarray | None:

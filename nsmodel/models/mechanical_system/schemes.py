@@ -275,12 +275,13 @@ def start_conditions(model: MechanicalSystem) -> list[StartCondition]:
     size = ca.fmax(1e-300, ca.norm_inf(ca.vertcat(0, q0, gaps)))
     open_slack = JOINT_SLACK * ca.fmax(size, size**2)
     rate_slack = JOINT_SLACK * ca.fmax(ca.norm_inf(ca.vertcat(1, v0)), 1) * ca.fmax(size, 1)
-    found = [
-        StartCondition(gap + GAP_SLACK * size, gap, f"contact '{one.name}' overlaps at the start: its gap", "move q0 until it is >= 0")
-        for one, gap in zip(model.contact_rows, ca.vertsplit(gaps), strict=True)
-    ]
+    found = []
+    for one, gap in zip(model.contact_rows, ca.vertsplit(gaps), strict=True):
+        what, fix = f"contact '{one.name}' overlaps at the start: its gap", "move q0 until it is >= 0"
+        found.append(StartCondition(gap + GAP_SLACK * size, gap, what, fix))
     for name, c, moves in zip(model.joint_names, ca.vertsplit(values), ca.vertsplit(rates), strict=True):
-        found.append(StartCondition(open_slack - ca.fabs(c), c, f"joint '{name}' is open at the start: c", "choose q0 with c = 0"))
+        what, fix = f"joint '{name}' is open at the start: c", "choose q0 with c = 0"
+        found.append(StartCondition(open_slack - ca.fabs(c), c, what, fix))
         what, fix = f"joint '{name}' moves apart at the start: dc/dt", "choose v0 with dc/dt = 0"
         found.append(StartCondition(rate_slack - ca.fabs(moves), moves, what, fix))
     for one in model.contact_rows:
