@@ -103,7 +103,7 @@ class StepBatch:
             if self._spec.problem.inputs:
                 start[k, self._layout.inputs] = np.tile(initial_inputs(model), 2)
             for name, value in records.items():
-                start[k, self._layout.slices[name]] = value
+                start[k, self._layout.slices[name]] = ca.vec(value).T
         start = ca.substitute(start, self._spec.problem.h, grid.step(0))
         self._start = ca.Function("start", [model.p], [ca.vec(start.T), admitted(model), self._spec.problem.assumed])
 

@@ -277,6 +277,23 @@ def test_a_compiled_sweep_refuses_what_a_run_refuses(name, bad, message):
     assert re.search(message, found.messages[1])
 
 
+def without_friction(q, v, e):
+    return {"contacts": {"floor": Contact(q[1], e=e)}, "q0": [0, 1], "v0": [1, 0], "F": ca.vertcat(0, -G * e)}
+
+
+def without_contacts(q, v, e):
+    return {"joints": {"rod": ca.sumsqr(q) - 1}, "q0": [1, 0], "v0": [0, 0], "F": ca.vertcat(0, -G * e)}
+
+
+@pytest.mark.parametrize("kind", [without_friction, without_contacts])
+def test_compiled_sweeps_of_systems_without_slip_are_their_runs(kind):
+    q, v, e = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("e")
+    model = MechanicalSystem(q=q, v=v, M=np.eye(2), t_end=1, step=0.01, parameters={e: 0.5}, **kind(q, v, e))
+    found = sweep(model, grid={"e": [0.2, 0.5, 0.9]}, outputs={"end": "q_1[-1]"}, compiled=True)
+    runs = [simulate(model, parameters={"e": value}).q[-1, 1] for value in (0.2, 0.5, 0.9)]
+    np.testing.assert_allclose(found["end"].values, runs, atol=1e-12)
+
+
 def test_the_code_of_a_system_carries_its_largest_gap_and_no_reaction(tmp_path):
     """A reaction in the state would have its own setter, of n numbers."""
     about = nsmodel.codegen.write(dropped(), tmp_path, name="scene").about
