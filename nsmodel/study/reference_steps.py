@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.laws import Law, LawFactor
+from nsmodel.modeling.laws import Law, LawFactor, complementarity
 from nsmodel.modeling.laws.coulomb import excess_at_rows, rivals_at_rows, shifted_at_rows
 from nsmodel.modeling.parts import Part
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, stack_column
@@ -118,6 +118,7 @@ class CoulombAtRows:
         return shifted_at_rows(y, self.mu)
 
 
+HALF_LINE = complementarity(1).blocks[0]
 EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8
 PROJECTION_TOLERANCE = 1e-6
 EVALUATION_ROUNDING = 64 * np.finfo(float).eps
@@ -256,11 +257,14 @@ def output_with_error(
 def block_residual(block: LawFactor | RowSets, l: np.ndarray, y: np.ndarray, s_y: np.ndarray) -> float:
     """How far rows are from l ∈ K with <l' - l, y> >= 0 for the l' ∈ K that the block samples, beside what both may be off by.
 
-    Where K is strictly convex one l' has the least <l', y>: l is measured by its distance from that, unless y is 0.
+    Where K is strictly convex one l' has the least <l', y>: l is measured by its distance from that, unless y is 0. Contacts are
+    judged by 0 <= l_N ⟂ y_N >= 0 too: in ŷ_N = y_N + mu |y_T| a large mu hides y_N.
     """
-    y = block.shifted(y)
     s_l = LAW_TOLERANCE * np.maximum(np.abs(l).max(axis=1), block.extent)
     worst = ratio_to_allowed(block.excess(l).max(axis=1, initial=0.0), s_l)
+    contact, y = y, block.shifted(y)
+    if (contact != y).any():
+        worst = np.maximum(worst, block_residual(HALF_LINE, l[:, :1], contact[:, :1], s_y[:, :1]))
     size_y, rivals = np.linalg.norm(y, axis=1), block.rivals(l, y)
     if block.strict:
         away = ratio_to_allowed(np.linalg.norm(l - rivals[0], axis=1), s_l)

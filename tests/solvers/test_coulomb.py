@@ -15,6 +15,7 @@ from nsmodel import ModelError, complementarity, coulomb, equality, product
 from nsmodel.modeling.laws import CoulombSet
 from nsmodel.solvers import friction_contacts, mlcp
 from nsmodel.solvers.residuals import numeric_law
+from nsmodel.study.reference_steps import CoulombAtRows, block_residual
 from tests.codegen.test_codegen_affine import COMPILER, Library, compiled, hostile, source
 
 MUS = (0.0, 0.3, 1.0, 2.5)
@@ -59,6 +60,30 @@ def test_much_friction_hides_nothing(mu):
     for b, l in (([-1.0, 0.3], [0.0, 0.0]), ([1.0, -0.3], [0.0, 0.2])):
         problem = ContactProblem(np.eye(2), np.array(b), np.array([mu]), 2, None)
         assert mlcp.affine_law_residual(problem.W, problem.b, problem.law, np.array(l)).max() > 0.1
+
+
+@pytest.mark.parametrize("mu", [0.0, 1.0, 1e3, 1e9])
+@pytest.mark.parametrize("read", [lambda mu: coulomb(mu).blocks[0], lambda mu: CoulombAtRows(np.full((1, 1), mu))])
+def test_the_judge_of_studies_sees_both_too(mu, read):
+    """An approach without an impulse, friction in the air, a pull; and no objection to open, stick and slip."""
+    s_y = np.full((1, 2), 1e-8)
+    wrong = (([0.0, 0.0], [-1.0, 0.3]), ([0.0, 0.2], [1.0, -0.3]), ([-1.0, 0.0], [0.0, 0.0]))
+    right = (([0.0, 0.0], [1.0, 0.2]), ([1.0, 0.5 * mu], [0.0, 0.0]), ([1.0, -mu], [0.0, 0.3]))
+    for pairs, is_right in ((wrong, False), (right, True)):
+        for l, y in pairs:
+            with np.errstate(all="ignore"):
+                assert (block_residual(read(mu), np.array([l]), np.array([y]), s_y) <= 1) == is_right
+
+
+@pytest.mark.parametrize("value", [1e154, 1e300])
+def test_no_coefficient_overflows(value):
+    """mu^2 is infinite: an infinity, and no OverflowError, in each of the cone's expressions."""
+    K, l, y = CoulombSet(value), ca.SX.sym("l", 2), ca.SX.sym("y", 2)
+    K.complementarity(l, y, 1e-12)
+    K.quadric(2)
+    for u in ([-1.0, 0.3], [1.0, 0.3], [-1.0, 1e-3]):
+        assert np.isfinite(K.project(np.array(u))).all()
+        assert np.isfinite(K.jacobian(np.array(u))).all()
 
 
 @pytest.mark.parametrize("mu", MUS)

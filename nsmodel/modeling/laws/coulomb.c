@@ -1,6 +1,6 @@
 
 /* Coulomb friction: the cone {|l_T| <= mu l_N}, and ŷ = (y_N + mu |y_T|, y_T). */
-static int coulomb_holds(double mu, double head, double size)
+static int coulomb_contains(double mu, double head, double size)
 {
     return mu > 0 && head >= 0 && size <= mu*head; /* without friction the cone is a half line */
 }
@@ -14,7 +14,7 @@ static double coulomb_nearest_normal(double mu, double head, double size)
 static void coulomb_project(int m, const double *k, double *u)
 {
     const double mu = k[0], head = u[0], size = norm(m - 1, u + 1);
-    if (coulomb_holds(mu, head, size))
+    if (coulomb_contains(mu, head, size))
         return;
     u[0] = mu*size <= -head ? 0 : coulomb_nearest_normal(mu, head, size);
     for (int i = 1; i < m; i++)
@@ -24,7 +24,7 @@ static void coulomb_project(int m, const double *k, double *u)
 static void coulomb_jacobian(int m, const double *k, const double *u, double *J)
 {
     const double mu = k[0], head = u[0], size = norm(m - 1, u + 1);
-    const int inside = coulomb_holds(mu, head, size), opens = mu*size <= -head;
+    const int inside = coulomb_contains(mu, head, size), opens = mu*size <= -head;
     const double along = coulomb_nearest_normal(mu, head, size), unit = hypot(1, mu);
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++) {
@@ -38,7 +38,7 @@ static void coulomb_jacobian(int m, const double *k, const double *u, double *J)
 static int coulomb_code(int m, const double *k, const double *u)
 {
     const double mu = k[0], size = norm(m - 1, u + 1);
-    if (coulomb_holds(mu, u[0], size))
+    if (coulomb_contains(mu, u[0], size))
         return 0;
     return mu*size <= -u[0] ? -1 : 1;
 }

@@ -75,7 +75,7 @@ class CoulombSet(CurvedSet):
     def project(self, u: np.ndarray) -> np.ndarray:
         """u inside, 0 in the polar cone, else k (1, mu e), k = (u_N + mu |u_T|)/(1 + mu^2), e = u_T/|u_T|."""
         head, size = u[0], safe_norm(u[1:])
-        if self._holds(head, size):
+        if self._contains(head, size):
             return u
         if self.mu * size <= -head:
             return np.zeros_like(u)
@@ -85,7 +85,7 @@ class CoulombSet(CurvedSet):
     def jacobian(self, u: np.ndarray) -> np.ndarray:
         """Of the three branches of P_K."""
         mu, head, size = self.mu, u[0], safe_norm(u[1:])
-        if self._holds(head, size):
+        if self._contains(head, size):
             return np.eye(u.size)
         J = np.zeros((u.size, u.size))
         if mu * size <= -head:
@@ -101,12 +101,12 @@ class CoulombSet(CurvedSet):
     def code(self, u: np.ndarray) -> int:
         """Stick, open or slip; contact without friction is slip."""
         head, size = u[0], safe_norm(u[1:])
-        if self._holds(head, size):
+        if self._contains(head, size):
             return 0
         return -1 if self.mu * size <= -head else 1
 
-    def _holds(self, head: float, size: float) -> bool:
-        """Whether u with u_N = head, |u_T| = size is in the cone with an interior: without friction it is a half line."""
+    def _contains(self, head: float, size: float) -> bool:
+        """Whether the cone has an interior, and u with u_N = head, |u_T| = size is in it; without friction it is a half line."""
         return self.mu > 0 and 0 <= head and size <= self.mu * head
 
     def _nearest_normal(self, head: float, size: float) -> float:
@@ -145,7 +145,7 @@ class CoulombSet(CurvedSet):
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """<l, ŷ>; l in K and ŷ in its dual, which is y_N >= 0."""
         slip = ca.sqrt(ca.sumsqr(y[1:]) + tiny)
-        return ca.dot(l, y) + self.mu * l[0] * slip, [l[0], self.mu**2 * l[0] ** 2 - ca.sumsqr(l[1:]), y[0]]
+        return ca.dot(l, y) + self.mu * l[0] * slip, [l[0], self.mu * self.mu * l[0] ** 2 - ca.sumsqr(l[1:]), y[0]]
 
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
         """mu^2 P_N^2 - |P_T|^2."""
@@ -302,7 +302,8 @@ def rivals_at_rows(l: np.ndarray, y: np.ndarray, mu: Any) -> np.ndarray:
     """Points (3, N, m) of the cone: one has <l' - l, y> < 0 where l does not solve <l' - l, y> >= 0."""
     across = np.linalg.norm(y[:, 1:], axis=1, keepdims=True)
     edge = np.hstack([np.ones((len(y), 1)), -mu * y[:, 1:] / np.where(across > 0, across, 1)])
-    return np.stack([np.zeros_like(l), 2 * l, l + edge * (np.abs(l).max(axis=1, keepdims=True) + 1e-300)])
+    size = np.abs(l).max(axis=1, keepdims=True)
+    return np.stack([np.zeros_like(l), 2 * l, l + edge * np.where(size > 0, size, 1)])
 
 
 def shifted_at_rows(y: np.ndarray, mu: Any) -> np.ndarray:
