@@ -18,7 +18,7 @@ from library_fuzz import EPS, LAW, ROUND_OFF, UNDERFLOW, Input, Step, Subject, m
 
 from nsmodel import Contact, MechanicalSystem, mechanics
 
-MASS, RADIUS, HALF = np.array([1.0, 1.0, 0.02]), 0.2, 0.5
+MASS, RADIUS, HALF, STEP = np.array([1.0, 1.0, 0.02]), 0.2, 0.5, 0.01
 WEIGHT = np.array([0.0, -9.81, 0.0])
 MOST_MU = 0.58  # The rod's least mu of two answers is 2 sqrt(13.5)/12.5 = 0.588, by W_NN and W_NT (Painlevé 1895).
 OPEN = 1e30  # What is added to y_N of a contact that does not act: speeds beyond it are no longer told apart.
@@ -27,37 +27,25 @@ OPEN_GAP = 1e-10  # Part of the largest gap so far up to which a contact counts 
 Geometry = Callable[[np.ndarray], tuple[Any, np.ndarray, Any, Any]]  # q -> (gap, rows G, terms of the gap, terms of G)
 
 
-def disc(step: float) -> Callable[..., MechanicalSystem]:
+def disc(load_case: Callable[..., Any]) -> MechanicalSystem:
     """A disc of radius 0.2 m on a floor; mu and e are parameters."""
-
-    def model(load_case: Callable[..., Any]) -> MechanicalSystem:
-        q, v, mu, e = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("mu"), ca.SX.sym("e")
-        floor = mechanics.disc(q, v, RADIUS, ([0, 0], [0, 1]), mu=mu, e=e)
-        return _falling(q, v, {"floor": floor}, step, {mu: 0.3, e: 0.5})
-
-    return model
+    q, v, mu, e = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("mu"), ca.SX.sym("e")
+    floor = mechanics.disc(q, v, RADIUS, ([0, 0], [0, 1]), mu=mu, e=e)
+    return _falling(q, v, {"floor": floor}, {mu: 0.3, e: 0.5})
 
 
 def rod(load_case: Callable[..., Any]) -> MechanicalSystem:
     """A rod of 1 m whose end meets a floor; mu and e are parameters."""
     q, v, mu, e = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("mu"), ca.SX.sym("e")
     end = Contact(q[1] + HALF * ca.sin(q[2]), slip=v[0] - HALF * ca.sin(q[2]) * v[2], mu=mu, e=e)
-    return _falling(q, v, {"end": end}, 0.01, {mu: 0.3, e: 0.5})
+    return _falling(q, v, {"end": end}, {mu: 0.3, e: 0.5})
 
 
-def _falling(q: ca.SX, v: ca.SX, contacts: dict[str, Contact], step: float, parameters: dict[ca.SX, float]) -> MechanicalSystem:
+def _falling(q: ca.SX, v: ca.SX, contacts: dict[str, Contact], parameters: dict[ca.SX, float]) -> MechanicalSystem:
     return MechanicalSystem(
-        q=q,
-        v=v,
-        M=np.diag(MASS),
-        F=WEIGHT,
-        contacts=contacts,
-        q0=[0, 1, 0],
-        v0=[1, 0, 0],
-        t_end=1,
-        step=step,
+        q=q, v=v, M=np.diag(MASS), F=WEIGHT, contacts=contacts, q0=[0, 1, 0], v0=[1, 0, 0], t_end=1, step=STEP,
         parameters=parameters,
-    )
+    )  # fmt: skip
 
 
 def disc_geometry(q: np.ndarray) -> tuple[Any, np.ndarray, Any, Any]:
@@ -104,9 +92,8 @@ def judge(geometry: Geometry) -> Callable[[Step], tuple[float, float]]:
         found = motion(MASS * (v_end - v) - weight - pushed, moved, terms, lost)
 
         # One scale a contact: of y that of all velocities in it, of P what stops these, and no more than it moves.
-        size_y = (np.abs(G) @ (np.abs(v_end) + np.abs(v) + h * np.abs(WEIGHT))).max() + blur * (
-            np.abs(v).sum() + np.abs(v_end).sum()
-        )
+        speeds = np.abs(v) + np.abs(v_end)
+        size_y = (np.abs(G) @ (speeds + h * np.abs(WEIGHT))).max() + blur * speeds.sum()
         size_P = np.abs(P).max() + EPS * MASS.max() * size_y / LAW
         y = G @ v_end + np.array([e * min(G[0] @ v, 0), 0])
         ahead, _, ahead_terms, _ = geometry(q + h * v + h * h / 2 * WEIGHT / MASS)
@@ -120,10 +107,10 @@ def judge(geometry: Geometry) -> Callable[[Step], tuple[float, float]]:
         d = q_end - (q + h * (v + v_end) / 2)
         square = G[0] @ G[0]
         tau = (MASS * d) @ G[0] / square
-        rounded = MASS * (np.abs(q) + np.abs(q_end) + h * (np.abs(v) + np.abs(v_end)))
+        rounded = MASS * (np.abs(q) + np.abs(q_end) + h * speeds)
         across = np.abs(np.eye(3) - np.outer(G[0], G[0]) / square) @ rounded
         found = max(found, motion(MASS * d - G[0] * tau, MASS * np.abs(d), across, blur * abs(tau)))
-        travel = np.abs(d) + h * (np.abs(v) + np.abs(v_end) + h * np.abs(WEIGHT))  # positions are right beside it
+        travel = np.abs(d) + h * (speeds + h * np.abs(WEIGHT))  # positions are right beside it
         size_gap = np.abs(G[0]) @ travel + ROUND_OFF * gap_terms / LAW
         size_tau = (MASS * travel).max() + ROUND_OFF * rounded.sum() / LAW
         idle = min(ratios(max(gap, 0), size_gap), ratios(tau, size_tau))
@@ -151,20 +138,15 @@ def contact_input(
     return drawn
 
 
+def is_below_zero(p: np.ndarray) -> bool:
+    """Whether mu is."""
+    return p[0] < 0
+
+
+FIXED, ANY = (contact_input(disc_geometry, np.inf, length, 3) for length in (STEP, None))
+TURNING = contact_input(rod_geometry, 0.5, None, MOST_MU)
 CONTACTS = {
-    "disc": Subject(
-        disc(0.01),
-        contact_input(disc_geometry, np.inf, 0.01, 3),
-        judge(disc_geometry),
-        bad_parameters=lambda p: p[0] < 0,
-        length=0.01,
-    ),
-    "disc, any step": Subject(
-        disc(0.01),
-        contact_input(disc_geometry, np.inf, None, 3),
-        judge(disc_geometry),
-        bad_parameters=lambda p: p[0] < 0,
-        options=(("any_step", True),),
-    ),
-    "rod": Subject(rod, contact_input(rod_geometry, 0.5, None, MOST_MU), judge(rod_geometry), bad_parameters=lambda p: p[0] < 0),
+    "disc": Subject(disc, FIXED, judge(disc_geometry), bad_parameters=is_below_zero, length=STEP),
+    "disc, any step": Subject(disc, ANY, judge(disc_geometry), bad_parameters=is_below_zero, options=(("any_step", True),)),
+    "rod": Subject(rod, TURNING, judge(rod_geometry), bad_parameters=is_below_zero),
 }

@@ -176,7 +176,8 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
 
     By Minty (P_K(u), (P_K(u) - u)/c), u = l - c ŷ, is a point of the graph. In units s_l and s_y (c = s_l / s_y, at most 1 / w)
     that is at most sqrt(2) from the nearest point, as P_K is firmly nonexpansive. With c = 1 / w an l that is small beside
-    s_y / w would be judged by the rounding of y / w.
+    s_y / w would be judged by the rounding of y / w. Contacts of ŷ != y are judged by 0 <= l_N ⟂ y_N >= 0 too, and by l = 0 where
+    y_N > 0: in ŷ_N = y_N + mu |y_T| a large mu hides y_N.
     """
     rows, K = block
     l, y = l[rows], y[rows]
@@ -188,7 +189,7 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     u = l - moved
     nearest = K.project(u)
     distance = safe_norm(moved) if (nearest == u).all() else safe_norm(l - nearest)
-    if moved[0] != c * y[0]:  # mu |y_T| may hide y_N: 0 <= l_N ⟂ y_N >= 0, and nothing rubs where y_N > 0
+    if moved[0] != c * y[0]:
         distance = max(distance, abs(min(l[0], c * y[0])), min(safe_norm(l), c * y[0]))
     if (unseen := EPS * safe_norm(l)) > UNSEEN * c * of_y:  # y is lost in the rounding of l
         distance = max(distance, unseen)

@@ -240,14 +240,13 @@ def test_models_are_swept_pickled_saved_and_checked(tmp_path):
         simulate(model, rtol=1e-4)
 
 
-def dropped(**given):
+def dropped():
     """A point dropped on a floor; all that it depends on is a parameter."""
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     e, height, mu, m = (ca.SX.sym(name) for name in ("e", "height", "mu", "m"))
-    start = {e: 0.5, height: 0.5, mu: 0.3, m: 1.0}
     return MechanicalSystem(
         q=q, v=v, M=m * np.eye(2), F=ca.vertcat(0, -G * m), contacts={"floor": Contact(q[1], slip=v[0], mu=mu, e=e)},
-        q0=[0, height], v0=[1, 0], t_end=0.5, step=0.01, parameters=start | given,
+        q0=[0, height], v0=[1, 0], t_end=0.5, step=0.01, parameters={e: 0.5, height: 0.5, mu: 0.3, m: 1.0},
     )  # fmt: skip
 
 
@@ -260,12 +259,39 @@ def test_a_contact_without_friction_does_not_pull(is_compiled):
     assert (run.multipliers[1:, 0] >= 0).all()
 
 
+def ladder(mu, t_end):
+    """A uniform ladder of 2 m against a wall, its start at 1.2 rad to the floor; rotation by its angle."""
+    q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
+    sine, cosine = ca.sin(q[2]), ca.cos(q[2])
+    contacts = {
+        "floor": Contact(q[1] - sine, slip=v[0] - sine * v[2], mu=mu),
+        "wall": Contact(q[0] - cosine, slip=v[1] + cosine * v[2], mu=mu),
+    }
+    return MechanicalSystem(
+        q=q, v=v, M=np.diag([1, 1, 1 / 3]), F=ca.vertcat(0, -G, 0), contacts=contacts,
+        q0=[np.cos(1.2), np.sin(1.2), 1.2], v0=[0, 0, 0], t_end=t_end, step=1e-3,
+    )  # fmt: skip
+
+
+def test_a_smooth_ladder_leaves_the_wall_at_two_thirds_of_its_height():
+    """By energy the wall's force is 0 where sin(angle) is 2/3 of its start."""
+    run = simulate(ladder(0.0, 1.2))
+    last = np.flatnonzero(run.multipliers[:, 1] > 1e-12)[-1]
+    assert np.sin(run.q[last, 2]) / np.sin(1.2) == pytest.approx(2 / 3, abs=0.03)
+
+
+@pytest.mark.parametrize("mu", [0.3, 1e6])
+def test_a_ladder_is_held_by_friction(mu):
+    run = simulate(ladder(mu, 0.05), compiled=True)
+    np.testing.assert_allclose(run.q, run.q[[0] * len(run.t)], atol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("name", "bad", "message"),
     [
         ("e", 2.0, "e = 2 with .*expected a number in \\[0, 1\\]"),
         ("e", -0.1, "e = -0.1 with .*expected a number in \\[0, 1\\]"),
-        ("height", -0.5, "contact 'floor' overlaps at the start: its gap = -0.5"),
+        ("height", -0.5, "contact 'floor' overlaps at the start: its gap is -0.5"),
         ("mu", -0.5, "mu = -0.5"),
         ("m", -1.0, "M: its least eigenvalue at the start is -1"),
         ("m", 0.0, "M: its least eigenvalue at the start is 0"),
@@ -395,7 +421,7 @@ def test_bad_models_are_named(given, text):
     ("given", "text"),
     [
         ({"M": np.diag([1.0, 0.0])}, "M: its least eigenvalue at the start is 0"),
-        ({"contacts": lambda q, v: {"wall": Contact(q[0] - 0.5)}}, "contact 'wall' overlaps at the start: its gap = -0.5"),
+        ({"contacts": lambda q, v: {"wall": Contact(q[0] - 0.5)}}, "contact 'wall' overlaps at the start: its gap is -0.5"),
         ({"joints": lambda q, v: {"rod": ca.sumsqr(q) - 4}}, "joint 'rod' is open at the start: c = -3"),
         ({"joints": lambda q, v: {"rod": ca.sumsqr(q) - 1}, "v0": [0, 1]}, "joint 'rod' moves apart at the start: dc/dt = 2"),
     ],

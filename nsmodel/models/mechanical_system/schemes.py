@@ -257,7 +257,7 @@ GAP_SLACK, JOINT_SLACK = 1e-5, 1e-8  # Parts of the size of positions by which a
 
 
 class StartCondition(NamedTuple):
-    """What a model asks of its start and its parameters: ``margin`` >= 0; else "what = value; expected"."""
+    """What a model asks of its start and its parameters: ``margin`` >= 0; else "what value; expected"."""
 
     margin: ca.SX
     value: ca.SX
@@ -274,19 +274,19 @@ def start_conditions(model: MechanicalSystem) -> list[StartCondition]:
     values, rates = ca.substitute([joints, rate], *([part] for part in at))
     size = ca.fmax(1e-300, ca.norm_inf(ca.vertcat(0, q0, gaps)))
     open_slack = JOINT_SLACK * ca.fmax(size, size**2)
-    rate_slack = JOINT_SLACK * ca.fmax(ca.norm_inf(ca.vertcat(1, v0)), 1) * ca.fmax(size, 1)
+    rate_slack = JOINT_SLACK * ca.norm_inf(ca.vertcat(1, v0)) * ca.fmax(size, 1)
     found = []
     for one, gap in zip(model.contact_rows, ca.vertsplit(gaps), strict=True):
-        what, fix = f"contact '{one.name}' overlaps at the start: its gap", "move q0 until it is >= 0"
+        what, fix = f"contact '{one.name}' overlaps at the start: its gap is", "move q0 until it is >= 0"
         found.append(StartCondition(gap + GAP_SLACK * size, gap, what, fix))
     for name, c, moves in zip(model.joint_names, ca.vertsplit(values), ca.vertsplit(rates), strict=True):
-        what, fix = f"joint '{name}' is open at the start: c", "choose q0 with c = 0"
+        what, fix = f"joint '{name}' is open at the start: c =", "choose q0 with c = 0"
         found.append(StartCondition(open_slack - ca.fabs(c), c, what, fix))
-        what, fix = f"joint '{name}' moves apart at the start: dc/dt", "choose v0 with dc/dt = 0"
+        what, fix = f"joint '{name}' moves apart at the start: dc/dt =", "choose v0 with dc/dt = 0"
         found.append(StartCondition(rate_slack - ca.fabs(moves), moves, what, fix))
     for one in model.contact_rows:
         for letter, value, low in (("e", ca.SX(one.e), 0), ("e_t", ca.SX(one.e_t), -1)):
-            what = f"contact '{one.name}': {letter}"
+            what = f"contact '{one.name}': {letter} ="
             found.append(StartCondition(ca.fmin(value - low, 1 - value), value, what, f"expected a number in [{low}, 1]"))
     return found
 
@@ -304,7 +304,7 @@ def check_start(model: MechanicalSystem) -> None:
         raise UsageError(f"M: its least eigenvalue at the start is {least[0]:g}{given}; a mass matrix is positive definite")
     for condition in start_conditions(model):
         if not float(condition.margin) >= 0:
-            raise UsageError(f"{condition.what} = {float(condition.value):g}{given}; {condition.expected}")
+            raise UsageError(f"{condition.what} {float(condition.value):g}{given}; {condition.expected}")
     for block, one in zip(model.law.blocks, model.contact_rows, strict=False):
         if why := block.invalidity_reason(given):
             raise UsageError(f"contact '{one.name}': {why}")
