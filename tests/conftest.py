@@ -43,7 +43,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 
 
 LEFT_OUT = pytest.StashKey[int]()
-FEW, MANY = 3, 4  # So few of more than so many parameters of a test that is not fast, where few random models are tried.
+FEW, MANY = 2, 3  # So few of more than so many parameters of a test that is not fast, where few random models are tried.
 
 
 def kinds_of(path):

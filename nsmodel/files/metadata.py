@@ -85,7 +85,8 @@ RUN_FIELDS = {
         name: [TEXT_TYPE]
         for name in "state_names multiplier_names index_names input_names law_kinds used left_out warnings families".split()
     },
-    "stems": MappingOf([COUNT_TYPE]), "units": MappingOf(TEXT_TYPE), "input_groups": MappingOf([TEXT_TYPE]),
+    "stems": MappingOf([COUNT_TYPE]), "axes": MappingOf([TEXT_TYPE]),
+    "units": MappingOf(TEXT_TYPE), "input_groups": MappingOf([TEXT_TYPE]),
     "versions": MappingOf(TEXT_TYPE), "parameters": MappingOf(NUMBER_TYPE), "weights": [NUMBER_TYPE],
     "outputs": MappingOf(_QUANTITY_FIELDS), "between_rows": MappingOf((COUNT_TYPE, _QUANTITY_FIELDS)),
     "save_every": POSITIVE_TYPE, "steps": COUNT_TYPE, "tolerance": NUMBER_TYPE, "solver_counts": MappingOf(COUNT_TYPE),

@@ -17,11 +17,12 @@ from nsmodel.modeling.outputs import Quantity, SymbolsByName, check_output_name,
 from nsmodel.modeling.parameters import read_units
 from nsmodel.simulation.run_data import RunData, input_names, model_type, multiplier_names, state_names, units_of
 
-DATASET_COORDINATES = ("time", "state", "multiplier", "input", "body")  # Of an xarray.Dataset.
-# What its arrays have beside time.
-COLUMN_AXES = {name: "multiplier" for name in ("multipliers", "y", "reactions", "gap")}
-COLUMN_AXES |= {name: "state" for name in ("v", "selection", "defect")}
-COLUMN_AXES |= {"inputs": "input", "inputs_begin": "input", "pressure": "body"}
+DATASET_COORDINATES = ("time", "state", "multiplier", "input", "body", "contact", "slip")  # Of an xarray.Dataset.
+# What its arrays have beside time; the first of these axes that a run has.
+COLUMN_AXES = {name: ("multiplier",) for name in ("multipliers", "y", "reactions")}
+COLUMN_AXES |= {name: ("state",) for name in ("v", "selection", "defect")}
+COLUMN_AXES |= {"inputs": ("input",), "inputs_begin": ("input",), "pressure": ("body",), "gap": ("contact", "multiplier")}
+COLUMN_AXES |= {name: ("contact",) for name in ("u_N", "acting", "missed", "penetration", "impulse_work")} | {"u_T": ("slip",)}
 
 
 def _unused_name(name: str, taken: Container[str], prefix: str) -> str:
@@ -36,6 +37,8 @@ def csv_columns(run: RunData) -> Iterator[tuple[str, np.ndarray]]:
         named["y"] = [f"y:{name}" for name in multipliers]
     for name, prefix in (("inputs", "input"), ("inputs_begin", "input after the row before")):
         named[name] = [f"{prefix}:{one}" for one in input_names(run)]
+    axes = run.metadata.get("axes", {})
+    named |= {name: [f"{name}:{one}" for one in axes[own]] for name, (own, *_) in COLUMN_AXES.items() if own in axes}
     first = [name for name in ("t", "x", "multipliers", "y", "residual") if name in run.arrays]
     taken: set[str] = set()
     for name in dict.fromkeys([*first, *(name for name in run.arrays if not name.startswith(LIST_PREFIXES))]):
@@ -52,12 +55,13 @@ def run_dataset(run: RunData) -> Any:
     xarray = import_extra("xarray")
     units = {name: {"units": unit} for name, unit in units_of(run).items()}
     coords = {"state": state_names(run), "multiplier": multiplier_names(run), "input": input_names(run)}
+    coords |= run.metadata.get("axes", {})
     sizes, data = {name: len(names) for name, names in coords.items()}, {}
     for name, column in zip(state_names(run), run.x.T, strict=True):
         data[_unused_name(name, {*run.arrays, *DATASET_COORDINATES}, "state")] = ("time", column, units.get(name))
     for name, array in run.arrays.items():
         if name not in ("t", "x"):
-            own = COLUMN_AXES.get(name, "")
+            own = next((axis for axis in COLUMN_AXES.get(name, ()) if axis in coords or axis == "body"), "")
             shared = array.ndim == 2 and bool(own) and array.shape[1] == sizes.get(own, array.shape[1])
             along = next((stem.rstrip("_") for stem in LIST_PREFIXES if name.startswith(stem)), "time")
             rest = [own] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]

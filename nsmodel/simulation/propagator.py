@@ -337,6 +337,7 @@ def scheme_metadata(problem: OneStepProblem, tolerance: float) -> dict[str, Any]
         "index_names": list(problem.rows),
         "law_kinds": problem.law.labels,
         "tolerance": tolerance,
+        **({"axes": {name: list(names) for name, names in problem.axes.items()}} if problem.axes else {}),
     }
 
 

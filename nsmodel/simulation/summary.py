@@ -13,6 +13,7 @@ from nsmodel.simulation.run_data import RunData, model_type, multiplier_names, s
 _SUMMARY_TABLE_WIDTH = 100
 _LABEL_WIDTH = 18  # The column of labels.
 _MAX_STATES = 8
+_MAX_CONTACTS = 8
 _MAX_ARCH_BODIES = 8
 _MAX_SPANS = 4
 STANDSTILL_REASONS = {  # How a run of many bodies knows that nothing will ever change again.
@@ -51,6 +52,7 @@ def run_summary(run: RunData) -> dict[str, Any]:
         "newton": _newton_iterations(run, totals, computed),
         **_smallest_gap(run),
         "bodies": _bodies_summary(run, totals),
+        "by_contact": _contacts_summary(run),
         "largest_error": totals.get("largest_error"),
         "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.size else None,
         "convergence": about.get("convergence"),
@@ -120,6 +122,15 @@ def _bodies_summary(run: RunData, totals: dict[str, Any]) -> dict[str, Any] | No
     return {**run.metadata["bodies"], **found}
 
 
+def _contacts_summary(run: RunData) -> list[dict[str, Any]]:
+    """Of each contact of a mechanical system, in the saved rows: in how many steps it acts, how deep it is, the steps missed."""
+    if not run.arrays.keys() >= {"acting", "missed", "penetration"}:
+        return []
+    acts, missed = (np.nansum(run.arrays[name], axis=0) for name in ("acting", "missed"))
+    columns = zip(run.metadata["axes"]["contact"], acts, np.nanmax(run.arrays["penetration"], axis=0), missed, strict=True)
+    return [{"name": name, "acting": int(a), "penetration": float(deep), "missed": int(m)} for name, a, deep, m in columns]
+
+
 def _finite_entries(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
@@ -156,6 +167,7 @@ def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
         "newton": s["newton"] and _newton_text(s["newton"]["mean"], s["newton"]["max"]),
         "smallest gap": _gap_text(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
         **_bodies_lines(s["bodies"], unit),
+        "by contact": _contact_lines(s.get("by_contact", []), sample),
         "largest error": None if s["largest_error"] is None else f"{s['largest_error']:.3g} from the exact state",
         "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
         "convergence": s["convergence"] and _convergence_lines(s["convergence"], unit),
@@ -195,6 +207,18 @@ def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | l
         at = _format_time(b["largest_pressure_t"], unit)
         lines["pressure"] = f"at most {b['largest_pressure']:.6g}, on body {b['largest_pressure_body']}{at}"
     return lines
+
+
+def _contact_lines(found: list[dict[str, Any]], sample: str) -> list[str]:
+    """The contacts with the deepest penetration first, where there are many."""
+    first = sorted(found, key=lambda one: (-one["missed"], -one["penetration"])) if len(found) > _MAX_CONTACTS else found
+    rest = [f"... {len(found) - _MAX_CONTACTS} more, no deeper"] if len(found) > _MAX_CONTACTS else []
+    of = " of the rows saved" if sample else ""
+    texts = []
+    for one in first[:_MAX_CONTACTS]:
+        acts = f"acts in {one['acting']} step{'' if one['acting'] == 1 else 's'}{of}"
+        texts.append((one["name"], f"{acts}, missed in {one['missed']}, penetration at most {one['penetration']:.2g}"))
+    return [*_align_pairs(texts), *rest]
 
 
 def _standstill_lines(found: dict[str, Any], unit: str) -> list[str]:

@@ -24,6 +24,8 @@ DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below
 JUMP_OPERATIONS = frozenset({  # Operations with derivative 0 whose value changes.
     ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO,
 })  # fmt: skip
+MAX_NAMES = 12  # Contacts that a message names.
+LIFTED = 1e12  # So many times what is violated a row that is farther off says nothing: contacts that do not act.
 FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
 
@@ -66,10 +68,10 @@ def explain_step_failure(
     least = 0.0 if structure.gram else min(least_eigenvalue(W), least)
     monotone = is_eigenvalue_nonnegative(least, law.size)
     return (
-        (_describe_opposing_rows(problem, law, W, b) if monotone else "")
+        (_describe_opposing_rows(problem, law, W, b) if monotone or not law.is_normal_cone else "")
         or (_describe_nearly_opposite(problem, W) if structure.projection else "")
         or (_describe_exhausted_index_sets(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
-        or _describe_unproved_failure(problem, structure, law, plan, W)
+        or _describe_unproved_failure(problem, structure, law, plan, W) + _describe_closing_contacts(problem, law, b)
     )
 
 
@@ -126,6 +128,16 @@ def _describe_unproved_failure(
     return "no solver reached the tolerance"
 
 
+def _describe_closing_contacts(problem: OneStepProblem, law: NumericLaw, b: np.ndarray) -> str:
+    """The contacts that close where nothing pushes, '' of laws without friction."""
+    if law.is_normal_cone:
+        return ""
+    contacts = _contact_rows(law)[0] | np.isin(problem.rows, problem.axes.get("contact", ()))
+    names = [f"'{problem.rows[i]}'" for i in np.flatnonzero(contacts & (b < 0))]
+    more = f", and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return f", with the contacts {', '.join(names[:MAX_NAMES])}{more} closing" if names else ""
+
+
 @cached_per_object
 def _has_jumps(problem: OneStepProblem) -> bool:
     """Whether equations jump where the unknowns do."""
@@ -169,32 +181,54 @@ def nearly_opposite_rows(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]
 
 
 def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:
-    """Return [(row, weight), ...] of a proof that {l >= 0, W l + b >= 0} is empty: u >= 0, W'u <= 0, b'u < 0 (Farkas).
+    """Return [(row, weight), ...] of a proof that no multiplier keeps all constraints, u'y < 0 for each (Farkas).
 
-    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off.
+    Kept are y_i >= 0 of complementarity and y_N >= 0 of contacts, whose l_i >= 0, and y_i = 0 of equalities; the l of these, and
+    P_T, may have any value. u >= 0 where y_i >= 0 is kept, 0 of slips, W'u <= 0, and = 0 where l may have any value; b'u < 0.
+    For W psd and complementarity alone there is a solution where there is no such u. None where rounding hides a proof.
     """
-    if not law.size or not law.is_complementarity:
+    if not law.size or any(K.is_normal_cone for _, K in law.curved):
         return None
+    normals, others = _contact_rows(law)
+    slips = ~normals & ~others
+    held = others & np.isneginf(law.lower) & np.isposinf(law.upper)
+    one_sided = normals | (others & (law.lower == 0) & np.isposinf(law.upper))
+    if not (held | one_sided | slips).all():
+        return None
+    one_sided &= b <= LIFTED * np.maximum(-b, np.abs(b) * held).max()
+    signs = np.concatenate([np.flatnonzero(one_sided), np.flatnonzero(held), np.flatnonzero(held)])
+    sign = np.concatenate([np.ones(one_sided.sum() + held.sum()), -np.ones(held.sum())])
     root = np.sqrt(np.abs(np.diag(W)))
     root = np.where(root > 0, root, 1.0)
-    u = _farkas_multipliers(W, b)  # in the user's units, else in those in which W_ii = 1
-    if u is None:
-        u = _farkas_multipliers(W / root[:, None] / root, b / root)
-        u = None if u is None else u / root
-    return None if u is None else [(int(i), float(u[i] / u.sum())) for i in np.argsort(-u) if u[i] > 0][:6]
+    for units in (np.ones(law.size), root):  # the user's units, else those in which W_ii = 1
+        scaled = W / units[:, None] / units
+        u = _farkas_multipliers(sign[:, None] * scaled[signs], sign * (b / units)[signs], held | slips) if signs.size else None
+        if u is not None:
+            weights = np.bincount(signs, u / units[signs], law.size)
+            return [(int(i), float(weights[i] / weights.sum())) for i in np.argsort(-weights) if weights[i] > 0][:6]
+    return None
 
 
-def _farkas_multipliers(W: np.ndarray, b: np.ndarray) -> np.ndarray | None:
-    """u >= 0 with W'u <= 0 to round-off, b'u < 0 above it, and sum 1; None where there is none."""
+def _contact_rows(law: NumericLaw) -> tuple[np.ndarray, np.ndarray]:
+    """Which rows are the normal ones of contacts with friction, and which are in no curved block."""
+    normals, others = np.zeros(law.size, bool), np.ones(law.size, bool)
+    for rows, _ in law.curved:
+        normals[rows.start], others[rows] = True, False
+    return normals, others
+
+
+def _farkas_multipliers(W: np.ndarray, b: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+    """u >= 0 with W'u <= 0 to round-off, = 0 in the columns ``free``, b'u < 0 above it, and sum 1; None where there is none."""
     from scipy.optimize import linprog
 
     scale = np.abs(W).max(axis=0)
     scale[scale == 0] = 1
     A, size = W.T / scale[:, None], np.abs(b).max() or 1.0
+    A = np.vstack([A, -A[free]])
     found = linprog(
         b / size,
         A_ub=A,
-        b_ub=np.zeros(b.size),
+        b_ub=np.zeros(len(A)),
         A_eq=np.ones((1, b.size)),
         b_eq=[1.0],
         bounds=(0, None),

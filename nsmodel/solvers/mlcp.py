@@ -224,6 +224,7 @@ def polish_curved_solution(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.
 
 
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
+NEARBY = "semismooth nearby"  # Newton's method from the last multiplier alone: what polishes an answer of another solver.
 
 
 MAX_ENTRY_RATIO = 1e4  # Entries of W that differ by more are in units that pivoting feels.
@@ -340,6 +341,10 @@ def _solver_candidates(name, W, b, law, warm, index, symmetric):
             l = active_set.solve_on_index_set(W, b, law, code)
             if l is not None:
                 yield l, code
+        return
+    if name == NEARBY:
+        if (l := semismooth_newton(W, b, law, warm)) is not None:
+            yield from _curved_candidates(W, b, law, l)
         return
     if name == SEMISMOOTH and law.is_normal_cone:
         for start in (warm, np.zeros_like(warm)):

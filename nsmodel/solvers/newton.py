@@ -45,6 +45,7 @@ from nsmodel.solvers.rounding_errors import FRAGILE, SUM_ERROR, UNIT_ROUND_OFF, 
 from nsmodel.solvers.step import RowLayout, extra_columns
 from nsmodel.solvers.structure import StepStructure, least_eigenvalue
 
+UNSOLVED = 3  # Affine problems with friction that no solver solves, each by the whole chain, after which a step is given up.
 GAIN = 10  # Factor by which an iteration must better the residual for another one to follow.
 EXTRA_ROW_OPERATIONS = 4  # Operations of a row beside those with its unknowns.
 WORKING_SET_ABOVE = 24
@@ -95,13 +96,13 @@ class NewtonSolver(IndexSetNewton):
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
         z, known = self.start(t, h, state, l)
-        best, self._offsets = None, self._offset(t, h, state)[0]
+        best, unsolved, self._offsets = None, 0, self._offset(t, h, state)[0]
         at = at_best = self.linearise(t, h, state, z, l)
         for iteration in range(1, NEWTON_ITERATIONS + 1):
             moved = self._newton_iteration(at, l, index, chain)
             if moved is None:
                 break
-            z, l, index, solver = moved
+            z, l, index, solver, is_solved = moved
             at = self.linearise(t, h, state, z, l)
             found = self.evaluate_residual(known, at, l, index, solver, iteration, thorough=self.structure.affine)
             stalled = best is not None and found.residual <= self.tolerance and found.residual > best.residual / GAIN
@@ -115,7 +116,8 @@ class NewtonSolver(IndexSetNewton):
                 return self._refine_iterate(known, best) if self.structure.affine else best
             if self.structure.affine and found.residual <= self.tolerance:
                 break
-            if not np.isfinite(found.residual) and not (np.isfinite(z).all() and np.isfinite(l).all()):
+            unsolved += not (is_solved or self.law.is_normal_cone)
+            if unsolved == UNSOLVED or not (np.isfinite(found.residual) or (np.isfinite(z).all() and np.isfinite(l).all())):
                 break
         if best is None:
             return Iterate(z, l, index, np.full(l.size, np.nan), np.inf, None, "none", 0)
@@ -138,13 +140,13 @@ class NewtonSolver(IndexSetNewton):
 
     def _newton_iteration(
         self, at: Linearisation, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str] | None:
-        """One Newton iteration: the next (z, l, index set) and the solver of its affine problem."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str, bool] | None:
+        """One Newton iteration: the next (z, l, index set), the solver of its affine problem, and whether that is solved."""
         eliminated = self._eliminate(at)
         if eliminated is None:
             return None
         dz_0, Z = eliminated
-        solver = "none needed"
+        solver, is_solved = "none needed", True
         l_next = l
         if l.size:
             b = at.offset(dz_0, Z, l)
@@ -154,9 +156,10 @@ class NewtonSolver(IndexSetNewton):
             if not np.isfinite(found.l).all():
                 return None
             l_next, index, solver = found.l, found.index, found.solver
+            is_solved = found.residual <= self.tolerance
         z_next = at.z + dz_0 + Z @ (l_next - l)
         self._make_exact(at, z_next, index)
-        return z_next, l_next, index, solver
+        return z_next, l_next, index, solver, is_solved
 
     def _solve_affine_problem(
         self, at: Linearisation, Z: np.ndarray, b: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]

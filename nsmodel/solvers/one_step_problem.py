@@ -91,6 +91,7 @@ class OneStepProblem:
         ends: of the rows whose law moves, the set at the end of the step, expressions of k; scale: s of l = c + s l' of each
             row, by which that of W is multiplied where its sign is looked at; None where nothing moves.
         records: further columns of the trajectory, expressions of z, l, y and k.
+        axes: {"contact" or "slip": the names of what records of these have a column each}.
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
         order: of the scheme between switches.
@@ -124,6 +125,7 @@ class OneStepProblem:
     ends: tuple[LawEnds, ...] = ()
     scale: ca.SX | None = None
     records: dict[str, ca.SX] = field(default_factory=dict)
+    axes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
     order: SchemeOrder = field(default_factory=lambda: SchemeOrder(1))

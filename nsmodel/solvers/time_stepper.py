@@ -337,7 +337,7 @@ class Stepper:
             return None
         if self.law.curved:
             index = curved.curved_index_set(self.law, l, y, curved.block_scale(W, self.law))
-            return self._newton.solve(t, h, state, l, index, (mlcp.SEMISMOOTH,))
+            return self._newton.solve(t, h, state, l, index, (mlcp.SEMISMOOTH if self.law.is_normal_cone else mlcp.NEARBY,))
         index = active_set.estimate_index_set(l, y, self.law, active_set.row_scale(W))
         return self._newton.solve_on_index_set(t, h, state, z, l, index)
 

@@ -453,11 +453,17 @@ def test_friction_may_move_with_time():
 
 
 def test_a_step_without_an_answer_names_its_contacts():
-    """Two walls that close on a body."""
+    """Two walls that close on a body, with and without friction; and impulses that rounding hides behind a huge mu."""
     t = S("t")
-    walls = {"contacts": lambda q, v: {"left": Contact(q[0] + 0.1 - t), "right": Contact(0.1 - t - q[0])}}
-    with pytest.raises(nsmodel.StepError, match=r"left|right"):
-        simulate(made(t=t, project=False, **walls))
+    for project in (True, False):
+        for rough in (False, True):
+            more = (lambda v: {"slip": v[1], "mu": 0.3}) if rough else (lambda v: {})
+            walls = {"contacts": lambda q, v, m=more: {"left": Contact(q[0] + 0.1 - t, **m(v)),
+                                                       "right": Contact(0.1 - t - q[0], **m(v))}}  # fmt: skip
+            with pytest.raises(nsmodel.StepError, match=r"no point: 'left' \(weight 0.5\) and 'right' \(weight 0.5\) oppose"):
+                simulate(made(t=t, project=project, **walls))
+    with pytest.raises(nsmodel.StepError, match=r"did not converge, with the contacts 'floor' closing\."):
+        simulate(ladder(1e9, 0.05))
 
 
 def test_bad_walls_are_named():

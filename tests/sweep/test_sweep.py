@@ -355,6 +355,7 @@ def test_failed_cells_are_run_again_where_that_is_asked_for(tmp_path):
         go(retry=True)
 
 
+@pytest.mark.long
 def test_a_killed_sweep_goes_on(tmp_path):
     script = tmp_path / "go.py"
     script.write_text(textwrap.dedent(f"""

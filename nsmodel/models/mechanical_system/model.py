@@ -121,7 +121,8 @@ class MechanicalSystem(Model):
     gaps: ClassVar[bool] = False
     has: ClassVar[Mapping[str, str]] = {
         "u_N": "the normal velocities", "u_T": "the slip velocities", "acting": "which contacts act",
-        "impulse_work": "the work of each contact in a step", "penetration": "the largest penetration",
+        "missed": "which contacts close in a step in which they do not act",
+        "impulse_work": "the work of each contact in a step", "penetration": "the penetration of each contact",
     }  # fmt: skip
     refuses: ClassVar[Mapping[str, str]] = {
         "study": "is a mechanical system, for which no second scheme is written down yet; compare runs of simulate(step=...)",

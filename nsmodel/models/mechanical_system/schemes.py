@@ -110,7 +110,7 @@ def one_step_problem(model: MechanicalSystem) -> OneStepProblem:
         z, E, l, Y = ca.vertcat(z, put.d), ca.vertcat(E, put.E), ca.vertcat(l, put.l), ca.vertcat(Y, put.Y)
         law, rows, guess, q_end = product(law, put.law), rows + put.rows, ca.vertcat(v, 0 * put.d), q_end + put.d
     gaps = step.at(step.end._replace(q=q_end), _gaps(model))
-    records = _contact_records(contacts, gaps, work) if contacts else {}
+    records = _contact_records(contacts, gaps, step.at(step.end, _gaps(model)), work) if contacts else {}
     largest = ca.fmax(step.size, ca.norm_inf(gaps)) if contacts else step.size
     problem = OneStepProblem(
         scheme=f"Moreau-Jean, theta = {th:g}", t=model.t, h=h, state=ca.vertcat(q, v, step.size), p=model.p,
@@ -118,7 +118,7 @@ def one_step_problem(model: MechanicalSystem) -> OneStepProblem:
         next_state=ca.vertcat(q_end, step.v_next, largest), order=SchemeOrder(1),
         carried="the largest gap so far",
         multipliers=basic.multipliers, outputs=_column([*(one.u for one in contacts), held]), declared=model.multiplier_names,
-        ends=basic.ends, records=records,
+        ends=basic.ends, records=records, axes=_contact_axes(model),
     )  # fmt: skip
     return with_carried_inputs(problem, model.u, u)
 
@@ -186,14 +186,23 @@ def _position_problem(step: StepSymbols, M: ca.SX) -> PositionProblem:
     return PositionProblem(d, E, ca.vertcat(tau, s), ca.vertcat(step.at(put, gaps), step.at(put, joints)), law, rows)
 
 
-def _contact_records(contacts: Sequence[ActiveContact], gaps: ca.SX, work: ca.SX) -> dict[str, ca.SX]:
+def _contact_records(contacts: Sequence[ActiveContact], gaps: ca.SX, free_gaps: ca.SX, work: ca.SX) -> dict[str, ca.SX]:
+    """Columns by contact; it is missed where it does not act and the velocities of the step close it, before it is put back."""
+    acts = _column(one.acts for one in contacts)
     return {
         "u_N": _column(one.u[0] for one in contacts),
         "u_T": _column(one.u[1:] for one in contacts if one.u.numel() > 1),
         "gap": gaps,
-        "acting": _column(one.acts for one in contacts),
+        "acting": acts,
+        "missed": ca.logic_and(ca.logic_not(acts), free_gaps < 0),
         "impulse_work": work,
     }
+
+
+def _contact_axes(model: MechanicalSystem) -> dict[str, tuple[str, ...]]:
+    names = tuple(one.name for one in model.contact_rows)
+    slips = tuple(row for one in model.contact_rows for row in one.rows[1:])
+    return {axis: found for axis, found in (("contact", names), ("slip", slips)) if found}
 
 
 def position_rates(model: MechanicalSystem) -> ca.SX:
@@ -237,13 +246,13 @@ def start_values(model: MechanicalSystem) -> list[ca.SX]:
 
 
 def derived_columns(model: MechanicalSystem, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
-    """Reactions P/h, the energy v'M v/2 + V, and by how much the deepest contact is penetrated."""
+    """Reactions P/h, the energy v'M v/2 + V, and by how much each contact is penetrated."""
     energy = energy_function(model)
     found = {"energy": np.array(energy.map(len(arrays["t"]))(arrays["t"], arrays["x"].T)).ravel()}
     if arrays["multipliers"].shape[1]:
         found["reactions"] = arrays["multipliers"] / arrays["step"][:, None]
     if "gap" in arrays:
-        found["penetration"] = np.maximum(-arrays["gap"], 0.0).max(axis=1)
+        found["penetration"] = np.maximum(-arrays["gap"], 0.0)
     return found
 
 
