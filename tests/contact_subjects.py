@@ -71,16 +71,12 @@ def coulomb(P: np.ndarray, y: np.ndarray, mu: Any, size_P: Any, size_y: Any) -> 
 
 
 def judge(geometry: Geometry) -> Callable[[Step], tuple[float, float]]:
-    """(residual of the laws of velocities and of positions, residual of the two equations of motion).
-
-    The sum u_N+ + e u_N- means nothing for an e outside [0, 1]: such steps are not judged.
-    """
+    """(residual of the laws of velocities and of positions, residual of the two equations of motion)."""
 
     def judged(step: Step) -> tuple[float, float]:
         h, (mu, e), P, largest = step.h, step.p, step.l, step.state[6]
         q, v, q_end, v_end = step.state[:3], step.state[3:6], step.after[:3], step.after[3:6]
-        if not 0 <= e <= 1:
-            return 0.0, 0.0
+        assert 0 <= e <= 1, e
         _, G, _, blur = geometry(q + h * v / 2)
         blur = ROUND_OFF * (blur + HALF * h * np.abs(v[2])) if np.any(blur) else np.longdouble(0)
         gap, _, gap_terms, _ = geometry(q_end)
@@ -138,15 +134,16 @@ def contact_input(
     return drawn
 
 
-def is_below_zero(p: np.ndarray) -> bool:
-    """Whether mu is."""
-    return p[0] < 0
+def is_out_of_range(p: np.ndarray) -> bool:
+    """Whether mu < 0, or e is outside [0, 1]."""
+    mu, e = p
+    return not (mu >= 0 and 0 <= e <= 1)
 
 
 FIXED, ANY = (contact_input(disc_geometry, np.inf, length, 3) for length in (STEP, None))
 TURNING = contact_input(rod_geometry, 0.5, None, MOST_MU)
 CONTACTS = {
-    "disc": Subject(disc, FIXED, judge(disc_geometry), bad_parameters=is_below_zero, length=STEP),
-    "disc, any step": Subject(disc, ANY, judge(disc_geometry), bad_parameters=is_below_zero, options=(("any_step", True),)),
-    "rod": Subject(rod, TURNING, judge(rod_geometry), bad_parameters=is_below_zero),
+    "disc": Subject(disc, FIXED, judge(disc_geometry), bad_parameters=is_out_of_range, length=STEP),
+    "disc, any step": Subject(disc, ANY, judge(disc_geometry), bad_parameters=is_out_of_range, options=(("any_step", True),)),
+    "rod": Subject(rod, TURNING, judge(rod_geometry), bad_parameters=is_out_of_range),
 }

@@ -69,6 +69,8 @@ def _property_flags(spec: StepSpec) -> dict[str, bool]:
             "EXACT_ROWS": bool(structure.unit_rows or structure.rest_rows),
             "PARAMETERS": bool(spec.parameters),
             "LAW_OF_PARAMETERS": spec.law_of_parameters,
+            "RANGES": problem.ranges.numel() > 0,
+            "CHECKED_PARAMETERS": spec.law_of_parameters or problem.ranges.numel() > 0,
             "CURVED_OF_PARAMETERS": spec.law_of_parameters and laws.curved_block_numbers(problem.law).numel() > 0,
             "REWRITTEN": problem.multipliers is not None,
             "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,

@@ -208,6 +208,8 @@ def _step_tables(spec: StepSpec, flags: frozenset[str]) -> str:
         lines.append(laws.curved_sets_code(varying_steps.curved_set_law(spec), "CURVED_OF_PARAMETERS" in flags))
     if spec.parameters:
         lines.append(c_table("default_p", list(spec.parameters.values()), "MODEL_NP"))
+    if "RANGES" in flags:
+        lines.append(f"#define RANGE_COUNT {spec.problem.ranges.numel()}\n")
     lines.append(f"#define START_STEPS {1 if spec.model.tied_to_step else 0}\n")
     return "".join(lines)
 
@@ -220,6 +222,9 @@ def _step_functions(spec: StepSpec, flags: frozenset[str]) -> str:
     parts = [looped_c_function("start", given, {"x": _start_expression(spec)}, "the start")]
     if "LAW_OF_PARAMETERS" in flags:
         parts.append(looped_c_function("law_of_parameters", {"s->p": problem.p}, _law_bounds(spec), "the ends of the law"))
+    if "RANGES" in flags:
+        ranges = {"ranges": ca.densify(problem.ranges)}
+        parts.append(looped_c_function("ranges_of_parameters", {"s->p": problem.p}, ranges, ">= 0 where each is in its range"))
     if "FIXED" in flags:
         parts.append(
             constant_steps.fixed_code(

@@ -33,7 +33,10 @@ STATUSES = (
     ),
     Status("NOT_FINITE", "a state, time, step, parameter, velocity or constraint is NaN or infinite, or the step overflows"),
     Status("BAD_STEP", "the time step is not one that this code takes, goes over a tick, or is so small that t + h is t"),
-    Status("BAD_PARAMETER", "the parameters give the law empty bounds or other infinite ones, or no finite start"),
+    Status(
+        "BAD_PARAMETER",
+        "a parameter is out of its range, or gives the law empty bounds or other infinite ones, or no finite start",
+    ),
     Status("NO_ROOM", "more constraints act at once than there is room for", "compile with a larger MODEL_MEMORY"),
     Status("NOT_INITIALISED", "the solver was not initialised", "call model_init first"),
     Status("BAD_INDEX", "an index is out of bounds"),

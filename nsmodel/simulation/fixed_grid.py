@@ -163,9 +163,9 @@ class SchemePropagator:
         moving = self.in_c.drive is not None and self.in_c.drive.moving  # Each period has lengths of its own: few steps repeat.
         own = REPEATED_PATH if getattr(self.stepper, "repeats", False) and not moving else path
         if path == "sparse" and self.in_c.steps is not None:  # C has it for one time step
-            return CompilationCost(interpreted_step_seconds(own, structure), lambda: np.inf)
+            return CompilationCost(interpreted_step_seconds(own, structure, self.problem.law), lambda: np.inf)
         return CompilationCost(
-            interpreted_step_seconds(own, structure),
+            interpreted_step_seconds(own, structure, self.problem.law),
             lambda: 0.0 if self._is_built() else build_seconds(path, structure, self.problem),
         )
 

@@ -102,6 +102,7 @@ class OneStepProblem:
         prediction: how the state is made of the model's, where it is a predictor; else None.
         explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
         inputs: how many inputs the state carries behind its own: u(t_k+), then u(t_{k+1}-); see `with_carried_inputs`.
+        ranges: expressions of the parameters that are >= 0 where each is in its range.
         assumed: expressions of the parameters that are > 0 where the problem is this one; elsewhere it has another form.
     """
 
@@ -136,6 +137,7 @@ class OneStepProblem:
     prediction: Prediction | None = None
     explicit: tuple[int, ...] = ()
     inputs: int = 0
+    ranges: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     assumed: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
 
     @property

@@ -386,9 +386,9 @@ def _estimate_seconds(request: SweepRequest, group: CellGroup) -> tuple[float, f
     problem = one_step_problem(group.model)
     structure = read_step_structure(problem) if problem.prediction is None else None
     path = "kernel" if structure is not None and structure.constant and structure.affine else "newton"
-    return RUN_SETUP_SECONDS + request.grid(group.model, group.step).N * interpreted_step_seconds(path, structure), build_seconds(
-        "newton", structure, problem
-    )
+    return RUN_SETUP_SECONDS + request.grid(group.model, group.step).N * interpreted_step_seconds(
+        path, structure, problem.law
+    ), build_seconds("newton", structure, problem)
 
 
 __getattr__ = former_names(__name__, Group="CellGroup")

@@ -23,6 +23,9 @@ HOLDS = {
     "anti_windup": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "arch": "S-convex A0 A1 A2 A3 A4 S-start",
     "ball_on_ramp": "C-M C-lin C-start C-e C-theta",
+    "hook_ball": "C-M C-lin C-start C-e C-theta",
+    "slider_crank": "C-M C-lin C-start C-theta",
+    "woodpecker": "C-M C-lin C-start C-theta",
     "bang_bang": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "belt": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "boost": "F-jacobians F-W F-step",
@@ -94,6 +97,8 @@ VIOLATED = {
     "crowd_room": {"S-f": "the desired velocity jumps where a body crosses the door's line beside the opening"},
     "drive_cycle": {"7.1": "it is forced"},
     "friction_chain": {"7.1": "it is forced"},
+    "slider_crank": {"C-e": "e = 0.4 where there is friction"},
+    "woodpecker": {"C-e": "e = 1/2 at the beak alone"},
     "gene_network": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
     "half_wave_rectifier": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
     "observer": {"7.1": "it is forced"},
@@ -112,7 +117,8 @@ VIOLATED = {
 NOT_DECIDED = dict.fromkeys("C-ind C-mfcq C-W C-P C-F".split(), "not decided yet")
 # What is not decided, and the reason that the report gives.
 UNKNOWN = {
-    **dict.fromkeys("ball_on_ramp bouncing_ball bowling_ball rocking_block".split(), NOT_DECIDED),
+    **dict.fromkeys("ball_on_ramp bouncing_ball bowling_ball hook_ball rocking_block".split(), NOT_DECIDED),
+    **dict.fromkeys(("slider_crank", "woodpecker"), NOT_DECIDED),
     "boost": {"F-unique": "index sets are not enumerated"},
     "relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"},
     "toggle_switch": {"F-unique": "index sets"},

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.special import ellipj
 
-from nsmodel import Contact, MechanicalSystem, simulate
+from nsmodel import Contact, MechanicalSystem, load, simulate
 
 G = 9.81
 S = ca.SX.sym
@@ -214,3 +214,34 @@ def test_the_defaults_err_no_more(name):
     scene = SCENES[name]
     for step in scene.steps(12)[2::4]:
         assert scene.error(step) <= (2.0 if name == "ball, e = 0" else 1.5) * scene.error(step, **PLAIN)
+
+
+def crank(step, T, q0=(0.0, 0.0, 0.0), **options):
+    return replace(load("slider_crank"), step=step, t_end=T, q0=list(q0), **options)
+
+
+def test_a_crank_without_impacts_has_order_two():
+    """Until its first impact at 2.8 ms, against steps of 1 us."""
+    exact = simulate(crank(1e-6, 2.5e-3), compiled=True).q[-1]
+    steps = [2.5e-3 / count for count in (20, 31, 47, 73, 110)]
+    errors = [np.abs(simulate(crank(step, 2.5e-3, **PLAIN)).q[-1] - exact).max() for step in steps]
+    assert 1.95 <= np.polyfit(np.log(steps), np.log(errors), 1)[0] <= 2.05
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.01])
+def test_corners_of_a_crank_penetrate_nowhere(tilt):
+    """For 0.2 s, eight corners' rows of rank 2 or 3."""
+    run = simulate(crank(1e-4, 0.2, (0.0, 0.0, tilt)), compiled=True)
+    assert run.status == "done"
+    assert run.penetration.max() <= 1e-14 * 0.459  # of the length of crank and rod
+    first = run.t[(np.nan_to_num(run.acting) > 0).any(axis=1)][0]
+    assert 2.65e-3 <= first <= 2.85e-3 or tilt
+
+
+def test_a_ball_that_hooks_rolls_with_what_coriolis_says():
+    run = simulate(load("hook_ball"))
+    np.testing.assert_allclose(run.v[-1, :3], [8 - 12 / 7, -4.4 / 7, 0], atol=1e-12)
+    slip = run.v[:, :2] + 0.108 * np.column_stack([-run.v[:, 4], run.v[:, 3]])
+    sliding = run.t < 0.93
+    np.testing.assert_allclose(np.arctan2(*slip[sliding].T), np.arctan2(6.0, 2.2), atol=1e-12)
+    assert np.abs(slip[run.t > 0.934]).max() <= 1e-12

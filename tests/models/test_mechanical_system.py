@@ -168,6 +168,29 @@ def test_spheres_slip_across_their_normal(normal):
     assert np.linalg.norm(slip) == pytest.approx(np.linalg.norm(rim - n * (n @ rim)))
 
 
+@pytest.mark.parametrize("away", [(0, 0, -1), (0.3, 0.4, -0.9), (0.6, -0.8, 0.0), (1e-9, 0, -1)])
+def test_a_pair_of_spheres_slips_across_its_normal_wherever_it_points(away):
+    q, v = S("p", 6), S("w", 6)
+    contact = mechanics.sphere(q[:3], v[:3], 0.4, (q[3:], v[3:], 0.5), mu=0.3)
+    n, rng = np.array(away) / np.linalg.norm(away), np.random.default_rng(1)
+    speed = rng.normal(size=6)
+    gap, slip = values(contact, q, v, [*(2 * n), 0, 0, 0], speed)
+    across = speed[:3] - speed[3:] - n * (n @ (speed[:3] - speed[3:]))
+    assert gap == pytest.approx(1.1)
+    assert np.linalg.norm(slip) == pytest.approx(np.linalg.norm(across))
+
+
+def test_a_sphere_goes_around_another_one():
+    """Through all directions of the normal, also straight below: held to the other by a joint, it keeps its speed."""
+    q, v, fixed = S("p", 3), S("w", 3), (ca.SX([0, 0, 0]), ca.SX([0, 0, 0]), 0.5)
+    contact = {"pair": mechanics.sphere(q, v, 0.5, fixed, mu=0.1)}
+    start = {"q0": [0, 0, 1], "v0": [1, 0, 0], "t_end": 2 * np.pi, "step": 2 * np.pi / 500}
+    run = simulate(MechanicalSystem(q=q, v=v, M=1, joints={"string": (ca.sumsqr(q) - 1) / 2}, contacts=contact, **start))
+    assert run.status == "done"
+    assert np.isfinite(run.x).all()
+    np.testing.assert_allclose((run.q**2).sum(axis=1), 1, atol=1e-12)
+
+
 def test_gravity_pulls_the_last_direction():
     np.testing.assert_allclose(mechanics.gravity([(2, 0.1), 1], g=10), [0, -20, 0, 0, -10])
     np.testing.assert_allclose(mechanics.gravity([3], size=3), [0, 0, -3 * 9.81])
@@ -347,6 +370,21 @@ def test_several_answers_are_said_unless_one_is_proved():
     assert not warned(incline(25, 0.0, step=0.1))  # one contact on a line, mu below mu_c
     assert warned(woodpecker(4e-5))
     assert "rank 18 of 24" in warned(pile(0.5, 0.1))[0]
+
+
+def test_a_mass_matrix_of_angles_is_decided_at_all_angles():
+    """Of a double pendulum det M = m_1 m_2 + m_2^2 sin^2 > 0; where a coupling is too large, M is not definite at 0."""
+    for coupling, verdict, start in ((1.0, "holds", 1.5), (1.5, "violated", 0.0)):
+
+        def masses(q, c=coupling):
+            return [[2, c * ca.cos(q[0] - q[1])], [c * ca.cos(q[0] - q[1]), 1]]
+
+        q, v = S("p", 2), S("w", 2)
+        model = MechanicalSystem(q=q, v=v, M=masses(q), q0=[start, 0], t_end=1, step=0.1)
+        found = next(one for one in nsmodel.check(model, runs=[]).findings if one.id == "C-M")
+        assert found.verdict == verdict, found
+        if verdict == "holds":
+            assert 0 < found.value["least eigenvalue"] <= (3 - np.sqrt(5)) / 2 + 1e-9
 
 
 def test_checks_find_what_the_theory_forbids():

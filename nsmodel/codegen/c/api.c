@@ -207,6 +207,25 @@ static int law_changes(model_solver *s)
 }
 #endif
 
+#if CHECKED_PARAMETERS
+/* Whether the parameters are in their ranges and give a law; then its numbers are theirs. */
+static int are_accepted(model_solver *s)
+{
+#if RANGES
+    double range[RANGE_COUNT];
+    ranges_of_parameters(s, range);
+    for (int i = 0; i < RANGE_COUNT; i++)
+        if (!(range[i] >= 0))
+            return 0;
+#endif
+#if LAW_OF_PARAMETERS
+    return law_changes(s);
+#else
+    return 1;
+#endif
+}
+#endif
+
 /* Back to the start, as the parameters give it. */
 static int restart(model_solver *s)
 {
@@ -283,8 +302,8 @@ int model_init(model_solver *s)
 #if PARAMETERS
     memcpy(s->p, default_p, sizeof s->p);
 #endif
-#if LAW_OF_PARAMETERS
-    if (!law_changes(s))
+#if CHECKED_PARAMETERS
+    if (!are_accepted(s))
         return MODEL_BAD_PARAMETER;
 #endif
     return restart(s);
@@ -435,11 +454,11 @@ int model_set_parameters(model_solver *s, const double *p)
         return MODEL_NOT_INITIALISED;
     if (!all_finite(MODEL_NP, p))
         return MODEL_NOT_FINITE;
-#if LAW_OF_PARAMETERS
+#if CHECKED_PARAMETERS
     double old[MODEL_NP];
     memcpy(old, s->p, sizeof old);
     memcpy(s->p, p, sizeof s->p);
-    if (!law_changes(s)) {
+    if (!are_accepted(s)) {
         memcpy(s->p, old, sizeof old);
         return MODEL_BAD_PARAMETER;
     }

@@ -16,6 +16,7 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.models.mechanical_system.model import MechanicalSystem
 from nsmodel.models.mechanical_system.schemes import start_values
 from nsmodel.proof import exact, extremum
+from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes
 from nsmodel.simulation.trajectory import Trajectory
 
 MOREAU, ACARY = "Moreau 1988, section 2", "Acary 2016 (ZAMM 96)"
@@ -84,6 +85,13 @@ def _check_mass(model: MechanicalSystem, region: Region, quick: bool) -> Finding
             return make_finding(C_M, HOLDS, how, {"least eigenvalue": float(np.linalg.eigvalsh(M)[0])})
         witness = {"v": np.zeros(len(M)) if found.vector is None else found.vector}
         return make_finding(C_M, VIOLATED, "M is constant and not positive definite (exact).", {"v'M v": 0.0}, witness)
+    relaxed, units = _replace_sines_and_cosines(model.M, model.q)
+    if units.numel() and not ca.depends_on(relaxed, model.x):
+        one = np.ones(units.numel())
+        top = extremum.largest_eigenvalue(-relaxed, units, -one, one, quick=quick, bound_to=0.0)
+        if top.bound < 0:
+            how = "the least eigenvalue is bounded below for all values in [-1, 1] of the sines and cosines"
+            return make_finding(C_M, HOLDS, how, {"least eigenvalue": -top.bound})
     low, high = region.bounds_with_time()
     z = ca.vertcat(model.t, model.x)
     top = extremum.largest_eigenvalue(-model.M, z, low, high, quick=quick, bound_to=0.0)
@@ -94,6 +102,21 @@ def _check_mass(model: MechanicalSystem, region: Region, quick: bool) -> Finding
         at = dict(zip(("t", *region.names), map(float, top.at), strict=True))
         return make_finding(C_M, VIOLATED, "an eigenvalue of M is not positive here", {"least eigenvalue": -top.value}, at)
     return make_finding(C_M, UNKNOWN, "the least eigenvalue is not bounded away from 0 on the region")
+
+
+def _replace_sines_and_cosines(M: ca.SX, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """M with a symbol for each sine and cosine of positions, and these symbols: its values are among those of [-1, 1]."""
+    known: list[tuple[int, ca.SX, ca.SX]] = []
+
+    def rule(op: int, new: Sequence[ca.SX], old: ca.SX) -> ca.SX:
+        for other, argument, unit in known:
+            if other == op and is_same_expression(argument, old.dep(0)):
+                return unit
+        known.append((op, old.dep(0), ca.SX.sym(f"unit_{len(known)}")))
+        return known[-1][2]
+
+    relaxed = ca.reshape(rewrite_nodes(ca.vec(ca.densify(M)), rule, (ca.OP_SIN, ca.OP_COS), q, "M"), *M.shape)
+    return relaxed, ca.vertcat(ca.SX(0, 1), *(unit for _, _, unit in known))
 
 
 def _check_linear(model: MechanicalSystem) -> Finding:

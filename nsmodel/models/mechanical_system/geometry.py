@@ -133,14 +133,16 @@ def _round_contact(gap: ca.SX, normal: ca.SX, velocity: ca.SX, given: dict[str, 
 
 
 def _across(normal: ca.SX) -> list[ca.SX]:
-    """Unit vectors across a unit normal: to its right in the plane; two in space, which have no value at z = -1 if it moves."""
+    """Unit vectors across a unit normal: to its right in the plane; two in space (Duff et al., J. Comput. Graph. Tech. 6, 2017).
+
+    Of a normal that moves those in space turn by a jump where its z changes sign: the law is the same in all directions.
+    """
     if normal.numel() == 2:
         return [ca.vertcat(normal[1], -normal[0])]
     x, y, z = ca.vertsplit(normal)
-    if normal.is_constant() and float(z) < 0:
-        return _across(-normal)
-    a = -1 / (1 + z)
-    return [ca.vertcat(1 + a * x * x, a * x * y, -x), ca.vertcat(a * x * y, 1 + a * y * y, -y)]
+    s = ca.if_else(z < 0, -1, 1)
+    a = -1 / (s + z)
+    return [ca.vertcat(1 + s * a * x * x, s * a * x * y, -s * x), ca.vertcat(a * x * y, s + a * y * y, -y)]
 
 
 def _rim_velocity(v: ca.SX, arm: Any) -> ca.SX:

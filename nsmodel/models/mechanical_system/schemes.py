@@ -119,6 +119,7 @@ def one_step_problem(model: MechanicalSystem) -> OneStepProblem:
         carried="the largest gap so far",
         multipliers=basic.multipliers, outputs=_column([*(one.u for one in contacts), held]), declared=model.multiplier_names,
         ends=basic.ends, records=records, axes=_contact_axes(model),
+        ranges=_column(one.margin for one in restitution_conditions(model) if not one.margin.is_constant()),
     )  # fmt: skip
     return with_carried_inputs(problem, model.u, u)
 
@@ -293,6 +294,12 @@ def start_conditions(model: MechanicalSystem) -> list[StartCondition]:
         found.append(StartCondition(open_slack - ca.fabs(c), c, what, fix))
         what, fix = f"joint '{name}' moves apart at the start: dc/dt =", "choose v0 with dc/dt = 0"
         found.append(StartCondition(rate_slack - ca.fabs(moves), moves, what, fix))
+    return found + restitution_conditions(model)
+
+
+def restitution_conditions(model: MechanicalSystem) -> list[StartCondition]:
+    """Of each contact 0 <= e <= 1 and -1 <= e_t <= 1."""
+    found = []
     for one in model.contact_rows:
         for letter, value, low in (("e", ca.SX(one.e), 0), ("e_t", ca.SX(one.e_t), -1)):
             what = f"contact '{one.name}': {letter} ="
