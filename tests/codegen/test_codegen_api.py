@@ -1360,3 +1360,28 @@ def test_the_wrapper_says_what_it_does():
     for name in set(re.findall(r"\bmodel_(?:set|get)_(\w+)\(", header)):
         assert f'"{name}"' in wrapped or f'_{name}"' in wrapped, name
     assert issubclass(CodegenError, NsmodelError)
+
+
+ARM, QEMU = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
+
+
+@pytest.mark.skipif(not (ARM and QEMU), reason="no compiler for ARM, or no emulator")
+def test_a_library_has_the_same_bits_on_a_cortex_m4(tmp_path):
+    """The example of the page, in doubles that its processor has no unit for; where newlib is missing too, it is skipped."""
+    board = REPOSITORY / "docs/examples/cortex_m4"
+    model = nsmodel.load("bouncing_ball")
+    codegen.write(model, tmp_path, name="ball")
+    flags = "-std=c99 -O2 -mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -nostartfiles --specs=nosys.specs".split()
+    given = ["-DNAME=ball", "-DSTEPS=300", "-DSTATES=4", "-DBALL_NO_MALLOC", "-include", "ball.h", "-T", board / "board.ld"]
+    sources = [board / "board.c", board / "main.c", "ball.c", "-lm", "-o", "board.elf"]
+    built = subprocess.run([ARM, *flags, *given, *sources], cwd=tmp_path, capture_output=True, text=True)
+    if "nosys.specs" in built.stderr or "math.h: No such" in built.stderr:
+        pytest.skip("no newlib for ARM")
+    assert built.returncode == 0, built.stderr
+    emulated = "-M mps2-an386 -nographic -semihosting -icount shift=0 -kernel board.elf".split()
+    said = subprocess.run([QEMU, *emulated], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True).stderr.split()
+    assert said[:2] == ["0", "300"]
+    here = codegen.load(tmp_path).solver()
+    for _ in range(300):
+        assert here.step() == 0
+    assert [int(bits, 16) for bits in said[4:]] == np.array(here.x).view(np.uint64).tolist()
