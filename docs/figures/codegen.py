@@ -49,7 +49,7 @@ BOARD_HEAD = ("case", "code, kB", "RAM, bytes", "instructions a step", "in the l
 
 
 def board_row(name: str, folder: Path) -> tuple[str, ...]:
-    """A library on the processor that QEMU emulates: its size, instructions of its steps, its state beside that of this machine."""
+    """A library on the processor that QEMU emulates: its size, instructions of its steps, its state beside this machine's."""
     model = nsmodel.load(name)
     codegen.write(model, folder, name=name)
     steps = min(round(model.t_end / model.step), 1000)
@@ -66,7 +66,8 @@ def board_row(name: str, folder: Path) -> tuple[str, ...]:
     ram = sum(map(int, text.splitlines()[1].split()[1:3]))
     said = subprocess.run(QEMU, cwd=folder, check=True, capture_output=True, text=True, timeout=600).stderr.split()
     status, taken, ticks, longest = map(int, said[:4])
-    assert (status, taken) == (0, steps), said
+    if (status, taken) != (0, steps):
+        raise SystemExit(f"{name}: {said}")
     state = np.array([struct.unpack(">d", bytes.fromhex(bits.rjust(16, "0")))[0] for bits in said[4:]])
     here = nsmodel.simulate(model, t_end=steps * model.step, compiled=True).x[-1]
     apart = np.abs(state - here).max() / np.abs(here).max()

@@ -142,8 +142,6 @@ class MechanicalSystem(Model):
         M = self._read_mass(c, q, nv)
         F = self._read_vector(c, 0 if self.F is None else self.F, "F", nv, [self.t, q, v])
         V = self._read_vector(c, self.potential, "potential", 1, [self.t, q])
-        T = ca.SX.eye(n) if kinematics is None else kinematics
-        F = F - T.T @ ca.gradient(V, q)
         self._check_choices()
         contacts = self._read_contacts(c, q, v)
         joints, joint_names = self._named_constraints(c, self.joints, [self.t, q])
@@ -160,6 +158,12 @@ class MechanicalSystem(Model):
                 self._read_start(c, self.q0, "q0", n), self._read_start(c, 0 if self.v0 is None else self.v0, "v0", nv)
             ),
         )  # fmt: skip
+
+    @property
+    def applied_forces(self) -> ca.SX:
+        """F, and the forces of the potential."""
+        pull = ca.gradient(self.potential, self.q)
+        return self.F - (pull if self.kinematics is None else self.kinematics.T @ pull)
 
     def _stems_of_parts(self, n: int, nv: int) -> Mapping[str, Any]:
         """The states by their own names, and all positions as q, all velocities as v."""

@@ -80,9 +80,9 @@ class ActiveContact(NamedTuple):
 def forces(model: MechanicalSystem) -> ca.SX:
     """F, less the gyroscopic terms of M where these are derived: dM/dt v - d(v'M v)/dq / 2."""
     if model.inertia == "given":
-        return model.F
+        return model.applied_forces
     Mv = model.M @ model.v
-    return model.F - ca.jacobian(Mv, model.q) @ model.v + ca.gradient(ca.dot(model.v, Mv), model.q) / 2
+    return model.applied_forces - ca.jacobian(Mv, model.q) @ model.v + ca.gradient(ca.dot(model.v, Mv), model.q) / 2
 
 
 def one_step_problem(model: MechanicalSystem) -> OneStepProblem:
