@@ -126,8 +126,9 @@ def _contacts_summary(run: RunData) -> list[dict[str, Any]]:
     """Of each contact of a mechanical system, in the saved rows: in how many steps it acts, how deep it is, the steps missed."""
     if not run.arrays.keys() >= {"acting", "missed", "penetration"}:
         return []
-    acts, missed = (np.nansum(run.arrays[name], axis=0) for name in ("acting", "missed"))
-    columns = zip(run.metadata["axes"]["contact"], acts, np.nanmax(run.arrays["penetration"], axis=0), missed, strict=True)
+    acts, missed, penetration = (run.arrays[name].reshape(len(run.t), -1) for name in ("acting", "missed", "penetration"))
+    names = run.metadata["axes"]["contact"]
+    columns = zip(names, np.nansum(acts, axis=0), np.nanmax(penetration, axis=0), np.nansum(missed, axis=0), strict=True)
     return [{"name": name, "acting": int(a), "penetration": float(deep), "missed": int(m)} for name, a, deep, m in columns]
 
 

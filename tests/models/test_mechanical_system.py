@@ -245,6 +245,33 @@ def test_columns_are_what_they_say():
     np.testing.assert_allclose(run.impulse_work[1:], work, atol=1e-13)
 
 
+@pytest.mark.parametrize("name", ["bowling_ball", "ball_on_ramp"])
+def test_each_contact_has_its_columns_and_its_line_by_name(name, tmp_path):
+    run = simulate(nsmodel.load(name))
+    names, text = list(nsmodel.load(name).contacts), run.summary_text()
+    found = {one["name"]: one for one in run.summary()["by_contact"]}
+    assert list(found) == names
+    run.to_csv(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
+    for k, contact in enumerate(names):
+        assert {f"{part}:{contact}" for part in ("u_N", "gap", "acting", "missed", "penetration", "impulse_work")} <= set(header)
+        assert f"u_T:{contact} slip" in header
+        assert found[contact]["acting"] == np.nansum(run.acting.reshape(len(run.t), -1)[:, k])
+        assert re.search(rf"{contact} +acts in {found[contact]['acting']} steps, missed in 0, penetration at most", text)
+
+
+def test_contacts_that_others_close_are_missed():
+    """Two balls fly apart from a wall; an impulse drives the first one into a wall whose gap the free step does not close."""
+    q, v = S("p", 2), S("w", 2)
+    contacts = {"wall": Contact(q[0]), "pair": Contact(q[1] - q[0] - 1, e=1)}
+    start = {"q0": [0.004, 1.005], "v0": [0.0, -1.0], "t_end": 0.05, "step": 0.01}
+    for project in (False, True):
+        run = simulate(MechanicalSystem(q=q, v=v, M=1, contacts=contacts, project=project, **start))
+        assert run.missed[1:, 0].sum() >= 1
+        assert run.summary()["by_contact"][0]["missed"] == run.missed[1:, 0].sum()
+        assert (run.penetration.max() <= 1e-15) == project
+
+
 def test_models_are_swept_pickled_saved_and_checked(tmp_path):
     e, q, v = S("e"), S("height"), S("speed")
     model = MechanicalSystem(
@@ -366,7 +393,8 @@ def test_a_model_that_is_replaced_is_the_same_model():
 def test_a_crank_of_siconos():
     """Impacts of four corners for 0.03 s; there positions are put back after the step, here in one problem with it."""
     ref = reference("SliderCrankMoreauJeanCombinedProjectionOSI.ref")
-    model = replace(nsmodel.load("slider_crank"), q0=[0, 0, 0], t_end=0.03, geometry="end", activation=1, restitution="newton")
+    model = replace(nsmodel.load("slider_crank"), q0=[0, 0, 0], t_end=0.03, step=1e-4, geometry="end", activation=1,
+                    restitution="newton")  # fmt: skip
     run = simulate(model, compiled=True)
     found = np.abs(run.q - np.column_stack([2 * np.pi * ref[:301, 1], ref[:301, 2:4]]))
     assert found[:101].max() <= 3e-4
