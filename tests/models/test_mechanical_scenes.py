@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from nsmodel import Contact, MechanicalSystem, ModelError, simulate
+from nsmodel.models.mechanical_system.several_answers import contact_matrix, has_positive_modes, uniqueness_doubt
 
 G = 9.81
 S = ca.SX.sym
@@ -58,9 +59,8 @@ def test_a_ball_that_bounces_comes_to_rest(e, project):
 
 
 def test_random_steps_come_to_rest_too():
-    rng = np.random.default_rng(0)
-    for step in 10.0 ** rng.uniform(-3, -1.7, 6):
-        run = simulate(ball(0.5, float(step), t_end=float(step) * round(2.5 / step)))
+    for step in np.exp(np.random.default_rng(0).uniform(np.log(2e-5), np.log(2e-2), 6)):
+        run = simulate(ball(0.5, float(step), t_end=float(step) * round(1.5 / step + 60)), compiled=True)
         assert (run.speed[run.t > 1.354571 + 40 * step] == 0.0).all()
 
 
@@ -285,6 +285,26 @@ def pile(mu, step=4e-3, **given):
     M, F = np.tile([1, 1, R**2 / 2], n), np.tile([0, -G, 0], n)
     q0 = np.array([[x, y, 0] for x, y in centres]).ravel()
     return MechanicalSystem(q=q, v=v, M=M, F=F, contacts=contacts, q0=q0, t_end=0.2, step=step, tol_g=1e-9, **given)
+
+
+@pytest.mark.parametrize(
+    ("tangent", "W", "critical"), [(2.0, [[1.6, 1.2], [1.2, 3.4]], 4 / 3), (1.0, [[2.5, 1.5], [1.5, 2.5]], 5 / 3)]
+)
+def test_painleves_rod(tangent, W, critical):
+    """W_NN = 1 + 3 cos^2, W_NT = 3 sin cos, W_TT = 1 + 3 sin^2; below mu_c = W_NN/|W_NT| a step has one answer."""
+    q, v, angle = S("p", 3), S("w", 3), np.arctan(tangent)
+
+    def sliding(mu):
+        tip = Contact(q[1] - ca.sin(q[2]), slip=v[0] + ca.sin(q[2]) * v[2], mu=mu)
+        start = {"q0": [0, np.sin(angle), angle], "v0": [1, 0, 0], "t_end": 0.01, "step": 1e-3}
+        return MechanicalSystem(q=q, v=v, M=[1, 1, 1 / 3], F=[0, -G, 0], contacts={"tip": tip}, **start)
+
+    model = sliding(0.9 * critical)
+    matrix, _ = contact_matrix(model)
+    np.testing.assert_allclose(np.abs(matrix), W, rtol=1e-12)
+    assert f"mu_c = {critical:.4g}" in uniqueness_doubt(model)
+    assert has_positive_modes(sliding(0.999 * critical), matrix)
+    assert not has_positive_modes(sliding(1.001 * critical), matrix)
 
 
 def test_a_pile_falls_or_rests_by_its_friction():

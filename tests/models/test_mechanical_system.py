@@ -392,14 +392,12 @@ def test_a_model_that_is_replaced_is_the_same_model():
 
 def test_a_crank_of_siconos():
     """Impacts of four corners for 0.03 s; there positions are put back after the step, here in one problem with it."""
-    ref = reference("SliderCrankMoreauJeanCombinedProjectionOSI.ref")
-    model = replace(nsmodel.load("slider_crank"), q0=[0, 0, 0], t_end=0.03, step=1e-4, geometry="end", activation=1,
-                    restitution="newton")  # fmt: skip
-    run = simulate(model, compiled=True)
+    ref, start = reference("SliderCrankMoreauJeanCombinedProjectionOSI.ref"), {"q0": [0, 0, 0], "t_end": 0.03, "step": 1e-4}
+    as_there = {"geometry": "end", "activation": 0.5, "restitution": "newton", "tol_g": 0.0}
+    run = simulate(replace(nsmodel.load("slider_crank"), **start, **as_there), compiled=True)
     found = np.abs(run.q - np.column_stack([2 * np.pi * ref[:301, 1], ref[:301, 2:4]]))
     assert found[:101].max() <= 3e-4
-    assert found[:, 0].max() <= 4e-4
-    assert found.max() <= 7.5e-4
+    assert found.max() <= 5e-4
 
 
 def test_sympy_writes_the_same_model():

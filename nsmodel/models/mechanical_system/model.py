@@ -84,7 +84,8 @@ class MechanicalSystem(Model):
         activation: which contacts act in a step: "free", those that a step free of them would close; or a number a:
             those with g(t + a h, q + a h v) <= tol_g.
         restitution: "approach", e acts on velocities of approach alone; "newton", on all.
-        geometry: where M and the directions of contacts are taken: at the "begin", "middle" or "end" of a step.
+        geometry: where M and the directions of contacts are taken: at the "begin", "middle" or "end" of a step; with "end" the
+            velocity before an impact is that in the directions of the begin.
         tol_g: a gap up to which a contact counts as closed, in the unit of gaps; left out: 1e-10 of the largest gap so far.
 
     Raises:

@@ -136,20 +136,30 @@ def _symbols_of_step(model: MechanicalSystem, u: ca.SX) -> StepSymbols:
 
 
 def _contact_in_step(step: StepSymbols, one: ContactTerms) -> ActiveContact:
-    """Its rows at the middle; y_N moved by OPEN where it does not act."""
-    model, v = step.model, step.model.v
-    G = step.at(step.middle, ca.jacobian(one.gap, model.q)) @ step.T
-    w = step.at(step.middle, ca.jacobian(one.gap, model.t))
-    if one.slip.numel():
-        G = ca.vertcat(G, step.at(step.middle, ca.jacobian(one.slip, v)))
-        w = ca.vertcat(w, step.at(step.middle, ca.substitute(one.slip, v, ca.SX.zeros(v.numel()))))
-    u, before = G @ step.v_next + w, G @ v + w
+    """Its rows where directions are taken, but for "end", u_N- and u_T- at the start; y_N moved by OPEN where it does not act."""
+    model = step.model
+    G, w = _contact_rows(step, one, step.middle)
+    u, before = G @ step.v_next + w, G @ model.v + w
+    if model.geometry == "end":
+        G_0, w_0 = _contact_rows(step, one, step.here)
+        before = G_0 @ model.v + w_0
     back = one.e * (ca.fmin(before[0], 0) if model.restitution == "approach" else before[0])
     tolerance = ca.SX(model.tol_g) if model.tol_g is not None else TOL_G * step.size
     acts = _gap_ahead(step, one) <= tolerance
     y = u + (ca.vertcat(back, one.e_t * before[1:]) if one.slip.numel() else back)
     y[0] += ca.if_else(acts, 0, OPEN)
     return ActiveContact(y, ca.SX.sym(f"P_{one.name}", u.numel()), G, u, acts)
+
+
+def _contact_rows(step: StepSymbols, one: ContactTerms, place: Place) -> tuple[ca.SX, ca.SX]:
+    """G and w of u = G v + w at a place."""
+    model = step.model
+    G, w = step.at(place, ca.jacobian(one.gap, model.q)) @ step.T, step.at(place, ca.jacobian(one.gap, model.t))
+    if one.slip.numel():
+        moved = ca.substitute(one.slip, model.v, ca.SX.zeros(model.v.numel()))
+        G = ca.vertcat(G, step.at(place, ca.jacobian(one.slip, model.v)))
+        w = ca.vertcat(w, step.at(place, moved))
+    return G, w
 
 
 def _gap_ahead(step: StepSymbols, one: ContactTerms) -> ca.SX:
