@@ -38,7 +38,7 @@ model = MechanicalSystem(
     },
     q0=[0, -0.1034, -0.2788],
     v0=[-0.3411, 0, -7.4583],
-    t_end=0.3,
+    t_end=0.15,
     step=1e-4,
     parameters={friction: 0.3},
     names=["height", "phi_M", "phi_S", "rate_height", "rate_M", "rate_S"],

@@ -16,13 +16,13 @@ from nsmodel.hypotheses.equations import (
     vector_lines,
 )
 from nsmodel.hypotheses.latex import text_latex
-from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem
+from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem, applied_forces
 
 
 def equations(model: MechanicalSystem) -> list[str]:
     """The model, one formula a line."""
     names = symbol_names(model)
-    F = function_call_latex("F", model.applied_forces, model, names, "q", "v")
+    F = function_call_latex("F", applied_forces(model), model, names, "q", "v")
     moves = r"\dot q = v" if model.kinematics is None else rf"\dot q = {matrix_latex(model.kinematics, names)}\, v"
     contacts = {one.name: one.gap for one in model.contact_rows}
     impulses = r" + G(q)^{\mathrm{T}} \mathrm{d}P" if contacts else ""
@@ -39,7 +39,7 @@ def equations(model: MechanicalSystem) -> list[str]:
         rf"M(q)\, \mathrm{{d}}v = {F}\, \mathrm{{d}}t{impulses}{held},\quad {moves}",
         *state_lines(model),
         f"M = {matrix_latex(model.M, names)}",
-        *vector_lines(F, model.applied_forces, names),
+        *vector_lines(F, applied_forces(model), names),
         *constraint_lines("g", contacts, model, names, "q"),
         *laws,
         *(_numbers_line(one, names) for one in model.contact_rows),

@@ -160,12 +160,6 @@ class MechanicalSystem(Model):
             ),
         )  # fmt: skip
 
-    @property
-    def applied_forces(self) -> ca.SX:
-        """F, and the forces of the potential."""
-        pull = ca.gradient(self.potential, self.q)
-        return self.F - (pull if self.kinematics is None else self.kinematics.T @ pull)
-
     def _stems_of_parts(self, n: int, nv: int) -> Mapping[str, Any]:
         """The states by their own names, and all positions as q, all velocities as v."""
         parts = {"q": list(range(n)), "v": list(range(n, n + nv))}
@@ -262,6 +256,12 @@ class MechanicalSystem(Model):
     def row_names(self) -> tuple[str, ...]:
         """What may have a unit beside states: the impulses."""
         return self.multiplier_names
+
+
+def applied_forces(model: MechanicalSystem) -> ca.SX:
+    """F, and the forces of the potential."""
+    pull = ca.gradient(model.potential, model.q)
+    return model.F - (pull if model.kinematics is None else model.kinematics.T @ pull)
 
 
 def _is_equal_at_samples(a: ca.SX, b: ca.SX) -> bool:

@@ -25,7 +25,7 @@ from nsmodel._utils import cached_per_object
 from nsmodel.errors import UsageError
 from nsmodel.modeling.laws import Law, complementarity, equality, product
 from nsmodel.modeling.variants import initial_inputs
-from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem
+from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem, applied_forces
 from nsmodel.models.mechanical_system.several_answers import uniqueness_doubt
 from nsmodel.solvers.initial_checks import parameter_values_text
 from nsmodel.solvers.one_step_problem import OneStepProblem, SchemeOrder, rewrite_as_basic_law, with_carried_inputs
@@ -80,9 +80,9 @@ class ActiveContact(NamedTuple):
 def forces(model: MechanicalSystem) -> ca.SX:
     """F, less the gyroscopic terms of M where these are derived: dM/dt v - d(v'M v)/dq / 2."""
     if model.inertia == "given":
-        return model.applied_forces
+        return applied_forces(model)
     Mv = model.M @ model.v
-    return model.applied_forces - ca.jacobian(Mv, model.q) @ model.v + ca.gradient(ca.dot(model.v, Mv), model.q) / 2
+    return applied_forces(model) - ca.jacobian(Mv, model.q) @ model.v + ca.gradient(ca.dot(model.v, Mv), model.q) / 2
 
 
 def one_step_problem(model: MechanicalSystem) -> OneStepProblem:
