@@ -207,3 +207,156 @@ FORGERIES["O-dry of (-s)^(3/2)"] = (
     },
     claim("O-dry", **{"radius of A(0)": "1"}),
 )
+
+
+# -- statements of one number p, true up to an end of its interval -----------------------------------------------------------
+
+p = ca.SX.sym("p")
+
+
+def parametrised(model, *own):
+    """The model with p behind the inputs of each function; ``own`` are paths of numbers that are p instead."""
+
+    def add(item):
+        if isinstance(item, dict) and "inputs" in item:
+            return item if "p" in item["inputs"] else {**item, "inputs": [*item["inputs"], "p"]}
+        if isinstance(item, dict):
+            return {name: add(part) for name, part in item.items()}
+        return [add(part) for part in item] if isinstance(item, list) else item
+
+    found = {**add(model), "parameters": ["p"]}
+    for path in own:
+        inner = found
+        for key in path[:-1]:
+            inner = inner[key]
+        inner[path[-1]] = {"inputs": ["p"], "steps": [["in", 0]], "outputs": [0]}
+    return found
+
+
+def with_p(model, name, expr, inputs):
+    """The model whose function ``name`` reads p too."""
+    names = [str(symbol) for symbol in ca.vertsplit(inputs)]
+    return {**model, name: {**program(expr, ca.vertcat(inputs, p)), "inputs": [*names, "p"]}}
+
+
+def wall(expr, **more):
+    found = parametrised(sweeping(q, **more))
+    found["constraints"][0]["graph"] = program(expr, ca.vertcat(t, q, p))
+    return found
+
+
+TQ, TXY = ca.vertcat(t, q), ca.vertcat(t, x, y)
+ON = {"cover": None}
+OF_PARAMETERS = {  # The model, the statement, an interval of p, and one that is too wide.
+    "A1": (wall(p * q), claim("A1", forms(HALF_LINE), a="1/2", b="2"), ("1/2", "2"), ("1/2", "2001/1000")),
+    "A1, a": (wall(p * q), claim("A1", forms(HALF_LINE), a="1/2", b="2"), ("1/2", "2"), ("499/1000", "2")),
+    "A2": (wall(q + p * t), claim("A2", forms(HALF_LINE), speed="2"), ("-2", "2"), ("-2001/1000", "2")),
+    "A5": (wall(q), claim("A5", ON, gamma="1"), ("-1", "1"), None),
+    "S-convex": (wall(p * q**2), claim("S-convex", forms({})), ("0", "1"), ("-1/1000", "1")),
+    "S-convex, cover": (wall(p * q**2), claim("S-convex", forms(ON)), ("0", "1"), ("-1/1000", "1")),
+    "S-f": (with_p(wall(q), "f", p * q, TQ), claim("S-f", K_f="2", L_f="2"), ("-2", "1"), ("-2001/1000", "1")),
+    "S-start": (wall(q - p, q0="1"), claim("S-start"), ("0", "1"), ("0", "1001/1000")),
+    "S-start, q0": (parametrised(sweeping(q - 1), ("q0", 0)), claim("S-start"), ("1", "2"), ("999/1000", "2")),
+    "O-theta": (with_p(parametrised(oscillator()), "theta", 0, s) | {"theta": [program(s + p * s**2, ca.vertcat(s, p))]},
+                claim("O-theta", {"theta": [{"cover": None}]}), ("0", "1"), ("-1/1000", "1")),
+    "O-dry": (parametrised(oscillator()) | {"theta": [program(p * s, ca.vertcat(s, p))]},
+              claim("O-dry", **{"radius of A(0)": "1/2"}), ("1/2", "2"), ("499/1000", "2")),
+    "O-dry, H": (parametrised(oscillator(), ("H", 0, 0, 0)), claim("O-dry", **{"radius of A(0)": "1/2"}), ("1/2", "2"),
+                 ("499/1000", "2")),
+    "O-g": (with_p(parametrised(oscillator()), "g", p * x**2, x), claim("O-g", {"interior": ["0"], "bound": {"monomials": [],
+            "G": []}}, **{"lower bound of g": "0"}), ("0", "1"), ("-1/1000", "1")),
+    "F-step": (with_p(parametrised(first_order(x)), "f", p * x, TXY), claim("F-step", {"R": [["1"]], "cover": None}, h="1/10"),
+               ("-1", "999/100"), ("-1", "1001/100")),
+    "F-W, M": (parametrised(first_order(x), ("M", 0, 0)), claim("F-W", {"R": [["1"]], "cover": None}, h="1/10"),
+               ("101/1000", "1"), ("99/1000", "1")),
+    "F-mlcp": (with_p(parametrised(first_order(x, y, x)), "f", p * x, TXY), claim("F-mlcp", {"inverses": [{"V": [["1"]], "d": {
+               "inputs": ["p"], "steps": [["in", 0], ["const", "-1/10"], ["mul", 0, 1], ["const", "1"], ["add", 2, 3]],
+               "outputs": [4]}}]}), ("-1", "999/100"), ("-1", "10")),
+    "F-jacobians": (with_p(parametrised(first_order(x)), "f", ca.fabs(p) * x, TXY), claim("F-jacobians", ON), ("1/9", "1"),
+                    ("0", "1")),
+    "3.1": (parametrised(lure(), ("law", 0, "lower", 0)), claim("3.1"), ("0", "999/1000"), ("0", "1")),
+    "4.1": (parametrised(lure(), ("D", 0, 0)), claim("4.1", least="1/2"), ("1/2", "1"), ("499/1000", "1")),
+    "5.1": (parametrised(lure(), ("B", 0, 0)), claim("5.1", {"P": [["1"]], "d": {"inputs": ["p"], "steps": [["in", 0]],
+            "outputs": [0]}}), ("1/1000", "2"), ("0", "2")),
+    "5.2": (with_p(parametrised(lure()), "A", -p * x, x), claim("5.2", {"P": [["1"]]}, omega="-1/2"), ("1/2", "2"),
+            ("499/1000", "2")),
+    "5.4c": (parametrised(lure(law=("0", "inf")), ("D", 0, 0)), claim("5.4c"), ("1/1000", "1"), ("0", "1")),
+    "7.1": (parametrised(lure(), ("law", 0, "lower", 0)), claim("7.1"), ("-1", "0"), ("-1", "1/1000")),
+    "M-T": (with_p(parametrised(inclusion(phi=x**2)), "phi", p * x**2 + ca.fabs(x), x), claim("M-T"), ("0", "1"),
+            ("-1/1000", "1")),
+    "M-T, S and phi": (with_p(parametrised(inclusion(S=x, phi=x**2)), "phi", p * ca.fabs(x), x), claim("M-T"), ("0", "1"),
+                       ("-1/1000", "1")),
+    "M-C": (with_p(parametrised(inclusion()), "C", p - x**2, x), claim("M-C", {"interior": ["0"]}), ("1/1000", "2"), ("0", "2")),
+    "M-A1": (with_p(parametrised(inclusion()), "F", 1 / p, x), claim("M-A1", ON), ("1/1000", "2"), ("0", "2")),
+    "M-A2": (with_p(parametrised(inclusion()), "F", p * x + p, x), claim("M-A2", a_1="2", a_2="2"), ("-2", "2"),
+             ("-2", "2001/1000")),
+    "M-A3": (with_p(parametrised(inclusion()), "F", -p * x, x), claim("M-A3", {"monomials": [], "G": []}, alpha="1/2", beta="0"),
+             ("1/2", "2"), ("499/1000", "2")),
+    "M-24": (with_p(parametrised(inclusion()), "F", p * x, x), claim("M-24", L="2"), ("-9", "2"), ("-9", "2001/1000")),
+    "M-24, 1/p": (with_p(parametrised(inclusion()), "F", x / p, x), claim("M-24", L="2"), ("1/2", "9"), ("499/1000", "9")),
+}  # fmt: skip
+
+
+def over(statement, *ends, name="p"):
+    return {**statement, "scope": {**(statement["scope"] or {}), "parameters": {name: list(ends)}}}
+
+
+# -- families, and forgeries of what few models have
+
+
+def family(row, members, numbers=(), states="q r", f=None):
+    """A sweeping process of two states with a family of constraints."""
+    inputs = ["t", *states.split()]
+    f = {"inputs": inputs, "steps": [["const", "0"]], "outputs": [0] * (len(inputs) - 1)} if f is None else f
+    members = [{"states": list(own), "numbers": list(given)} for own, given in members]
+    rows = [{"name": "g", "graph": row, "numbers": list(numbers), "members": members}]
+    return {"class": "SweepingProcess", "constraints": rows, "f": f, "q0": ["1"] * (len(inputs) - 1)}
+
+
+a, w = ca.SX.sym("a"), ca.SX.sym("w")
+WALLS = family(program(w * a + 1, ca.vertcat(t, a, w)), [(["q"], ["1"]), (["r"], ["-1"]), (["q"], ["-1"])], ["w"])
+BOWLS = family(program(w * a**2 - 1, ca.vertcat(t, a, w)), [(["q"], ["1"]), (["r"], ["2"])], ["w"])
+TRUE |= {
+    "S-convex of a family": (BOWLS, claim("S-convex", forms({}))),
+    "S-start of a family": (WALLS, claim("S-start", {})),
+    "A2 of a family": (BOWLS, claim("A2", forms(HALF_LINE), speed="0")),
+    "5.1, d": (lure(B="1", C="1"), claim("5.1", {"P": [["2"]], "d": "2"})),
+    "M-24, phi": (inclusion(phi=ca.fabs(x) + x**2), claim("M-24", {}, L="-3")),
+}
+p_of_a_family = {**parametrised(BOWLS), "parameters": ["p"]}
+p_of_a_family["constraints"] = [{**BOWLS["constraints"][0], "graph": program(p * a**2, ca.vertcat(t, a, p)), "numbers": ["p"],
+                                 "members": [{"states": ["q"], "numbers": ["-1"]}]}]  # fmt: skip
+u, v = ca.SX.sym("u"), ca.SX.sym("v")
+near = ca.fmin(ca.fmax(u, 0), 1)  # On the segment from 0 to (1, 0), and then on that from 0 to (1, 1): no distance.
+slant = ca.fmin(ca.fmax((u - near) / 2 + v / 2, 0), 1)
+SLANTED = family(program(ca.sqrt((u - near - slant) ** 2 + (v - slant) ** 2), ca.vertcat(t, u, v)), [(["q", "r"], [])])
+TWO_ROWS = {
+    "class": "LureSystem", "A": program(-z, z), "B": [["1", "0"], ["0", "1"]], "C": [["1", "0"], ["0", "1"]],
+    "D": [["0", "1"], ["-1", "0"]], "f": {"inputs": ["t"], "steps": [["const", "0"]], "outputs": [0, 0]}, "x0": ["0", "3"],
+    "law": [{"kind": "box", "lower": ["-inf", "-inf"], "upper": ["0", "0"]}],
+}  # fmt: skip
+FORGERIES |= {
+    "A5 of a family": (WALLS, claim("A5", {}, gamma="1", rho="9")),
+    "S-convex of a family in a box of another state": (
+        family(program(q**3, ca.vertcat(t, q)), [(["r"], [])]), claim("S-convex", forms(HALF_LINE), {"q": ["0", "1"]})),
+    "a family of nothing": (family(program(a, ca.vertcat(t, a)), []), claim("S-convex", forms({}))),
+    "a number with the name of a parameter": (p_of_a_family, over(claim("S-convex", forms({})), "0", "1")),
+    "S-convex, segments that are not orthogonal": (SLANTED, claim("S-convex", forms({
+        "form": "norm", "w": "1", "A": [["1", "0"], ["0", "1"]], "c": [at_all_times("0")] * 2, "offset": at_all_times("0"),
+        "clips": [[["1", "0"], ["0", "1"]], [["1", "1"], ["0", "1"]]]}))),
+    "S-convex of |q| + 0 sqrt(q)": (
+        {**sweeping(q), "constraints": [{"name": "g", "graph": {"inputs": ["t", "q"], "steps": [
+            *NORM, ["pow", 0, "1/2"], ["const", "0"], ["mul", 7, 8], ["add", 6, 9]], "outputs": [10]}}]},
+        claim("S-convex", TRUE["S-convex, a norm"][1]["proof"])),
+    "O-g of x^2 + 0/(x - 3)": (
+        with_steps(oscillator(), "g", ("in", 0), ("pow", 0, "2"), ("const", "-3"), ("add", 0, 2), ("pow", 3, "-1"),
+                   ("const", "0"), ("mul", 4, 5), ("add", 1, 6)),
+        claim("O-g", {"interior": ["0"], "cover": None, "bound": {"monomials": [], "G": []}}, {"x": ["-1", "1"]},
+              **{"lower bound of g": "0"})),
+    "M-24 of -|x|": (inclusion(phi=-ca.fabs(x)), claim("M-24", {}, L="-1")),
+    "5.1, d < 0": (lure(C="-1"), claim("5.1", {"P": [["1"]], "d": "-1"})),
+    "5.1, d = 0": (lure(B="0"), claim("5.1", {"P": [["1"]], "d": "0"})),
+    "F-mlcp, a step < 0": (
+        first_order(-x, y, x + y, steps=["-1/10"]), claim("F-mlcp", {"inverses": [{"V": [["10/9"]], "d": "1"}]})),
+    "5.x0, k beyond the upper end": (TWO_ROWS, claim("5.x0", {"k": ["5", "-1"], "v": ["0", "0"]})),
+}  # fmt: skip

@@ -424,6 +424,11 @@ def no_statement(model: Any, statement: Any) -> str:
         size = len(model["D"]) if "D" in model else len(model["f"]["inputs"]) - 1 - len(model["x0"])
         if any(block["kind"] != "box" for block in own["law"]) or sum(len(block["lower"]) for block in own["law"]) != size:
             return "a law of another size or kind"
+    kinds = {"A": "SweepingProcess", "S": "SweepingProcess", "O": "FrictionOscillator", "F": "FirstOrderSystem"}
+    if model["class"] != (kinds | {"M": "MonotoneInclusion"}).get(id[0], "LureSystem"):
+        return "a hypothesis of another class of models"
+    if model["class"] == "FirstOrderSystem" and any(Fraction(step) <= 0 for step in model["steps"]):
+        return "a step that is not > 0"
     first = {
         "SweepingProcess": "f",
         "FrictionOscillator": "g",
@@ -445,8 +450,76 @@ def no_statement(model: Any, statement: Any) -> str:
     return ""
 
 
+def at(model: Any, values: dict[str, Fraction]) -> Any:
+    """The model with numbers in place of its parameters."""
+    names = list(values)
+
+    def put(item: Any) -> Any:
+        if isinstance(item, list):
+            return [put(part) for part in item]
+        if not (isinstance(item, dict) and "inputs" in item):
+            return {name: put(part) for name, part in item.items()} if isinstance(item, dict) else item
+        own = [name for name in item["inputs"] if name not in names]
+        fixed = {item["inputs"].index(name): str(values[name]) for name in names}
+        places = {k: own.index(name) for k, name in enumerate(item["inputs"]) if name in own}
+        steps = [
+            step if step[0] != "in" else ["const", fixed[step[1]]] if step[1] in fixed else ["in", places[step[1]]]
+            for step in item["steps"]
+        ]
+        if own or len(item["outputs"]) != 1:
+            return {"inputs": own, "steps": steps, "outputs": item["outputs"]}
+        return str(Fraction(str(digits({"steps": steps}, [])[item["outputs"][0]].v)))
+
+    return {name: put(part) for name, part in model.items() if name != "parameters"}
+
+
+def member_by_member(model: Any) -> Any:
+    """The model with each constraint of its families; a graph that reads a number has it as a constant."""
+    rows = []
+    for row in model.get("constraints") or ():
+        for one in row.get("members", [None]):
+            if one is None:
+                rows.append(row)
+                continue
+            graph, first = row["graph"], 1 + len(one["states"])
+            numbers = dict(enumerate(one["numbers"], start=first))
+            steps = [["const", numbers[s[1]]] if s[0] == "in" and s[1] in numbers else s for s in graph["steps"]]
+            own = {"inputs": ["t", *one["states"]], "steps": steps, "outputs": graph["outputs"]}
+            rows.append({"graph": own} | ({"delta": row["delta"]} if "delta" in row else {}))
+    return {**model, "constraints": rows}
+
+
+def over_parameters(model: Any, statement: Any, seed: int) -> str:
+    """A counterexample at some values of the parameters."""
+    scope, rng = statement["scope"] or {}, random.Random(seed)
+    ranges = {name: [Fraction(end) for end in ends] for name, ends in (scope.get("parameters") or {}).items()}
+    if list(ranges) != model.get("parameters", []) or any(low > high for low, high in ranges.values()):
+        return "other parameters, or an empty interval"
+    if any(set(row.get("numbers", ())) & set(ranges) for row in model.get("constraints") or ()):
+        return "a number of a family has the name of a parameter"
+    bare = {**statement, "scope": {name: part for name, part in scope.items() if name != "parameters"} or None}
+    for share in (0, 1, None, None):
+        values = {
+            name: low + (high - low) * (Fraction(rng.randint(0, 8), 8) if share is None else share)
+            for name, (low, high) in ranges.items()
+        }
+        with mpmath.workdps(DIGITS):
+            try:
+                here, there = at(model, values), at(bare, values)
+            except Missing:
+                return "a number has no value"
+        if found := find(here, there, seed):
+            return f"{found}, for {values}"
+    return ""
+
+
 def find(model: Any, statement: Any, seed: int = 0) -> str:
     """A counterexample in words; "" where none is found."""
+    if model.get("parameters") or (statement["scope"] or {}).get("parameters"):
+        return over_parameters(model, statement, seed)
+    if any(row.get("members") == [] for row in model.get("constraints") or ()):
+        return "a family without members"
+    model = member_by_member(model)
     if found := no_statement(model, statement):
         return found
     finder, read = FINDERS[statement["id"]], functions(model)
@@ -595,7 +668,7 @@ def _bent(id: str, value: Any, g: Function, delta: Any, a: Point, b: Point, samp
 
 def qualified(model: Any, statement: Any, sampler: Sampler) -> str:
     gamma, gaps, names = sampler.real(statement["value"]["gamma"]), [g for g, _ in gaps_of(model, sampler)], model["f"].inputs
-    rho = sampler.real(statement["value"].get("rho", "0"))
+    rho = sampler.real(statement["value"].get("rho", "inf"))
     if gamma < 1 or (statement["id"] == "A5" and len(gaps) > 1 and rho <= 0):
         return "gamma < 1, or rho <= 0"
     for a, _ in sampler.pairs(names):

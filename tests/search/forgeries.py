@@ -41,7 +41,7 @@ from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.write import certificate_of
 
 from . import falsity
-from .claims import FORGERIES, TRUE
+from .claims import FORGERIES, OF_PARAMETERS, TRUE, over
 
 Statement = dict[str, Any]
 Pair = tuple[Any, Statement]
@@ -148,7 +148,7 @@ def originals() -> dict[str, list[Pair]]:
             for s in certificate["statements"]:
                 if s["proof"] is not None and len(json.dumps(s)) < 6000:
                     found[s["id"]].append((certificate["model"], s))
-    for model, s in TRUE.values():
+    for model, s in [*TRUE.values(), *((model, over(s, *ends)) for model, s, ends, _ in OF_PARAMETERS.values())]:
         found[s["id"]].append((model, s))
     return {rule: sorted(pairs, key=lambda pair: len(json.dumps(pair))) for rule, pairs in found.items()}
 
@@ -316,10 +316,12 @@ def change_scope(model: Any, s: Statement, rng: random.Random) -> None:
         if rng.random() < 0.8:
             ends = {name: sorted(pair, key=lambda x: float(x if "inf" in x else Fraction(x))) for name, pair in ends.items()}
         time = ends.pop("t", None)
-        if rng.random() < 0.1:
-            s["scope"] = {"states": ends, "time": None, "parameters": {"p": ["0", "1"]}}
-            return
+        kept = (s["scope"] or {}).get("parameters")
         s["scope"] = {"states": ends, "time": time if rng.random() < 0.5 else None}
+        if rng.random() < 0.1:
+            s["scope"][rng.choice(["parameters", "domain"])] = {"p": ["0", "1"]}
+        elif kept is not None:
+            s["scope"]["parameters"] = kept
 
 
 def change_shared(parts: Any, s: Statement, rng: random.Random) -> None:
@@ -397,7 +399,7 @@ def forged(rule: str, rng: random.Random) -> Pair:
         model["e"] = [any_number(rng) for _ in model["D"]] if rng.random() < 0.9 else copy.deepcopy(model["f"])
     for _ in range(rng.choice([1, 1, 1, 2, 2, 3, 4, 5])):
         kind = rng.random()
-        parts = {name: model[name] for name in falsity.READ[rule] if name in model}
+        parts = {name: model[name] for name in ("parameters", *falsity.READ[rule]) if name in model}
         if kind < 0.17 and s["value"]:
             change_number(s["value"], rng)
         elif kind < 0.22:
@@ -465,7 +467,7 @@ class Search:
                 yield model, s
 
     def _claim(self, model: Any, s: Statement) -> list[Any]:
-        parts = {name: model.get(name) for name in ("class", *falsity.READ[self.rule])}
+        parts = {name: model.get(name) for name in ("class", "parameters", *falsity.READ[self.rule])}
         return [parts, s.get("value"), s.get("scope"), s["proof"].get("P") if self.rule == "5.2" else None]
 
     def falsity(self, model: Any, s: Statement) -> str:
