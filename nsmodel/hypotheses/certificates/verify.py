@@ -1284,24 +1284,23 @@ class InclusionData(VerifierModel):
 
     name, first = "MonotoneInclusion", "F"
 
-    def __init__(self, data: Any, parameters: Parameters) -> None:
-        super().__init__(data, parameters)
-        self.S = None if field(data, "S") is None else self.program("S", self.n)
-        self.phi = None if field(data, "phi") is None else self.program("phi", 1)
+    def where_given(self, name: str, outputs: int) -> VerifierProgram | None:
+        """S or phi, where there is one."""
+        return None if field(self.data, name) is None else self.program(name, outputs)
 
     def selection(self, atoms: Atoms) -> tuple[list[Poly], list[Switch]]:
         """V and the switches, F - S - dphi = V - sum w l a, phi a smooth function and w max(u, v) = w (u + v)/2 + w |u - v|/2.
         Premises: 1. all functions are defined everywhere; 2. w >= 0, and u - v is affine.
         """
-        F, switches = self.program("F", self.n), []
-        need(all(defined(p, []) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
-        V = atoms.read(F)
-        if self.S is not None:
-            V = [v + -p for v, p in zip(V, atoms.read(self.S), strict=True)]
-        if self.phi is None:
+        F, S, phi = self.program("F", self.n), self.where_given("S", self.n), self.where_given("phi", 1)
+        need(all(defined(p, []) for p in (F, S, phi) if p is not None), "F - S is not defined")  # 1
+        V, switches = atoms.read(F), []
+        if S is not None:
+            V = [v + -p for v, p in zip(V, atoms.read(S), strict=True)]
+        if phi is None:
             return V, switches
-        phi, kinks = atoms.read(self.phi), [v for v, (op, *_) in atoms.meaning.items() if op == "fmax"]
-        (weights,), (rest,) = affine(phi, kinks, atoms)
+        potential, kinks = atoms.read(phi), [v for v, (op, *_) in atoms.meaning.items() if op == "fmax"]
+        (weights,), (rest,) = affine(potential, kinks, atoms)
         for v, w in zip(kinks, weights, strict=True):
             _, one, other = atoms.meaning[v]
             if w:
@@ -1317,12 +1316,12 @@ class InclusionData(VerifierModel):
         sums of maximal monotone operators that are defined everywhere are. Premises: 1. phi is convex and defined (``curved``);
         2. S is defined and monotone (``slopes_below``).
         """
-        hint = field(s.proof, "phi", dict)
+        S, phi, hint = self.where_given("S", self.n), self.where_given("phi", 1), field(s.proof, "phi", dict)
         local = "cover" in {**s.proof, **hint} and bool(s.box)
-        if self.phi is not None:
-            need(curved(self.phi, s, hint), "phi is not convex")  # 1
-        if self.S is not None:
-            need(slopes_below(self.S, s, eye(self.n), ZERO, -1), "S is not monotone")  # 2
+        if phi is not None:
+            need(curved(phi, s, hint), "phi is not convex")  # 1
+        if S is not None:
+            need(slopes_below(S, s, eye(self.n), ZERO, -1), "S is not monotone")  # 2
         return f"S + dphi is {'' if local else 'maximal '}monotone {s.where(self.inputs) if local else 'for all x'}"
 
     def set_with_interior(self, s: VerifierStatement) -> str:
@@ -1363,14 +1362,15 @@ class InclusionData(VerifierModel):
             need(symmetric_below(affine(self.selection(atoms)[0], range(self.n), atoms)[0], eye(self.n), L), "L")  # 1, 2
             return f"<v - w, x - y> <= {tail}, for all x, y"
         need(concave_rows(C), "a row of C is not concave by the rules")  # 4
-        need(self.phi is None or curved(self.phi, s, field(s.proof, "phi", dict)), "phi is not convex")  # 4
+        S, phi = self.where_given("S", self.n), self.where_given("phi", 1)
+        need(phi is None or curved(phi, s, field(s.proof, "phi", dict)), "phi is not convex")  # 4
 
         def part(box: Box, _: Any) -> bool:
-            J, minus = ([j.g for j in jets(p, box, 1)] if p is not None else [] for p in (F, self.S))
+            J, minus = ([j.g for j in jets(p, box, 1)] if p is not None else [] for p in (F, S))
             J = plus(J, minus, -UNIT) if minus else J
             return any(g.v.hi < 0 for g in jets(C, box, 0)) or form_below(J, eye(self.n), L)  # 3
 
-        programs = [p for p in (F, self.S, C) if p is not None]
+        programs = [p for p in (F, S, C) if p is not None]
         need(cover(s.proof["cover"], s.intervals(self.inputs, *programs), part), "L")
         return f"<v - w, x - y> <= {tail}, for x and y in C, {s.where(self.inputs)}, the same of y"
 

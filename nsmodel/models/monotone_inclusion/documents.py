@@ -22,7 +22,6 @@ from nsmodel.hypotheses.certificates.hints import (
     cover_hint,
     interior_point_hint,
     nonnegativity_hint,
-    straight_line_program,
 )
 from nsmodel.hypotheses.certificates.write import CertificateSubject, Data, column_text, expression_program
 from nsmodel.hypotheses.equations import (
@@ -66,8 +65,7 @@ def subject(model: MonotoneInclusion, findings: Mapping[str, Finding], ranges: I
 def _potential(model: MonotoneInclusion, ranges: IntervalBox) -> Data | None:
     """The program of phi; of switches, which add Sgn(a'x + c) times w a, of the sum of w |a'x + c|. None where there is neither.
 
-    Raises:
-        UnprovedFinding: the weights of a switch are not along the slope of its argument.
+    It is not written down where the weights of a switch are not along the slope a of its argument.
     """
     if model.phi is not None:
         return expression_program(model, potential_without_domain(model.phi, model.x, "phi"), model.x, model.names)
@@ -89,9 +87,10 @@ def _potential(model: MonotoneInclusion, ranges: IntervalBox) -> Data | None:
         a, w = slopes[:, k], weights[:, k]
         i = next((i for i in range(a.numel()) if not a[i].is_zero()), 0)
         if not _is_along(model, w, a, i, ranges):
-            raise UnprovedFinding("switches whose sum is no subdifferential")
+            names = expression_program(model, model.x, model.x, model.names or ())["inputs"]
+            return {"inputs": names, "why": "switches whose sum is no subdifferential"}
         phi += quotient_term(w[i]) / quotient_term(a[i]) * ca.fabs(argument)
-    return straight_line_program(phi, ca.vertcat(model.x, model.p), [*(model.names or ()), *model.parameters], values)
+    return expression_program(model, phi, model.x, model.names or (), values)
 
 
 def _is_along(model: MonotoneInclusion, w: ca.SX, a: ca.SX, i: int, ranges: IntervalBox) -> bool:
@@ -120,13 +119,14 @@ def proofs(
         if found is None:
             raise UnprovedFinding("the dissipation is not shown to be >= 0 by squares")
         return [found]
-    phi = {} if read.phi is None else {"phi": convexity_hint(atoms.read(read.phi)[0], range(read.n), atoms)}
+    if finding.id == "M-A1":
+        return [{"cover": AdaptiveCover()}]
+    potential = read.where_given("phi", 1)
+    phi = {} if potential is None else {"phi": convexity_hint(atoms.read(potential)[0], range(read.n), atoms)}
     if finding.id == "M-T":
         return [cover_hint(model.operator, model.x) | phi]
-    if finding.id == "M-24":
-        slope = 0 if model.phi is None else ca.gradient(potential_without_domain(model.phi, model.x, "phi"), model.x)
-        return [cover_hint(model.field - model.operator - slope, model.x) | phi]
-    return [{"cover": AdaptiveCover()}]
+    slope = 0 if model.phi is None else ca.gradient(potential_without_domain(model.phi, model.x, "phi"), model.x)
+    return [cover_hint(model.field - model.operator - slope, model.x) | phi]
 
 
 LATEX_SEPARATOR = r",\ "
