@@ -26,7 +26,7 @@ LIMITS = {  # A structure that needs more is to be thought over; a limit that ha
     "loose modules": 5,
     "files": 350,
     "lines of the longest module": 700,
-    "lines of verify.py": 1690,
+    "lines of verify.py": 1500,
     "import circles": 0,
     "upward imports": 0,
     "modules found by strings": 8,

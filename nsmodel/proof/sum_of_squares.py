@@ -66,18 +66,7 @@ def is_sos_convex(p: Polynomial, n: int) -> bool:
     >>> is_sos_convex({((0, 4),): Fraction(1), ((0, 2), (1, 2)): Fraction(2), ((1, 4),): Fraction(1)}, 2)  # (x^2 + y^2)^2
     True
     """
-    return sos_convexity_decompositions(p) is not None
-
-
-def sos_convexity_decompositions(p: Polynomial) -> list[tuple[list[int], SosDecomposition]] | None:
-    """Certificates of y'D2p(x) y, one for each group of variables that share terms: these, and a certificate in x and y."""
-    found = []
-    for part in _coupled_parts(p):
-        own = _sos_convexity_decomposition(part)
-        if own is None:
-            return None
-        found.append((polynomial.variables(part), own))
-    return found
+    return all(_sos_convexity_decomposition(part) is not None for part in _coupled_parts(p))
 
 
 def sos_lower_bound(p: Polynomial, n: int) -> Fraction | None:

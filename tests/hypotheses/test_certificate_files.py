@@ -60,7 +60,7 @@ def swept(g, f=(0, 0), q0=(2, 0), **more):
 
 def test_the_program_is_one_short_file_that_needs_only_python():
     source = (REPOSITORY / "nsmodel" / "hypotheses" / "certificates" / "verify.py").read_text()
-    assert len(source.splitlines()) <= 1690
+    assert len(source.splitlines()) <= 1500
     imported = {alias.name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Import) for alias in node.names}
     imported |= {node.module for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
     own = "__future__ collections.abc decimal fractions hashlib itertools json math re sys typing"
@@ -99,8 +99,6 @@ def test_intervals_hold_the_true_values():
         x = verify.VerifierInterval(low, low + Fraction(rng.uniform(0, 0.5)))
         for name, f in verify.FUNCTIONS.items():
             true = getattr(mpmath, name)
-            if name == "log" and low <= 0:
-                continue
             for part in (0, Fraction(1, 3), 1):
                 at = x.lo + part * (x.hi - x.lo)
                 value = true(mpmath.mpf(at.numerator) / at.denominator)
@@ -131,15 +129,13 @@ def test_intervals_without_ends():
     whole, far = verify.VerifierInterval(-inf, inf), verify.VerifierInterval(Fraction(5), inf)
     assert (whole * verify.VerifierInterval(0)).hi == 0
     assert [verify.FUNCTIONS["tanh"](whole)[1].lo, verify.FUNCTIONS["tanh"](whole)[1].hi] == [0, 1]
-    assert verify.FUNCTIONS["atan"](far)[0].lo <= Fraction(np.arctan(5.0)) + Fraction(1, 2**50)
-    assert Fraction(3926990, 2500000) < verify.FUNCTIONS["atan"](far)[0].hi < Fraction(15707964, 10000000)
     assert far.power(Fraction(-1)).hi == pytest.approx(0.2)
     assert far.power(Fraction(2)).lo == 25
     assert [whole.rising(verify.exp_of).lo, whole.rising(verify.exp_of).hi] == [0, inf]
     assert whole.middle() == 0
     assert far.middle() == 10
     with pytest.raises(verify.Unproved):
-        verify.FUNCTIONS["log"](whole)
+        whole.power(Fraction(1, 2))
     assert not verify.interval_psd([[far, whole], [whole, far]])
 
 
@@ -227,11 +223,8 @@ def test_an_equality_broken_in_one_digit_is_refused(stem, certificates):
                     continue
                 tried += 1
         if s["id"] in ("5.4a", "5.x0") and s["proof"]:
-            for name in ("x", "k", "y", "v") if s["proof"] else ():
-                assert verdict(
-                    certificate["model"], {**s, "proof": changed(s["proof"], (name, 0), lambda x: x + 1)}
-                ) != "yes" or (name in ("x", "v"))
-                tried += 1
+            assert verdict(certificate["model"], {**s, "proof": changed(s["proof"], ("k", 0), lambda x: Fraction(-1))}) != "yes"
+            tried += 1
     assert tried > 2
 
 
@@ -415,55 +408,29 @@ def refused_in_one_digit(certificate, id):
     return s, len(paths)
 
 
-def test_a_quartic_potential_is_convex_and_bounded_by_squares():
+def test_a_quartic_potential_is_bounded_by_squares():
     x = ca.SX.sym("x", 2)
-    g = x[0] ** 4 + x[0] ** 2 * x[1] ** 2 + x[1] ** 4 + x[0] ** 2 + 0.5 * x[0] * x[1] + x[1] ** 2
+    g = x[0] ** 4 + x[1] ** 4 + x[0] ** 2 + 0.5 * x[0] * x[1] + x[1] ** 2
     s = ca.SX.sym("s")
     model = FrictionOscillator(x=x, s=s, friction=s, potential=g, x0=[1, 1], t_end=1, step=0.1)
     certificate = certificate_of(check(model, []))
     s, count = refused_in_one_digit(certificate, "O-g")
-    assert count > 20
+    assert count > 4
     higher = s | {"value": {"lower bound of g": str(Fraction(s["value"]["lower bound of g"]) + Fraction(1, 10**6))}}
     assert verdict(certificate["model"], higher).startswith("no")
     turned = [["const", "-1/2"] if step == ["const", "1/2"] else step for step in certificate["model"]["g"]["steps"]]
     assert verdict({**certificate["model"], "g": {**certificate["model"]["g"], "steps": turned}}, s).startswith("no")
 
 
-def test_a_quartic_constraint_is_convex_by_squares():
-    g = (q[0] ** 2 + q[1] ** 2) ** 2 + q[0] - 20
-    certificate = certificate_of(check(swept({"bowl": g}, q0=(3, 0)), []))
-    s, count = refused_in_one_digit(certificate, "S-convex")
-    assert count > 4
-    shape = s["proof"]["constraints"][0]
-    nothing = s | {"proof": {"constraints": [{**shape, "form": "any", "squares": None}]}}
-    assert verdict(certificate["model"], nothing).startswith("no")
-
-
-def test_a_quartic_phi_and_its_dissipation_by_squares():
+def test_the_dissipation_of_a_quartic_phi_by_squares():
     x = ca.SX.sym("x", 2)
     phi = (x[0] - 2 * x[1]) ** 4 + x[1] ** 4
     model = MonotoneInclusion(x=x, field=ca.vertcat(x[1] - x[0], -x[0] - x[1]), phi=phi, x0=[1, 1], t_end=1, step=0.1)
     certificate = certificate_of(check(model, []))
-    refused_in_one_digit(certificate, "M-T")
     s, _ = refused_in_one_digit(certificate, "M-A3")
     for name, factor in (("alpha", 8), ("beta", -1)):
         value = s["value"] | {name: str(Fraction(s["value"][name]) * factor - (name == "beta"))}
         assert verdict(certificate["model"], s | {"value": value}).startswith("no"), name
-
-
-def test_a_friction_law_whose_second_derivative_touches_zero():
-    """theta'' = (s - 1/2)^2, and with a little less it is < 0 near s = 1/2."""
-    x, s_ = ca.SX.sym("x"), ca.SX.sym("s")
-
-    def law(constant):
-        theta = s_ + s_**4 / 12 - s_**3 / 6 + constant * s_**2
-        return FrictionOscillator(x=x, s=s_, friction=theta, potential=x**2, x0=[1], t_end=1, step=0.1)
-
-    certificate = certificate_of(check(law(0.125 + 2.0**-30), []))
-    s, count = refused_in_one_digit(certificate, "O-theta")
-    assert count
-    below = certificate_of(check(law(0.125 - 2.0**-30), []))
-    assert verdict(below["model"], s).startswith("no")
 
 
 # -- without a box -------------------------------------------------------------------------------------------------------
@@ -471,7 +438,7 @@ def test_a_friction_law_whose_second_derivative_touches_zero():
 
 def test_a_nonlinear_lure_system_for_all_states():
     x = ca.SX.sym("x", 2)
-    A = ca.vertcat(x[1] - ca.tanh(x[0]), -x[0] - ca.atan(x[1]))
+    A = ca.vertcat(x[1] - ca.tanh(x[0]), -x[0] - ca.tanh(x[1]))
     model = LureSystem(x=x, A=A, B=[0, 1], C=[[0, 1]], law=relay(1), x0=[1, 0], t_end=1, step=0.1)
     certificate = certificate_of(check(model, []))
     (s,) = (s for s in certificate["statements"] if s["id"] == "5.2")
@@ -502,25 +469,21 @@ def test_the_complementarity_problem_of_a_step():
     for s in certificate["statements"]:
         assert verdict(certificate["model"], s) == "yes", s["id"]
         if s["id"] in ("F-mlcp", "F-unique"):
-            broken = {**s, "proof": changed(s["proof"], ("inverses", 0, 0, 0), lambda x: x + Fraction(1, 10**12))}
+            broken = {**s, "proof": changed(s["proof"], ("inverses", 0, "V", 0, 0), lambda x: x + Fraction(1, 10**12))}
             assert verdict(certificate["model"], broken).startswith("no")
             steps = [["const", "-1"] if step == ["const", "1"] else step for step in certificate["model"]["g"]["steps"]]
             data = {**certificate["model"], "gamma": "-1", "g": {**certificate["model"]["g"], "steps": steps}}
             assert verdict(data, s) != "yes"
 
 
-def test_a_law_that_is_a_potential_or_a_ball():
+def test_of_a_law_that_is_a_potential_or_a_ball_nothing_is_proved():
     y = ca.SX.sym("y")
     shared = {"A": [[-1, 0], [0, -2]], "B": [1, 1], "C": [1, 1], "x0": [1, 0], "t_end": 1, "step": 0.1}
-    for model in (LureSystem(y=y, phi=y**2 + ca.fabs(y), **shared), LureSystem(law=ball(1), **shared)):
+    flat = {"B": [[1, 0], [0, 1]], "C": [[1, 0], [0, 1]]}
+    for model in (LureSystem(y=y, phi=y**2 + ca.fabs(y), **shared), LureSystem(law=ball(2), **(shared | flat))):
         found = answers(certificate_of(check(model, [])))
-        assert {found[id] for id in ("4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c", "5.x0")} == {"yes"}
-    certificate = certificate_of(check(LureSystem(y=y, phi=y**2 + ca.fabs(y), **shared), []))
-    (s,) = (s for s in certificate["statements"] if s["id"] == "5.4a")
-    steps = [["const", "-1"] if step == ["const", "1"] else step for step in certificate["model"]["phi"]["steps"]]
-    concave = {"inputs": ["y_0"], "steps": [*steps, ["const", "-3"], ["mul", len(steps), steps.index(["pow", 0, "2"])]]}
-    concave["outputs"] = [len(concave["steps"]) - 1]
-    assert verdict({**certificate["model"], "phi": concave}, s) != "yes"
+        assert {found[id] for id in ("4.1", "5.1", "5.2")} == {"yes"}
+        assert {found[id] for id in ("5.4a", "5.4b", "5.4c", "5.x0")} == {"not checkable"}
 
 
 def test_switches_are_subdifferentials_or_nothing_is_proved():
@@ -531,8 +494,13 @@ def test_switches_are_subdifferentials_or_nothing_is_proved():
     for s in certificate["statements"]:
         assert verdict(certificate["model"], s) == "yes", s["id"]
         if s["id"] == "M-T":
-            turned = changed(certificate["model"], ("switches", 0, 0, 0), lambda x: -x)
+            phi = certificate["model"]["phi"]
+            steps = [*phi["steps"], ["const", "-1"], ["mul", phi["outputs"][0], len(phi["steps"])]]
+            turned = {**certificate["model"], "phi": {**phi, "steps": steps, "outputs": [len(steps) - 1]}}
             assert verdict(turned, s) != "yes"
+    other = MonotoneInclusion(x=x, field=-x, operator=ca.vertcat(2 * ca.sign(x[0] - x[1]), 0), x0=[1, 1], t_end=1, step=0.1)
+    found = answers(certificate_of(check(other, [])))
+    assert (found["M-C"], found["M-A1"], found["M-A2"]) == ("yes", "yes", "not checkable")
 
 
 def test_bodies_are_written_out():

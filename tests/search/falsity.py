@@ -43,19 +43,19 @@ READ = {  # Of each rule: the parts of a model on which the truth of its stateme
     "S-start": ("constraints", "q0"), "O-theta": ("theta", "damping"), "O-g": ("g", "C"), "O-dry": ("theta", "H"),
     "O-steps": ("steps",), "F-jacobians": ("f", "g", "h"),
     **dict.fromkeys(("F-step", "F-W"), ("f", "g", "M", "steps", "theta", "gamma")),
-    **dict.fromkeys(("F-mlcp", "F-unique"), ("f", "g", "h", "M", "steps", "theta", "gamma", "law")),
-    "3.1": ("law", "phi"), "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"),
-    **dict.fromkeys(("5.4a", "5.4c"), ("C", "D", "e", "law", "phi")), "5.x0": ("C", "D", "e", "law", "phi", "x0"),
-    "5.4b": ("D", "law", "phi"), "7.1": ("A", "f", "C", "D", "e", "law", "phi"),
-    **dict.fromkeys(("M-T", "M-A2"), ("F", "S", "phi", "switches")), "M-C": ("C",), "M-A1": ("F",),
-    **dict.fromkeys(("M-A3", "M-24"), ("F", "S", "phi", "switches", "C")),
+    "F-mlcp": ("f", "g", "h", "M", "steps", "theta", "gamma"),
+    "F-unique": ("f", "g", "h", "M", "steps", "theta", "gamma", "law"),
+    "3.1": ("law",), "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"),
+    **dict.fromkeys(("5.4a", "5.4c"), ("C", "D", "e", "law")), "5.x0": ("C", "D", "e", "law", "x0"),
+    "5.4b": ("D", "law"), "7.1": ("A", "f", "C", "D", "e", "law"),
+    **dict.fromkeys(("M-T", "M-A2"), ("F", "S", "phi")), "M-C": ("C",), "M-A1": ("F",),
+    **dict.fromkeys(("M-A3", "M-24"), ("F", "S", "phi", "C")),
 }  # fmt: skip
 NAMES = {  # The numbers that a statement may have.
     "A0": "c", "A1": "a b", "A2": "speed", "A3": "turn", "A4": "M M_contact", "A5": "gamma rho", "A5'": "gamma",
     "S-f": "K_f L_f L_t", "F-step": "h", "F-W": "h", "4.1": "least", "5.2": "omega", "M-A2": "a_1 a_2", "M-A3": "alpha beta",
     "M-24": "L",
 }  # fmt: skip
-KINDS = ("box", "ball", "second-order cone", "polyhedron", "ellipsoid")
 
 
 # -- functions
@@ -80,24 +80,15 @@ def power(v: Any, n: Fraction) -> tuple[Any, Any]:
     return v**m, (m * v ** (m - 1) if v or n > 1 else v + INF)
 
 
-def logarithm(v: Any) -> tuple[Any, Any]:
-    """log v and its derivative."""
-    if v <= 0:
-        raise Missing
-    return (mpmath.log(v) if isinstance(v, mpf) else math.log(v)), 1 / v
-
-
 SIMPLE: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     "exp": lambda x: (mpmath.exp(x), mpmath.exp(x)),
-    "log": logarithm,
     "sin": lambda x: (mpmath.sin(x), mpmath.cos(x)),
     "cos": lambda x: (mpmath.cos(x), -mpmath.sin(x)),
     "tanh": lambda x: (mpmath.tanh(x), 1 - mpmath.tanh(x) ** 2),
-    "atan": lambda x: (mpmath.atan(x), 1 / (1 + x * x)),
 }
 LINES = {
-    "exp": "math.exp({0})|v{1}", "log": "logarithm({0})[0]|1/{0}", "sin": "math.sin({0})|math.cos({0})",
-    "cos": "math.cos({0})|-math.sin({0})", "tanh": "math.tanh({0})|1-v{1}*v{1}", "atan": "math.atan({0})|1/(1+{0}*{0})",
+    "exp": "math.exp({0})|v{1}", "sin": "math.sin({0})|math.cos({0})", "cos": "math.cos({0})|-math.sin({0})",
+    "tanh": "math.tanh({0})|1-v{1}*v{1}",
 }  # fmt: skip
 
 
@@ -131,7 +122,7 @@ def compiled(text: str) -> tuple[Callable[[Point], list[Dual]], Callable[[Point]
     """A program in doubles: its values with gradients, and the values of all its nodes."""
     program = json.loads(text)
     n, lines, plain, slopes = program["n"], [], [], []
-    space: dict[str, Any] = {"math": math, "power": power, "logarithm": logarithm, "Dual": Dual, "inf": INF}
+    space: dict[str, Any] = {"math": math, "power": power, "Dual": Dual, "inf": INF}
     for k, (op, i, *rest) in enumerate(program["steps"]):
         u, own = f"v{i}", {} if op in ("in", "const") else slopes[i]
         if op == "in":
@@ -429,17 +420,15 @@ def no_statement(model: Any, statement: Any) -> str:
     names = ["lower bound of g"] if id == "O-g" else ["radius of A(0)"] if id == "O-dry" else NAMES.get(id, "").split()
     if not set(statement["value"]) <= set(names) or not set(statement["scope"] or ()) <= {"states", "time"}:
         return "a number or a scope without meaning"
-    if "law" in own and own.get("phi") is None:
+    if "law" in own:
         size = len(model["D"]) if "D" in model else len(model["f"]["inputs"]) - 1 - len(model["x0"])
-        if sum(block["size"] for block in own["law"]) != size or any(block["kind"] not in KINDS for block in own["law"]):
+        if any(block["kind"] != "box" for block in own["law"]) or sum(len(block["lower"]) for block in own["law"]) != size:
             return "a law of another size or kind"
-        if any(block["kind"] == "ball" and Fraction(block["radius"]) < 0 for block in own["law"]):
-            return "a ball without points"
-        if any(
-            block["kind"] == "ellipsoid" and least_eigenvalue([[*map(as_float, row)] for row in block["Q"]]) < 0
-            for block in own["law"]
-        ):
-            return "an ellipsoid that is not convex"
+    kinds = {"A": "SweepingProcess", "S": "SweepingProcess", "O": "FrictionOscillator", "F": "FirstOrderSystem"}
+    if model["class"] != (kinds | {"M": "MonotoneInclusion"}).get(id[0], "LureSystem"):
+        return "a hypothesis of another class of models"
+    if model["class"] == "FirstOrderSystem" and any(Fraction(step) <= 0 for step in model["steps"]):
+        return "a step that is not > 0"
     first = {
         "SweepingProcess": "f",
         "FrictionOscillator": "g",
@@ -458,15 +447,79 @@ def no_statement(model: Any, statement: Any) -> str:
         return "a constraint of other inputs"
     if any(len(theta["inputs"]) != 1 for theta in own.get("theta") or () if model["class"] == "FrictionOscillator"):
         return "friction of other inputs"
-    if own.get("phi") is not None and (own.get("S") is not None or own.get("switches") or own.get("law")):
-        return "a subdifferential, and an operator or a law"
-    if own.get("phi") is not None and "D" in own and len(own["phi"]["inputs"]) != len(model["D"]):
-        return "a potential of other inputs"
+    return ""
+
+
+def at(model: Any, values: dict[str, Fraction]) -> Any:
+    """The model with numbers in place of its parameters."""
+    names = list(values)
+
+    def put(item: Any) -> Any:
+        if isinstance(item, list):
+            return [put(part) for part in item]
+        if not (isinstance(item, dict) and "inputs" in item):
+            return {name: put(part) for name, part in item.items()} if isinstance(item, dict) else item
+        own = [name for name in item["inputs"] if name not in names]
+        fixed = {item["inputs"].index(name): str(values[name]) for name in names}
+        places = {k: own.index(name) for k, name in enumerate(item["inputs"]) if name in own}
+        steps = [
+            step if step[0] != "in" else ["const", fixed[step[1]]] if step[1] in fixed else ["in", places[step[1]]]
+            for step in item["steps"]
+        ]
+        if own or len(item["outputs"]) != 1:
+            return {"inputs": own, "steps": steps, "outputs": item["outputs"]}
+        return str(Fraction(str(digits({"steps": steps}, [])[item["outputs"][0]].v)))
+
+    return {name: put(part) for name, part in model.items() if name != "parameters"}
+
+
+def member_by_member(model: Any) -> Any:
+    """The model with each constraint of its families; a graph that reads a number has it as a constant."""
+    rows = []
+    for row in model.get("constraints") or ():
+        for one in row.get("members", [None]):
+            if one is None:
+                rows.append(row)
+                continue
+            graph, first = row["graph"], 1 + len(one["states"])
+            numbers = dict(enumerate(one["numbers"], start=first))
+            steps = [["const", numbers[s[1]]] if s[0] == "in" and s[1] in numbers else s for s in graph["steps"]]
+            own = {"inputs": ["t", *one["states"]], "steps": steps, "outputs": graph["outputs"]}
+            rows.append({"graph": own} | ({"delta": row["delta"]} if "delta" in row else {}))
+    return {**model, "constraints": rows}
+
+
+def over_parameters(model: Any, statement: Any, seed: int) -> str:
+    """A counterexample at some values of the parameters."""
+    scope, rng = statement["scope"] or {}, random.Random(seed)
+    ranges = {name: [Fraction(end) for end in ends] for name, ends in (scope.get("parameters") or {}).items()}
+    if list(ranges) != model.get("parameters", []) or any(low > high for low, high in ranges.values()):
+        return "other parameters, or an empty interval"
+    if any(set(row.get("numbers", ())) & set(ranges) for row in model.get("constraints") or ()):
+        return "a number of a family has the name of a parameter"
+    bare = {**statement, "scope": {name: part for name, part in scope.items() if name != "parameters"} or None}
+    for share in (0, 1, None, None):
+        values = {
+            name: low + (high - low) * (Fraction(rng.randint(0, 8), 8) if share is None else share)
+            for name, (low, high) in ranges.items()
+        }
+        with mpmath.workdps(DIGITS):
+            try:
+                here, there = at(model, values), at(bare, values)
+            except Missing:
+                return "a number has no value"
+        if found := find(here, there, seed):
+            return f"{found}, for {values}"
     return ""
 
 
 def find(model: Any, statement: Any, seed: int = 0) -> str:
     """A counterexample in words; "" where none is found."""
+    if model.get("parameters") or (statement["scope"] or {}).get("parameters"):
+        return over_parameters(model, statement, seed)
+    if any(row.get("members") == [] for row in model.get("constraints") or ()):
+        return "a family without members"
+    model = member_by_member(model)
     if found := no_statement(model, statement):
         return found
     finder, read = FINDERS[statement["id"]], functions(model)
@@ -615,7 +668,7 @@ def _bent(id: str, value: Any, g: Function, delta: Any, a: Point, b: Point, samp
 
 def qualified(model: Any, statement: Any, sampler: Sampler) -> str:
     gamma, gaps, names = sampler.real(statement["value"]["gamma"]), [g for g, _ in gaps_of(model, sampler)], model["f"].inputs
-    rho = sampler.real(statement["value"].get("rho", "0"))
+    rho = sampler.real(statement["value"].get("rho", "inf"))
     if gamma < 1 or (statement["id"] == "A5" and len(gaps) > 1 and rho <= 0):
         return "gamma < 1, or rho <= 0"
     for a, _ in sampler.pairs(names):
@@ -799,17 +852,8 @@ def mlcp(model: Any, statement: Any, sampler: Sampler) -> str:
 
 
 def is_empty(law: Any) -> bool:
-    """Whether a polyhedron {H l >= K} or an interval of a law is empty."""
-    for block in law:
-        if block["kind"] == "polyhedron":
-            rows = zip(block["K"], block["H"], strict=True)
-            if no_room(tuple((-as_float(k), *map(as_float, row)) for k, row in rows), False):
-                return True
-        if block["kind"] == "box" and any(as_float(a) > as_float(b) for a, b in zip(block["lower"], block["upper"], strict=True)):
-            return True
-        if block["kind"] == "ball" and as_float(block["radius"]) < 0:
-            return True
-    return False
+    """Whether an interval of a law is empty."""
+    return any(as_float(a) > as_float(b) for block in law for a, b in zip(block["lower"], block["upper"], strict=True))
 
 
 def within(low: Any, high: Any) -> Any:
@@ -832,7 +876,7 @@ def not_unique(model: Any, W: Rows, B: Rows, C: Rows, sampler: Sampler) -> str:
     if is_empty(model["law"]):
         return "K is empty"
     m, n = len(W), len(model["x0"])
-    if any(block["kind"] != "box" for block in model["law"]) or m > 3 or not det(real_matrix(model["M"], sampler)):
+    if m > 3 or not det(real_matrix(model["M"], sampler)):
         return ""
     ends = [tuple(map(sampler.real, pair)) for b in model["law"] for pair in zip(b["lower"], b["upper"], strict=True)]
     t = sampler.number(*sampler.ends("t"))
@@ -879,18 +923,13 @@ def not_unique(model: Any, W: Rows, B: Rows, C: Rows, sampler: Sampler) -> str:
 # -- Lur'e systems
 
 
-def law_ends(model: Any, sampler: Sampler) -> list[tuple[Any, Any]] | None:
-    """The ends of a law of intervals; None for others."""
-    if model["phi"] is not None or any(block["kind"] != "box" for block in model["law"]):
-        return None
+def law_ends(model: Any, sampler: Sampler) -> list[tuple[Any, Any]]:
+    """The ends of the law's intervals."""
     return [tuple(map(sampler.real, pair)) for b in model["law"] for pair in zip(b["lower"], b["upper"], strict=True)]
 
 
 def thin_law(model: Any, statement: Any, sampler: Sampler) -> str:
-    if model["phi"] is not None or any(block["kind"] == "ball" and not Fraction(block["radius"]) for block in model["law"]):
-        return "there is no K, or a ball that is a point"
-    ends = law_ends(model, sampler)
-    return "no interior" if ends is not None and any(low >= high for low, high in ends) else ""
+    return "no interior" if any(low >= high for low, high in law_ends(model, sampler)) else ""
 
 
 def feedthrough(model: Any, statement: Any, sampler: Sampler) -> str:
@@ -954,17 +993,15 @@ def grows(model: Any, statement: Any, sampler: Sampler) -> str:
 
 
 def one_range(model: Any, statement: Any, sampler: Sampler, x: Any = None) -> str:
-    """5.4 and 5.x0 of one row, by cases; a potential that is not convex is no potential."""
+    """5.4 and 5.x0 of one row, by cases."""
     id = statement["id"]
-    if model["phi"] is not None and (found := not_convex(model["phi"], sampler.whole())):
-        return found
-    if model["phi"] is None and is_empty(model["law"]) and id != "5.4b":
+    if is_empty(model["law"]) and id != "5.4b":
         return "K is empty"
     if len(model["D"]) == 2 and id != "5.4b" and (found := two_ranges(model, id, sampler, x)):
         return found
-    if len(model["D"]) != 1 or (ends := law_ends(model, sampler)) is None:
-        return hull_of_quadratic(model, sampler) if id == "5.4c" and model["phi"] is not None and len(model["D"]) == 1 else ""
-    ((low, high),), D, C = ends, sampler.real(model["D"][0][0]), [sampler.real(c) for c in model["C"][0]]
+    if len(model["D"]) != 1:
+        return ""
+    ((low, high),), D, C = law_ends(model, sampler), sampler.real(model["D"][0][0]), [sampler.real(c) for c in model["C"][0]]
     if low > high:
         return "K is empty"
     if (low > -INF and high < INF) or D > 0 or id == "5.4b" or isinstance(model.get("e"), dict | Function):
@@ -982,7 +1019,7 @@ def one_range(model: Any, statement: Any, sampler: Sampler, x: Any = None) -> st
 def two_ranges(model: Any, id: str, sampler: Sampler, x: Any) -> str:
     """Of two rows with D = [0, d; -d, 0], S is a product: D_ji (low_j, high_j) plus a half-line or everything."""
     D, ends = real_matrix(model["D"], sampler), law_ends(model, sampler)
-    if ends is None or D[0][0] or D[1][1] or D[0][1] != -D[1][0] or isinstance(model.get("e"), dict | Function):
+    if D[0][0] or D[1][1] or D[0][1] != -D[1][0] or isinstance(model.get("e"), dict | Function):
         return ""
     if any(low == -INF and high == INF for low, high in ends):
         return "int dom Y* is empty"
@@ -999,15 +1036,6 @@ def two_ranges(model: Any, id: str, sampler: Sampler, x: Any) -> str:
     return ""
 
 
-def hull_of_quadratic(model: Any, sampler: Sampler) -> str:
-    """Of Phi = a y^2/2 + b y, a > 0, R(D + dXi) is a point for D = -1/a."""
-    at = [model["phi"].values([sampler.real(y)])[0].g[0] for y in ("-3", "0", "1", "7")]
-    a = at[2] - at[1]
-    straight = abs(at[0] - at[1] + 3 * a) + abs(at[3] - at[1] - 7 * a) < SLACK
-    point = straight and a > 0 and abs(sampler.real(model["D"][0][0]) + 1 / a) <= sampler.bare
-    return "R(D + dXi) is a point" if point else ""
-
-
 def not_at_rest(model: Any, statement: Any, sampler: Sampler) -> str:
     if any(x.v != 0 for x in model["A"].values([sampler.real("0")] * len(model["A"].inputs))):
         return "A(0)"
@@ -1015,8 +1043,7 @@ def not_at_rest(model: Any, statement: Any, sampler: Sampler) -> str:
         return "f"
     if any(Fraction(x) for x in model.get("e", [])):
         return "e"
-    ends = law_ends(model, sampler)
-    if ends is not None and not all(low <= 0 <= high for low, high in ends):
+    if not all(low <= 0 <= high for low, high in law_ends(model, sampler)):
         return "0 is not in K"
     return one_range(model, statement, sampler, [0] * len(model["x0"]))
 
@@ -1025,22 +1052,13 @@ def not_at_rest(model: Any, statement: Any, sampler: Sampler) -> str:
 
 
 def operator(model: Any, x: Point) -> list[Any]:
-    """S + the switches, or the gradient of phi; a sign of 0 is 0."""
+    """S and the gradient of phi."""
     total = [0 * y for y in x]
     if model["phi"] is not None:
         total = [a + b for a, b in zip(total, model["phi"].values(x)[0].g, strict=True)]
     if model["S"] is not None:
         total = [a + b.v for a, b in zip(total, model["S"].values(x), strict=True)]
-    for weights, argument in model["switches"]:
-        (at,) = argument.values(x)
-        sign = (at.v > 0) - (at.v < 0)
-        total = [a + sign * w for a, w in zip(total, weights, strict=True)]
     return total
-
-
-def prepared(model: Any, sampler: Sampler) -> Any:
-    """The model, with the weights of its switches as numbers."""
-    return {**model, "switches": [([sampler.real(w) for w in weights], f) for weights, f in model["switches"]]}
 
 
 def inside(model: Any, x: Point) -> Any:
@@ -1059,7 +1077,6 @@ def drift(model: Any, x: Point) -> list[Any]:
 def monotone(model: Any, statement: Any, sampler: Sampler) -> str:
     if model["phi"] is not None and (found := not_convex(model["phi"], sampler)):
         return found
-    model = prepared(model, sampler)
     for a, b in sampler.pairs(model["F"].inputs):
         d, v = minus(a, b), minus(operator(model, a), operator(model, b))
         if dot(v, d) < -sampler.tight * (1 + norm(d) ** 2 + norm(v) * norm(d)):
@@ -1079,7 +1096,6 @@ def without_value(model: Any, statement: Any, sampler: Sampler) -> str:
 
 def linear_growth(model: Any, statement: Any, sampler: Sampler) -> str:
     a_1, a_2 = (sampler.real(statement["value"][name]) for name in ("a_1", "a_2"))
-    model = prepared(model, sampler)
     for a, _ in sampler.pairs(model["F"].inputs):
         if norm(drift(model, a)) > (a_1 + a_2 * norm(a)) * (1 + SLACK) + 1e-30:
             return f"at {a}"
@@ -1087,7 +1103,7 @@ def linear_growth(model: Any, statement: Any, sampler: Sampler) -> str:
 
 
 def one_sided(model: Any, statement: Any, sampler: Sampler) -> str:
-    L, model = sampler.real(statement["value"]["L"]), prepared(model, sampler)
+    L = sampler.real(statement["value"]["L"])
     for a, b in sampler.pairs(model["F"].inputs):
         if inside(model, a) >= 0 and inside(model, b) >= 0:
             d, v = minus(a, b), minus(drift(model, a), drift(model, b))
@@ -1113,7 +1129,6 @@ def dissipative(model: Any, statement: Any, sampler: Sampler) -> str:
     alpha, beta = (sampler.real(statement["value"][name]) for name in ("alpha", "beta"))
     if alpha <= 0:
         return "alpha <= 0"
-    model = prepared(model, sampler)
     for k, (a, _) in enumerate(sampler.pairs(model["F"].inputs)):
         size = norm(a) ** 2
         if inside(model, a) > 0 and dot(a, drift(model, a)) > -alpha * size + beta + SLACK * (1 + abs(beta) + size):

@@ -35,14 +35,13 @@ from nsmodel import (
     SweepingProcess,
     check,
     complementarity,
-    polyhedron,
     relay,
 )
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.write import certificate_of
 
 from . import falsity
-from .claims import FORGERIES, TRUE
+from .claims import FORGERIES, OF_PARAMETERS, TRUE, over
 
 Statement = dict[str, Any]
 Pair = tuple[Any, Statement]
@@ -63,7 +62,7 @@ class Forgery(NamedTuple):
 
 def models() -> Iterator[Any]:
     """Small models that have all hypotheses that can be proved, in each of the ways that the rules know."""
-    t, s, y = (ca.SX.sym(name) for name in "tsy")
+    t, s = (ca.SX.sym(name) for name in "ts")
     x, q, l = (ca.SX.sym(name, 2) for name in "xql")
     one, z = ca.SX.sym("z"), ca.SX.sym("w")
     step: dict[str, Any] = {"t_end": 1.0, "step": 0.1}
@@ -86,11 +85,11 @@ def models() -> Iterator[Any]:
     def oscillator(theta: Any, g: Any, **more: Any) -> FrictionOscillator:
         return FrictionOscillator(x=x, s=s, friction=theta, potential=g, x0=[0.5, 0.25], **step, **more)
 
-    yield oscillator(s + s**4 / 12 - s**3 / 6 + s**2 / 4, x[0] ** 2 + x[1] ** 2 - x[0] + ca.fabs(x[1])), None
+    yield oscillator(s + s**4 / 12 + s**3 / 6 + s**2 / 4, x[0] ** 2 + x[1] ** 2 - x[0] + ca.fabs(x[1])), None
     yield (
         oscillator(
             2 * s + ca.exp(-s),
-            x[0] ** 4 + x[0] ** 2 * x[1] ** 2 + x[1] ** 4 + x[0] * x[1] + x[0] ** 2 + x[1] ** 2,
+            x[0] ** 4 + x[1] ** 4 + x[0] * x[1] + x[0] ** 2 + x[1] ** 2,
             constraints={"wall": 2 - x[0], "ball": 4 - x[0] ** 2 - x[1] ** 2},
             damping=[[1, 1], [-1, 1]],
         ),
@@ -118,13 +117,8 @@ def models() -> Iterator[Any]:
     linear = ca.vertcat(-x[0] + x[1], -x[0] - 2 * x[1])
     yield lure(linear, [[1], [1]], [[1, 1]], relay(1), D=[[0.5]]), None
     yield lure(linear, [[1], [0]], [[1, 0]], complementarity(1)), None
-    yield lure(ca.vertcat(x[1] - ca.tanh(x[0]), -x[0] - ca.atan(x[1])), [[0], [1]], [[0, 1]], relay(1)), None
+    yield lure(ca.vertcat(x[1] - ca.tanh(x[0]), -x[0] - ca.tanh(x[1])), [[0], [1]], [[0, 1]], relay(1)), None
     yield lure(linear, [[1, 0], [0, 1]], [[1, 0], [0, 1]], complementarity(2), D=[[0, 1], [-1, 0]]), None
-    yield LureSystem(x=x, y=y, A=linear, B=[[1], [1]], C=[[1, 1]], phi=y**2 / 2 + ca.fabs(y), x0=[1, 0], **step), None
-
-    slab = polyhedron([[1], [-1]], [-1, -1])
-    yield LureSystem(x=x, A=linear, B=[[1], [1]], C=[[1, 1]], D=[[1]], law=slab, x0=[1, 0], **step), None
-    yield FirstOrderSystem(x=one, lam=z, f=[-one], g=[z], h=[one + z], law=slab, x0=[1], **step), None
 
     def inclusion(F: Any, **more: Any) -> MonotoneInclusion:
         return MonotoneInclusion(x=x, field=ca.vertcat(*F), x0=[0.5, 0.5], **step, **more)
@@ -133,12 +127,12 @@ def models() -> Iterator[Any]:
     yield inclusion((-x[0] + x[1], -x[1]), operator=ca.vertcat(ca.sign(x[0] - 1) + x[0], x[1]), constraints=ball), None
     yield inclusion((-x[0], 1 - x[1]), phi=ca.fabs(x[0]) + x[1] ** 2, lower=[-1, -1], upper=[2, 3]), None
     yield (
-        inclusion((x[1] - x[0] ** 3, -x[0]), operator=ca.vertcat(x[0] ** 3 + x[0], ca.atan(x[1])), constraints=ball),
+        inclusion((x[1] - x[0] ** 3, -x[0]), operator=ca.vertcat(x[0] ** 3 + x[0], ca.tanh(x[1])), constraints=ball),
         {"x_0": (-3, 3), "x_1": (-3, 3)},
     )
-    yield inclusion((x[1] - x[0], -x[0] - x[1]), phi=(x[0] - 2 * x[1]) ** 4 + x[1] ** 4), None
+    yield inclusion((x[1] - x[0], -x[0] - x[1]), phi=x[0] ** 4 + x[1] ** 4), None
     yield (
-        inclusion((ca.sqrt(1 + x[0] ** 2), ca.log(3 + x[1])), phi=ca.exp(x[0]) + x[1] ** 2, constraints=ball),
+        inclusion((ca.sqrt(1 + x[0] ** 2), ca.sqrt(3 + x[1])), phi=ca.exp(x[0]) + x[1] ** 2, constraints=ball),
         {"x_0": (-2, 2), "x_1": (-2, 2)},
     )
 
@@ -154,7 +148,7 @@ def originals() -> dict[str, list[Pair]]:
             for s in certificate["statements"]:
                 if s["proof"] is not None and len(json.dumps(s)) < 6000:
                     found[s["id"]].append((certificate["model"], s))
-    for model, s in TRUE.values():
+    for model, s in [*TRUE.values(), *((model, over(s, *ends)) for model, s, ends, _ in OF_PARAMETERS.values())]:
         found[s["id"]].append((model, s))
     return {rule: sorted(pairs, key=lambda pair: len(json.dumps(pair))) for rule, pairs in found.items()}
 
@@ -173,7 +167,7 @@ NUMBERS = ("0", "1", "-1", "2", "1/2", "-1/2", "3", "-2", "1/1000", "1000000", "
 FACTORS = tuple(map(Fraction, ("-1", "1/2", "9/10", "11/10", "2", "10", "1/10", "999/1000", "1001/1000", "3/2")))
 EXPONENTS = ("-3", "-2", "-1", "-1/2", "-1/3", "1/3", "1/2", "2/3", "1", "3/2", "2", "5/2", "3", "4")
 JUNK = (None, True, 0, -1, 0.5, float("nan"), "", "nan", [], {}, ["0"], "x")
-OPERATIONS = ("exp", "log", "sin", "cos", "tanh", "atan")
+OPERATIONS = ("exp", "sin", "cos", "tanh")
 UNREADABLE = (KeyError, IndexError, TypeError, AttributeError, ValueError)  # A change does not fit what another has left.
 
 
@@ -322,10 +316,12 @@ def change_scope(model: Any, s: Statement, rng: random.Random) -> None:
         if rng.random() < 0.8:
             ends = {name: sorted(pair, key=lambda x: float(x if "inf" in x else Fraction(x))) for name, pair in ends.items()}
         time = ends.pop("t", None)
-        if rng.random() < 0.1:
-            s["scope"] = {"states": ends, "time": None, "parameters": {"p": ["0", "1"]}}
-            return
+        kept = (s["scope"] or {}).get("parameters")
         s["scope"] = {"states": ends, "time": time if rng.random() < 0.5 else None}
+        if rng.random() < 0.1:
+            s["scope"][rng.choice(["parameters", "domain"])] = {"p": ["0", "1"]}
+        elif kept is not None:
+            s["scope"]["parameters"] = kept
 
 
 def change_shared(parts: Any, s: Statement, rng: random.Random) -> None:
@@ -349,24 +345,15 @@ def change_shared(parts: Any, s: Statement, rng: random.Random) -> None:
 
 
 def repair(rule: str, model: Any, s: Statement) -> None:
-    """Hints that an equation determines are made to fit: y of C x + e = D'k + y + (D + D')v, M^-1; upper bounds become 0."""
+    """Hints that an equation determines are made to fit: M^-1; upper bounds become 0."""
     proof = s["proof"]
-    if rule in ("5.4a", "5.4c", "5.x0", "7.1") and {"k", "v"} <= set(proof):
-        C, D = ([[Fraction(x) for x in row] for row in model[name]] for name in "CD")
-        k, v = ([Fraction(x) for x in proof[name]] for name in "kv")
-        x = [Fraction(z) for z in (model["x0"] if rule == "5.x0" else proof.get("x", ["0"] * len(model["x0"])))]
-        e = [Fraction(z) for z in model.get("e", ["0"] * len(D))]
-        transposed = list(zip(*D, strict=True))
-        product = falsity.dot
-        proof["y"] = [str(product(row, x) + e[i] - product(transposed[i], k) - product(D[i], v) - product(transposed[i], v))
-                      for i, row in enumerate(C)]  # fmt: skip
     if rule in ("A0", "A3", "A4"):
         for hint in proof["constraints"]:
             hint.update({"b": "0"} if "b" in hint else {})
     if rule in ("F-step", "F-W"):
         M = [[Fraction(x) for x in row] for row in model["M"]]
         size, inverse = falsity.solved(M, [[Fraction(int(i == j)) for j in range(len(M))] for i in range(len(M))])
-        proof["inverse"] = [[str(x) for x in row] for row in inverse] if size else proof["inverse"]
+        proof["R"] = [[str(x) for x in row] for row in inverse] if size else proof["R"]
 
 
 def change_inputs(model: Any, rng: random.Random) -> None:
@@ -397,18 +384,11 @@ def change_part(model: Any, other: Any, names: Sequence[str], rng: random.Random
 def change_law(model: Any, rng: random.Random) -> None:
     """A factor of the law becomes another."""
     for block in model.get("law") or ():
-        if block.get("kind") == "polyhedron":
-            block["K"] = [rng.choice([x, "1", "-1"]) for x in block["K"]]
         if block.get("kind") == "box":
             for name in ("lower", "upper"):
                 block[name] = [rng.choice([x, x, "0", "1", "-1", "inf", "-inf"]) for x in block[name]]
-        if rng.random() < 0.2:
-            size = block.get("size")
-            other = {"kind": rng.choice(["ball", "second-order cone", "cylinder", "ellipsoid"]), "size": size}
-            other["radius"] = rng.choice(["0", "1", "-1"])
-            other["Q"] = [[rng.choice(["1", "2", "-1"]) if i == j else "0" for j in range(size)] for i in range(size)]
-            block.clear()
-            block.update(other)
+        if rng.random() < 0.1:
+            block["kind"] = rng.choice(["ball", "potential"])
 
 
 def forged(rule: str, rng: random.Random) -> Pair:
@@ -419,7 +399,7 @@ def forged(rule: str, rng: random.Random) -> Pair:
         model["e"] = [any_number(rng) for _ in model["D"]] if rng.random() < 0.9 else copy.deepcopy(model["f"])
     for _ in range(rng.choice([1, 1, 1, 2, 2, 3, 4, 5])):
         kind = rng.random()
-        parts = {name: model[name] for name in falsity.READ[rule] if name in model}
+        parts = {name: model[name] for name in ("parameters", *falsity.READ[rule]) if name in model}
         if kind < 0.17 and s["value"]:
             change_number(s["value"], rng)
         elif kind < 0.22:
@@ -487,7 +467,7 @@ class Search:
                 yield model, s
 
     def _claim(self, model: Any, s: Statement) -> list[Any]:
-        parts = {name: model.get(name) for name in ("class", *falsity.READ[self.rule])}
+        parts = {name: model.get(name) for name in ("class", "parameters", *falsity.READ[self.rule])}
         return [parts, s.get("value"), s.get("scope"), s["proof"].get("P") if self.rule == "5.2" else None]
 
     def falsity(self, model: Any, s: Statement) -> str:
@@ -593,7 +573,10 @@ def marked_checker() -> tuple[types.ModuleType, Premises]:
     for k, node in enumerate(tree.body):
         name = getattr(node, "name", "")
         if node.lineno >= first and name not in ("", "answer", "read_certificate", "main"):
-            tree.body[k] = Marked(premises, name).visit(node)
+            for j, method in enumerate(node.body if isinstance(node, ast.ClassDef) else ()):
+                if isinstance(node, ast.ClassDef) and isinstance(method, ast.FunctionDef):
+                    node.body[j] = Marked(premises, f"{name}.{method.name}").visit(method)
+            tree.body[k] = node if isinstance(node, ast.ClassDef) else Marked(premises, name).visit(node)
     module.__dict__["premises"] = premises
     exec(compile(ast.fix_missing_locations(tree), "marked", "exec"), module.__dict__)
     return module, premises

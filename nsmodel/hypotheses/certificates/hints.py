@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import block_diag
 
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.findings import Finding
@@ -85,9 +84,6 @@ class _ProgramWriter:
             ca.OP_EXPM1: lambda u: sub(self._append_step("exp", u), self.number(1.0)),
             ca.OP_TAN: lambda u: mul(self._append_step("sin", u), power(self._append_step("cos", u), -one)),
             ca.OP_TANH: lambda u: self._append_step("tanh", u),
-            ca.OP_LOG: lambda u: self._append_step("log", u),
-            ca.OP_LOG1P: lambda u: self._append_step("log", add(self.number(1.0), u)),
-            ca.OP_ATAN: lambda u: self._append_step("atan", u),
             ca.OP_SINH: lambda u: self._exponential_half_sum(u, sub),
             ca.OP_COSH: lambda u: self._exponential_half_sum(u, add),
             ca.OP_CONSTPOW: self._constant_power,
@@ -303,24 +299,8 @@ def nonnegativity_hint(p: verify.Poly, atoms: verify.Atoms) -> dict[str, Any] | 
 
 
 def convexity_hint(p: verify.Poly, own: Sequence[int], atoms: verify.Atoms) -> dict[str, Any]:
-    """What shows that p is convex: nothing, by the rules; a Gram matrix of y'D2p y; else a cover."""
-    if verify.convex(p, own, atoms):
-        return {}
-    found = [_convexity_squares(q, own, atoms) for q in verify.at_corners(p)]
-    return {"cover": AdaptiveCover()} if None in found else {"squares": corner_hints(found)}
-
-
-def _convexity_squares(p: verify.Poly, own: Sequence[int], atoms: verify.Atoms) -> dict[str, Any] | None:
-    """A Gram matrix of y'D2p y; None where none is found."""
-    q = {m: a for m, a in p.items() if m and all(v in own for v, _ in m)}
-    found = sum_of_squares.sos_convexity_decompositions(q)
-    if found is None:
-        return None
-    parts = [_gram_hint(part, [*names, *(-1 - v for v in names)]) for names, part in found]
-    G = block_diag(*(part.G for _, part in found)) if parts else []
-    rows = [[exact_number_text(Fraction(x)) for x in row] for row in np.asarray(G, dtype=object)]
-    one = {"monomials": [m for part in parts for m in part["monomials"]], "G": rows}
-    return one if verify.convex(p, own, atoms, one) else None
+    """What shows that p is convex: nothing, by the rules; else a cover."""
+    return {} if verify.convex(p, own, atoms) else {"cover": AdaptiveCover()}
 
 
 def interior_point_hint(subject: Any, finding: Finding) -> dict[str, Any]:

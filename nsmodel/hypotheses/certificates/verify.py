@@ -6,9 +6,9 @@ the model as it reads it, and of each statement the sentence that was proved, ma
 of the certificate. The answer is "yes" with that sentence, "no" with a reason, or "not checkable" with a reason.
 
 A function is a straight-line program: steps ["in", k], ["const", c], ["add", i, j], ["mul", i, j], ["pow", i, exponent],
-["fmax", i, j], and ["exp", i], the same with log, sin, cos, tanh, atan, where i and j are numbers of earlier steps. It is the
-real function that is defined where each of its steps is: log u where u > 0, u^n for all u if n is an integer >= 0, where u is not
-0 if n is an integer < 0, and else where u >= 0, or u > 0 if n < 0.
+["fmax", i, j], and ["exp", i], the same with sin, cos, tanh, where i and j are numbers of earlier steps. It is the real function
+that is defined where each of its steps is: u^n for all u if n is an integer >= 0, where u is not 0 if n is an integer < 0, and
+else where u >= 0, or u > 0 if n < 0.
 
 A rule's docstring names the theorem and its premises, numbered; comments #1, #2, ... say where each is checked.
 """
@@ -26,7 +26,7 @@ from fractions import Fraction as Q
 from itertools import accumulate, pairwise, product
 from typing import Any
 
-FORMAT = 3
+FORMAT = 4
 BITS = 80  # Intervals are rounded outwards to so many bits.
 CONTEXT = decimal.Context(prec=60)
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
@@ -34,7 +34,6 @@ PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
 MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS, MAX_WORK, SPENT = 1000, 16, 20000, 200000, 5 * 10**7, [-INF]
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]
-Names = Sequence[str] | None
 Leaf = Callable[..., bool]
 Monomial = tuple[tuple[int, int], ...]
 Parameters = dict[str, "Poly"]  # low + (high - low) unit of each.
@@ -132,7 +131,7 @@ def transpose(A: Matrix) -> Matrix:
     return [list(row) for row in zip(*A, strict=True)]
 
 
-def dot(a: Iterable[Q], b: Iterable[Q]) -> Q:
+def dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
     """The scalar product <a, b>."""
     return sum((x * y for x, y in zip(a, b, strict=True) if x and y), ZERO)
 
@@ -143,7 +142,7 @@ def times(A: Matrix, B: Matrix) -> Matrix:
     return [[dot(row, column) for column in columns] for row in A]
 
 
-def plus(A: Matrix, B: Matrix, factor: Any = 1) -> Matrix:
+def plus(A: Any, B: Any, factor: Any = 1) -> Any:
     """The sum of A and of B times a number."""
     return [[a + factor * b for a, b in zip(r, s, strict=True)] for r, s in zip(A, B, strict=True)]
 
@@ -151,17 +150,6 @@ def plus(A: Matrix, B: Matrix, factor: Any = 1) -> Matrix:
 def eye(n: int, entry: Any = 1) -> Matrix:
     """A number times the identity."""
     return [[Q(entry) if i == j else ZERO for j in range(n)] for i in range(n)]
-
-
-def adjugate(W: Matrix) -> tuple[Matrix, Any]:
-    """V and d with W V = d, the adjugate and the determinant with one sign, by the recursion of Faddeev and Le Verrier."""
-    V, WV = eye(len(W)), W
-    for k in range(1, len(W)):
-        V = plus(WV, eye(len(W)), sum((WV[i][i] for i in range(len(W))), ZERO) * Q(-1, k))
-        WV = times(W, V)
-    d = WV[0][0] if W else ONE
-    sign = 1 if least(d) > 0 else -1
-    return [[x * sign for x in row] for row in V], d * sign
 
 
 def psd(M: Matrix, definite: bool = False) -> bool:
@@ -211,8 +199,6 @@ def end_product(a: Any, b: Any) -> Any:
 class VerifierInterval:
     """The numbers x with lo <= x <= hi, at least one; ends are fractions or infinite; operations round outwards."""
 
-    __slots__ = ("hi", "lo")
-
     def __init__(self, lo: Any, hi: Any = None, slack: Any = 0) -> None:
         hi = lo if hi is None else hi
         need(lo <= hi and lo < INF and hi > -INF, "an interval is empty")
@@ -234,10 +220,6 @@ class VerifierInterval:
         left, right = "[" if self.lo > -INF else "(", "]" if self.hi < INF else ")"
         return f"{left}{written(self.lo, UP)}, {written(self.hi, DOWN)}{right}"
 
-    def clipped(self, bound: Q) -> VerifierInterval:
-        """What is known where |x| <= bound too."""
-        return VerifierInterval(max(self.lo, -bound), min(self.hi, bound))
-
     def middle(self) -> Any:
         """Where a cover cuts: where an end is infinite at 0, or twice as far out."""
         if self.hi < INF:
@@ -252,11 +234,9 @@ class VerifierInterval:
         """The power x^n, n a fraction."""
         n = Q(n)
         if n.denominator > 1:
+            need(n.denominator == 2, "a power that is no root", UNCHECKED)
             need(self.lo > 0 or (self.lo == 0 and n > 0), "a power of what may be negative, or of 0")
-            if n.denominator == 2:
-                return self.rising(root_of).power(n.numerator)
-            high = (log_of(self.hi) * n).rising(exp_of).hi if self.hi > 0 else ZERO
-            return (self.rising(log_of) * n).rising(exp_of) if self.lo > 0 else VerifierInterval(ZERO, high)
+            return self.rising(root_of).power(n.numerator)
         if n < 0:
             need(self.lo > 0 or self.hi < 0, "a division by what may be 0")
             return VerifierInterval(*(ZERO if abs(x) == INF else 1 / x for x in (self.hi, self.lo))).power(-n)
@@ -275,7 +255,8 @@ class VerifierInterval:
         term = -y if k % 2 else y
         for i in range(1, 36, 2):
             series, term = series + term, rounded(-term * y * y / ((i + 1) * (i + 2)))
-        return VerifierInterval(series, slack=half + Q(abs(k) + 2, 2**70)).clipped(ONE)
+        slack = half + Q(abs(k) + 2, 2**70)
+        return VerifierInterval(max(series - slack, -ONE), min(series + slack, ONE))
 
 
 def root_of(x: Any) -> VerifierInterval:
@@ -293,43 +274,25 @@ def rounded_by(context: decimal.Context, x: Q) -> decimal.Decimal:
 
 
 def exp_of(x: Any) -> VerifierInterval:
-    """The exponential of an end. Python rounds exp and ln of decimals correctly, to 60 digits here; e^700 > BIG."""
+    """The exponential of an end. Python rounds exp of decimals correctly, to 60 digits here; e^700 > BIG."""
     if abs(x) > 700:
         return VerifierInterval(BIG, INF) if x > 0 else VerifierInterval(ZERO, 1 / BIG)
     value = Q(CONTEXT.exp(rounded_by(CONTEXT, x)))
     return VerifierInterval(value, slack=value / 2**150 if x else 0)
 
 
-def log_of(x: Any) -> VerifierInterval:
-    """The logarithm of an end, which is > 0."""
-    need(x > 0, "a logarithm of what may not be positive")
-    value = ZERO if x == INF else Q(CONTEXT.ln(rounded_by(CONTEXT, x)))
-    return VerifierInterval(value, INF if x == INF else value, slack=Q(int(x != 1), 2**150))
-
-
-def atan_of(x: Any) -> VerifierInterval:
-    """The arctangent of an end: y + atan(e) where tan y is about x and e = (x cos y - sin y)/(cos y + x sin y)."""
-    x = max(-BIG, min(x, BIG))
-    near = math.atan(x)
-    y, at = VerifierInterval(Q(near)), VerifierInterval(x)
-    e = (at * y.sin(1) + -y.sin()) * (y.sin(1) + at * y.sin()).power(-1)
-    need(abs(near) < 1.6 and near * x >= 0 and max(-e.lo, e.hi) <= Q(1, 2**40), "an arctangent that the machine gets wrong")
-    return y + VerifierInterval(e.lo, e.hi, slack=Q(int(x != 0), 2**110))
-
-
 Box = list[VerifierInterval]
 IntervalMatrix = list[list[VerifierInterval]]
+Jets = list["VerifierJet"]
 UNIT, ALL = VerifierInterval(ONE), VerifierInterval(-INF, INF)
 FUNCTIONS: dict[str, Callable[[VerifierInterval], tuple[VerifierInterval, ...]]] = {  # f(x), f'(x), f''(x)
     "exp": lambda x: (x.rising(exp_of),) * 3,
-    "log": lambda x: (x.rising(log_of), x.power(-1), -x.power(-2)),
     "sin": lambda x: (x.sin(), x.sin(1), -x.sin()),
     "cos": lambda x: (x.sin(1), -x.sin(), -x.sin(1)),
     # 1 - 2/(e^2x + 1), in which x occurs once.
     "tanh": lambda x: (
         t := UNIT + ((x * 2).rising(exp_of) + UNIT).power(-1) * -2, d := UNIT + -t.power(2), t * d * -2
     ),
-    "atan": lambda x: (x.rising(atan_of), d := (UNIT + x.power(2)).power(-1), (x * d).clipped(HALF) * d * -2),
 }  # fmt: skip
 
 
@@ -372,7 +335,7 @@ class VerifierProgram:
     file's docstring, and exponents are at most MAX_EXPONENT.
     """
 
-    def __init__(self, data: Any, inputs: Names, outputs: int | None, parameters: Parameters) -> None:
+    def __init__(self, data: Any, inputs: Sequence[str] | None, outputs: int | None, parameters: Parameters) -> None:
         self.inputs, self.parameters = names_of(field(data, "inputs")), parameters
         self.own, self.n = self.inputs[: len(self.inputs) - len(parameters)], len(self.inputs) - len(parameters)
         need([*self.own, *parameters] == self.inputs, "a function leaves out a parameter")
@@ -411,8 +374,6 @@ class VerifierProgram:
 class VerifierJet:
     """Value, gradient and Hessian on a box, in intervals; gradient and Hessian may be left out."""
 
-    __slots__ = ("H", "g", "v")
-
     def __init__(self, v: VerifierInterval, g: list[VerifierInterval], H: IntervalMatrix) -> None:
         self.v, self.g, self.H = v, g, H
 
@@ -437,13 +398,9 @@ class VerifierJet:
         """
         if self.v.lo > o.v.hi or o.v.lo > self.v.hi:
             return self if self.v.lo > o.v.hi else o
-        if self.g and (smooth or self.H):
-            raise Unproved("a kink", NO)
+        need(not self.g or not (smooth or self.H), "a kink")
         g = [VerifierInterval(min(a.lo, b.lo), max(a.hi, b.hi)) for a, b in zip(self.g, o.g, strict=True)]
         return VerifierJet(VerifierInterval(max(self.v.lo, o.v.lo), max(self.v.hi, o.v.hi)), g, [])
-
-
-Jets = list[VerifierJet]
 
 
 def jets(program: VerifierProgram, box: Box, order: int = 2, wrt: Iterable[int] | None = None, smooth: bool = False) -> Jets:
@@ -571,14 +528,14 @@ def at_corners(p: Poly) -> list[Poly]:
     return [Poly(dict(zip(parts, corner, strict=True))) for corner in corners([Poly(part) for part in parts.values()])]
 
 
-def at_each(hint: Any, count: int) -> list[Any]:
-    """The hints of so many corners, which may be one for all."""
-    return entries(hint["corners"], count) if type(hint) is dict and "corners" in hint else [hint] * count
-
-
 def least(x: Any) -> Any:
     """A number that x, a number or a polynomial of units, is not below."""
     return min(c for (c,) in corners([x])) if isinstance(x, Poly) else x
+
+
+def gap(low: Any, high: Any) -> Any:
+    """A number that high - low is not below, of ends."""
+    return INF if low == -INF or high == INF else least(high + -low)
 
 
 def span(x: Any) -> VerifierInterval:
@@ -651,13 +608,6 @@ def slope(p: Poly, k: int, atoms: Atoms) -> Poly:
     return Poly({lower[m]: p[m] * dict(m)[k] for m in lower})
 
 
-def hessian(p: Poly, own: Iterable[int], atoms: Atoms) -> Matrix | None:
-    """The constant second derivatives of p by the variables ``own``; None where p is no quadratic in them."""
-    rows = [[slope(slope(p, i, atoms), j, atoms).number() for j in own] for i in own]
-    H = [[x for x in row if x is not None] for row in rows]
-    return H if all(len(row) == len(rows) for row in H) else None
-
-
 def squares(hint: Any) -> Poly:
     """The sum of squares m'G m of monomials m and a psd G: >= 0 whatever its variables are."""
     pairs = [[tuple(entries(pair, 2)) for pair in entries(one)] for one in entries(field(hint, "monomials"))]
@@ -667,8 +617,8 @@ def squares(hint: Any) -> Poly:
     return sum((a * b * G[i][j] for (i, a), (j, b) in product(enumerate(m), enumerate(m))), Poly({}))
 
 
-def affine(polys: Iterable[Poly], own: Sequence[int], atoms: Atoms) -> tuple[Matrix, list[Poly]] | None:
-    """A and b: the polynomials are A own + b, b free of these inputs, A of all but units; None where they are not so."""
+def affine(polys: Iterable[Poly], own: Sequence[int], atoms: Atoms) -> tuple[Matrix, list[Poly]]:
+    """A and b: the polynomials are A own + b, b free of these inputs, A of all but units."""
     A, b = [], []
     for p in polys:
         row: dict[int, dict[Monomial, Q]] = {v: {} for v in own}
@@ -678,35 +628,31 @@ def affine(polys: Iterable[Poly], own: Sequence[int], atoms: Atoms) -> tuple[Mat
             if len(factor) == len(m) - 1 and all(is_unit(v) for v, _ in factor):
                 (v,) = (pair[0] for pair in m if pair not in factor)
                 row[v][factor] = rest.pop(m)
-        if atoms.inputs(left := Poly(rest)) & set(own):
-            return None
+        need(not atoms.inputs(left := Poly(rest)) & set(own), "a function that is not affine", UNCHECKED)
         A.append([plain(Poly(row[v])) for v in own])
         b.append(left)
     return A, b
 
 
-def convex(p: Poly, own: Sequence[int], atoms: Atoms, hint: Any = None) -> bool:
-    """Whether p is convex in the inputs ``own``, at all values that the others can have, wherever p is defined.
-    A sum of convex terms with weights >= 0 (see ``bends``) and of a rest, a polynomial in ``own``: of degree 2 with a psd
-    Hessian, or, with a hint, of any degree where y'D2p y, y_k the variable -1 - k, is the sum of squares of the hint. With units:
-    it is so at all corners.
+def is_bowl(p: Poly, own: Iterable[int], atoms: Atoms) -> bool:
+    """Whether p, a quadratic in the variables ``own``, is convex."""
+    return psd([[plain(slope(slope(p, i, atoms), j, atoms)) for j in own] for i in own])
+
+
+def convex(p: Poly, own: Sequence[int], atoms: Atoms) -> bool:
+    """Whether p is convex in the inputs ``own``, at all values that the others can have, wherever p is defined: a sum of convex
+    terms with weights >= 0 (see ``bends``) and of a convex quadratic. With units: it is so at all corners.
     """
     if any(is_unit(v) for m in p for v, _ in m):
-        found = at_corners(p)
-        return all(convex(q, own, atoms, part) for q, part in zip(found, at_each(hint, len(found)), strict=True))
+        return all(convex(q, own, atoms) for q in at_corners(p))
     rest = {}
     for m, a in p.items():
         inner = [(v, n) for v, n in m if atoms.feels(v, own)]
-        if inner and all(v in own for v, _ in m) and (hint is not None or sum(n for _, n in m) <= 2):
+        if inner and all(v in own for v, _ in m) and sum(n for _, n in m) <= 2:
             rest[m] = a
         elif inner and not (len(m) == 1 and a > 0 and bends(*inner[0], own, atoms)):
             return False
-    left = Poly(rest)
-    if hint is not None:
-        form = (slope(slope(left, i, atoms), j, atoms) * variable(-1 - i) * variable(-1 - j) for i in own for j in own)
-        return sum(form, Poly({})) == squares(hint)
-    H = hessian(left, own, atoms)
-    return H is not None and psd(H)
+    return is_bowl(Poly(rest), own, atoms)
 
 
 def bends(v: int, n: int, own: Sequence[int], atoms: Atoms) -> bool:
@@ -721,8 +667,8 @@ def bends(v: int, n: int, own: Sequence[int], atoms: Atoms) -> bool:
         return False
     if op == "pow" and more[0] == HALF and all(sum(n for _, n in m) <= 2 for m in u):  # z^2 u(x/z) is psd, z the variable -1.
         form = Poly({(*[(-1, 2 - k)] * (k < 2), *m): a for m, a in u.items() for k in [sum(n for _, n in m)]})
-        H = hessian(form, sorted({v for m in form for v, _ in m}), Atoms())
-        return H is not None and psd(H) and not any(w in atoms.meaning and atoms.feels(w, own) for m in u for w, _ in m)
+        straight = not any(w in atoms.meaning and atoms.feels(w, own) for m in u for w, _ in m)
+        return straight and is_bowl(form, sorted({v for m in form for v, _ in m}), Atoms())
     powers = op == "pow" and more[0] > 1 and positive(u, atoms)
     return (powers or op in ("fmax", "exp")) and all(convex(part, own, atoms) for part in (u, *more) if isinstance(part, Poly))
 
@@ -739,31 +685,18 @@ def positive(p: Poly, atoms: Atoms) -> bool:
     return all(a >= 0 and all(n % 2 == 0 or is_nonnegative(v) for v, n in m) for m, a in p.items())
 
 
+def nonnegative(p: Poly, hint: Any, atoms: Atoms) -> bool:
+    """Whether p is a sum of squares, those of the hint, and of terms >= 0; with units: it is so at all corners."""
+    found = at_corners(p)
+    hints = entries(hint["corners"], len(found)) if "corners" in entries(hint, kind=dict) else [hint] * len(found)
+    return all(positive(q + -squares(part), atoms) for q, part in zip(found, hints, strict=True))
+
+
 def defined(program: VerifierProgram, box: Box) -> bool:
     """True where each step is defined for all values of the parameters, and of the inputs of which the box has no intervals;
     raises else. The polynomials alone do not see a 0/0 that cancels.
     """
     return len(jets(program, [*box, *[ALL] * (program.n - len(box))], 0)) == len(program.outputs)
-
-
-class VerifierModel:
-    """The data of a model. ``inputs`` are those of the function that is named first but for the parameters, ``n`` their number;
-    states are among them. Each of its functions has all parameters, and a number may be a function of these alone.
-    """
-
-    name, first = "", ""
-
-    def __init__(self, data: Any, parameters: Parameters) -> None:
-        need(field(data, "class") == self.name, "a hypothesis of another class of models")
-        need(names_of(data.get("parameters", [])) == list(parameters), "the scope has other parameters")
-        self.data, self.parameters = data, parameters
-        inputs = names_of(field(field(data, self.first), "inputs"))
-        self.inputs = inputs[: len(inputs) - len(parameters)]
-        self.n = len(self.inputs)
-
-    def program(self, name: str, outputs: int | None = None) -> VerifierProgram:
-        """A function of ``inputs``."""
-        return VerifierProgram(field(self.data, name), self.inputs, outputs, self.parameters)
 
 
 class VerifierStatement:
@@ -777,11 +710,10 @@ class VerifierStatement:
         need(set(names) <= set(value) <= {*names, *OPTIONAL.get(id, ())}, "a number is missing, or one has no place here")
         self.value = {name: number(value[name]) for name in value}
         scope = field(data, "scope", dict)
-        need("scope" in data and set(scope) <= {"states", "time", "parameters"}, "another scope")
+        need(set(scope) <= {"states", "time", "parameters"}, "another scope")
         states, ranges = (field(scope, part, dict) for part in ("states", "parameters"))
         ends = {**states, "t": scope["time"]} if scope.get("time") is not None else states
         self.box = {name: VerifierInterval(*vector(pair, 2, infinite=True)) for name, pair in ends.items()}
-        need(not set(ranges) & set(ends), "a parameter has the name of an input")
         self.ranges = {name: vector(pair, 2) for name, pair in ranges.items()}
         need(all(low <= high for low, high in self.ranges.values()), "the interval of a parameter is empty")
         self.parameters = {name: between(k, *self.ranges[name]) for k, name in enumerate(self.ranges)}
@@ -807,6 +739,36 @@ class VerifierStatement:
         return "".join(f"; for every {one}" for one in ranges)
 
 
+class VerifierModel:
+    """The data of a model. ``inputs`` are those of the function that is named first but for the parameters, ``n`` their number;
+    states are among them. Each of its functions has all parameters, and a number may be a function of these alone.
+    """
+
+    name, first = "", ""
+
+    def __init__(self, data: Any, parameters: Parameters) -> None:
+        need(field(data, "class") == self.name, "a hypothesis of another class of models")
+        need(names_of(data.get("parameters", [])) == list(parameters), "the scope has other parameters")
+        self.data, self.parameters = data, parameters
+        inputs = names_of(field(field(data, self.first), "inputs"))
+        self.inputs = inputs[: len(inputs) - len(parameters)]
+        self.n = len(self.inputs)
+
+    def program(self, name: str, outputs: int | None = None) -> VerifierProgram:
+        """A function of ``inputs``."""
+        return VerifierProgram(field(self.data, name), self.inputs, outputs, self.parameters)
+
+    def intervals(self, count: int) -> list[tuple[Any, Any]]:
+        """The ends of so many intervals, whose product is the law's set K; none is empty."""
+        found: list[tuple[Any, Any]] = []
+        for block in entries(field(self.data, "law")):
+            need(field(block, "kind") == "box", "a law that is no box", UNCHECKED)
+            found += zip(*(vector(field(block, end), None, self.parameters, True) for end in ("lower", "upper")), strict=True)
+        need(len(found) == count, "the law has another size")
+        need(all(gap(*pair) >= 0 and pair[0] != INF and pair[1] != -INF for pair in found), "an interval of the law is empty")
+        return found
+
+
 def on_cover(g: VerifierProgram, s: VerifierStatement, tree: Any, order: int, leaf: Leaf, smooth: bool = False) -> bool:
     """Whether ``leaf(jets)`` holds on each part of the scope's box."""
     return cover(tree, s.intervals(g.own, g), lambda part, _: leaf(jets(g, part, order, None, smooth)))
@@ -824,12 +786,16 @@ def concave_rows(program: VerifierProgram) -> bool:
     return defined(program, []) and all(convex(-p, n, atoms) for p in atoms.read(program))
 
 
-def curved(program: VerifierProgram, s: VerifierStatement, hint: dict[str, Any]) -> bool:
-    """Whether a function is defined and convex: its Hessian is psd on a cover of the box; or everywhere, by rules and squares."""
-    n, atoms = list(range(program.n)), Atoms()
+def curved(program: VerifierProgram, s: VerifierStatement, hint: dict[str, Any], first: int = 0) -> bool:
+    """Whether a function is defined, and convex in its inputs from the first on; those before are times.
+    A C2 function is convex on a convex set where its Hessian is psd, on parts that cover the box; or it is so by the rules.
+    """
     if "cover" in hint:
-        return on_cover(program, s, hint["cover"], 2, lambda found: interval_psd(found[0].H))
-    return defined(program, []) and convex(atoms.read(program)[0], n, atoms, hint.get("squares"))
+        leaf = lambda found: interval_psd([row[first:] for row in found[0].H[first:]])  # noqa: E731
+        return on_cover(program, s, hint["cover"], 2, leaf)
+    always = lambda box, _: defined(program, box[:first])  # noqa: E731
+    by_rules = convex((atoms := Atoms()).read(program)[0], list(range(first, program.n)), atoms)
+    return by_rules and cover(hint.get("time"), s.intervals(program.own[:first], program), always)
 
 
 def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q, factor: int = 1) -> bool:
@@ -837,11 +803,57 @@ def slopes_below(program: VerifierProgram, s: VerifierStatement, P: Matrix, L: Q
     Then factor <P(V(x) - V(y)), x - y> <= L <P(x - y), x - y> for the continuous V that is defined on the convex box.
     """
     n, atoms = range(len(P)), Atoms()
-    found = None if "cover" in s.proof else affine(atoms.read(program), n, atoms)
-    if found is not None:
-        return defined(program, []) and symmetric_below([[factor * x for x in row] for row in found[0]], P, L)
-    leaf = lambda j: form_below([[x * factor for x in y.g] for y in j], P, L)  # noqa: E731
-    return on_cover(program, s, field(s.proof, "cover"), 1, leaf)
+    if "cover" in s.proof:
+        return on_cover(program, s, s.proof["cover"], 1, lambda j: form_below([[x * factor for x in y.g] for y in j], P, L))
+    A, _ = affine(atoms.read(program), n, atoms)
+    return defined(program, []) and symmetric_below([[factor * x for x in row] for row in A], P, L)
+
+
+class NormForm:
+    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = y - Pi(y), y = A q + c(t), Pi the projection on 0, or on the points
+    sum s_k e_k, e_k orthogonal, each s_k in an interval, or on a line: a segment, a box; |u| is the distance to that set.
+    A distance d is convex, and off the set C1 with the gradient n = u/|u|, the derivatives of which lie between 0 and 1/d.
+    """
+
+    def __init__(self, g: VerifierProgram, hint: dict[str, Any]) -> None:
+        own, atoms = list(range(1, g.n)), Atoms()
+        self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"), parameters=g.parameters)
+        self.A = matrix(field(hint, "A"), None, len(own), g.parameters)
+        parts = [*entries(field(hint, "c"), len(self.A)), field(hint, "offset")]
+        *self.centre, self.offset = (VerifierProgram(part, ["t"], 1, g.parameters) for part in parts)
+        self.b, self.reach = (number(hint.get(name, "0")) for name in ("b", "reach"))
+        need(least(self.w) > 0, "w is not > 0")
+        *c, offset = (atoms.read(part)[0] for part in [*self.centre, self.offset])
+        u = [sum((variable(k) * x for k, x in zip(own, row, strict=True)), entry) for row, entry in zip(self.A, c, strict=True)]
+        lines = [(vector(e, len(u)), vector(ends, 2, infinite=True)) for e, ends in field(hint, "clips", list)]
+        need(all(dot(d, e) == 0 for k, (d, _) in enumerate(lines) for e, _ in lines[:k]), "lines that are not orthogonal")
+        for e, ends in lines:
+            along = self.clip(dot(e, u) * (1 / dot(e, e)), ends, atoms)
+            u = [v + along * -x for v, x in zip(u, e, strict=True)]
+        norms = [atoms.of("pow", sum((x * x for x in u), Poly({})), HALF), *(atoms.of("fmax", x, -x) for x in u if len(u) == 1)]
+        need(atoms.read(g)[0] in [norm * self.w + offset for norm in norms], "g is not w |u| + offset")
+
+    @staticmethod
+    def clip(x: Poly, ends: list[Any], atoms: Atoms) -> Poly:
+        """The nearest point to x of an interval: not below its low end and then not above the high one, or first this."""
+        sign = 1 if ends[0] <= ends[1] else -1
+        for end, up in zip(ends, (sign, -sign), strict=True):
+            x = atoms.of("fmax", x * up, constant(end * up)) * up if abs(end) < INF else x
+        return x
+
+    def between(self, a: Q, b: Q) -> bool:
+        """Whether a <= |w A'n| <= b for all n with |n| = 1, 0 <= a, 0 <= b."""
+        AA = times([[x * self.w * self.w for x in row] for row in self.A], transpose(self.A))
+        return b >= 0 and psd(plus(AA, eye(len(AA), a * a), -1)) and psd(plus(eye(len(AA), b * b), AA, -1))
+
+    def in_time(self, s: VerifierStatement, leaf: Leaf) -> bool:
+        """Whether g is defined for all q, and ``leaf(|c'|, offset', offset)`` holds, at all times of the scope."""
+
+        def part(box: Box, _: Any) -> bool:
+            *c, offset = (jets(p, box, 1)[0] for p in [*self.centre, self.offset])
+            return defined(self.g, box[:1]) and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
+
+        return cover(self.time, s.intervals(["t"], self.g), part)
 
 
 class SweepingData(VerifierModel):
@@ -880,207 +892,147 @@ class SweepingData(VerifierModel):
         deltas = f"; delta_i = {', '.join(finite[:8])}{', ...' * (len(finite) > 8)}" if finite else ""
         return f"{s.where(self.inputs)}, for each of {ends[-1]} i{deltas}"
 
+    def each(self, s: VerifierStatement) -> Iterable[tuple[VerifierProgram, Q | None, dict[str, Any], NormForm | None]]:
+        """Each g_i, its delta, the hint for it, and its form where that is a norm."""
+        for g, delta, hint in zip(self.gaps, self.deltas, entries(field(s.proof, "constraints"), len(self.gaps)), strict=True):
+            yield g, delta, hint, NormForm(g, hint) if hint.get("form") == "norm" else None
 
-class NormForm:
-    """A constraint g(t, q) = w |u| + offset(t), w > 0, u = y - Pi(y), y = A q + c(t), Pi the projection on a convex set: on 0, on
-    a product of intervals, or on the points s e with s between two numbers; |u| is the distance to that set.
-    A distance d is convex, and off the set C1 with the gradient n = u/|u|, the derivatives of which lie between 0 and 1/d.
-    """
+    def convex(self, s: VerifierStatement) -> str:
+        """S-convex: each g_i(t, .) is convex on the box.
+        Theorem: a norm of an affine function is convex, and the distance to a convex set. Premises: 1. g is defined; 2. it has
+        this form (``NormForm`` compares polynomials, w > 0); 3. or it is defined and convex (``curved``).
+        """
+        for g, _, hint, form in self.each(s):  # 2
+            if form is not None:
+                need(form.in_time(s, lambda *_: True), "g is not defined")  # 1
+            else:
+                need(curved(g, s, hint, 1), "g is not convex by the rules, or a Hessian is not psd")  # 3
+        return f"g_i(t, .) is convex {self.where(s, local=False)}"
 
-    def __init__(self, g: VerifierProgram, hint: dict[str, Any]) -> None:
-        own, atoms = list(range(1, g.n)), Atoms()
-        self.g, self.time, self.w = g, hint.get("time"), number(field(hint, "w"), parameters=g.parameters)
-        self.A = matrix(field(hint, "A"), None, len(own), g.parameters)
-        parts = [*entries(field(hint, "c"), len(self.A)), field(hint, "offset")]
-        *self.centre, self.offset = (VerifierProgram(part, ["t"], 1, g.parameters) for part in parts)
-        self.b, self.reach = (number(hint.get(name, "0")) for name in ("b", "reach"))
-        need(least(self.w) > 0, "w is not > 0")
-        *c, offset = (atoms.read(part)[0] for part in [*self.centre, self.offset])
-        y = [sum((variable(k) * x for k, x in zip(own, row, strict=True)), entry) for row, entry in zip(self.A, c, strict=True)]
-        if "along" in hint:
-            e = vector(hint["along"], len(y))
-            s = self.clip(sum((v * x for v, x in zip(y, e, strict=True)), Poly({})) * (1 / dot(e, e)), hint["ends"], atoms)
-            u = [v + s * -x for v, x in zip(y, e, strict=True)]
-        else:
-            clips = entries(hint.get("clips", [None] * len(y)), len(y))
-            u = [v if clip is None else v + -self.clip(v, clip, atoms) for v, clip in zip(y, clips, strict=True)]
-        norms = [atoms.of("pow", sum((x * x for x in u), Poly({})), HALF), *(atoms.of("fmax", x, -x) for x in u if len(u) == 1)]
-        need(atoms.read(g)[0] in [norm * self.w + offset for norm in norms], "g is not w |u| + offset")
+    def regular(self, s: VerifierStatement) -> str:
+        """A0 to A4, of each g_i on U_i = {g_i > -delta_i}.
+        A0: all points nearer than c to {g_i >= 0} are in U_i: along the segment from a point with g_i >= 0 to such a point, g_i
+        falls by less than b c, where |grad g_i| <= b on U_i. A1: a <= |grad g_i| <= b. A2: |d_t g_i| <= speed. A3: |d_t grad g_i|
+        <= turn. A4: |D^2 g_i| <= M, and <= M_contact where g_i >= 0, wherever the gradient, which is continuous, has a
+        derivative. Theorems: of a norm, with |w A| <= b and w |u| = g - offset > reach - delta on U, >= reach where g >= 0:
+        grad g = w A'n, d_t g = w n.c' + offset', d_t grad g = w A'(1 - nn')c'/|u|, D^2 g = w A'(1 - nn')A/|u|, |n| = 1. Else:
+        bounds on each part of a cover that U may meet, g having continuous derivatives of the order that is asked for there.
+        Premises: 1. all numbers are >= 0, a > 0, and c > 0 where a delta is given; 2. delta > 0 where it is given (else U is the
+        whole space). Norms: 3. u /= 0 on U: offset <= -reach < -delta at all times; 4. b is a bound; 5. A0: c b <= delta; A1: a^2
+        <= w^2 A A' <= b^2; A2: w |c'| + |offset'| <= speed; A3: w b |c'| <= turn (reach - delta); A4: b^2 <= M (reach - delta),
+        b^2 <= M_contact reach. Else: 6. the same on the part, of A0 with the |grad g| there for b.
+        """
+        a, b, c, speed, turn, M, near = (s.value.get(k, ZERO) for k in ("a", "b", "c", "speed", "turn", "M", "M_contact"))
+        need(all(x > 0 or (x == 0 and name not in ("a", "c")) for name, x in s.value.items()), "a number is not > 0, or < 0")  # 1
+        need(s.id != "A0" or c > 0 or all(delta is None for delta in self.deltas), "c is missing")  # 1
 
-    @staticmethod
-    def clip(x: Poly, ends: Any, atoms: Atoms) -> Poly:
-        """The nearest point to x of an interval [low, high]: max(x, low), then min with high; or the other way round."""
-        low, high = vector(entries(ends)[:2], 2, infinite=True)
-        need(low <= high, "an interval is empty")
-        for end, sign in ((low, 1), (high, -1)) if len(ends) == 2 else ((high, -1), (low, 1)):
-            x = atoms.of("fmax", x * sign, constant(end) * sign) * sign if abs(end) < INF else x
-        return x
+        def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
+            w, left = -least(-form.w), form.reach - delta
+            return {
+                "A0": lambda: c * form.b <= delta,
+                "A1": lambda: form.between(a, b),
+                "A2": lambda: form.in_time(s, lambda u, drift, _: end_product(w, u.hi) + max(-drift.lo, drift.hi) <= speed),
+                "A3": lambda: form.in_time(s, lambda u, *_: end_product(w * form.b, u.hi) <= turn * left),
+                "A4": lambda: form.b**2 <= M * left and form.b**2 <= near * form.reach,
+            }[s.id]()
 
-    def between(self, a: Q, b: Q) -> bool:
-        """Whether a <= |w A'n| <= b for all n with |n| = 1, 0 <= a, 0 <= b."""
-        AA = times([[x * self.w * self.w for x in row] for row in self.A], transpose(self.A))
-        return b >= 0 and psd(plus(AA, eye(len(AA), a * a), -1)) and psd(plus(eye(len(AA), b * b), AA, -1))
+        def part_bound(g: VerifierJet, delta: Q | None) -> bool:  # 6
+            size, H = length(g.g[1:]), [row[1:] for row in g.H[1:]]
+            return (delta is not None and g.v.hi <= -delta) or {
+                "A0": lambda: delta is None or end_product(c, size.hi) <= delta,
+                "A1": lambda: a <= size.lo and size.hi <= b,
+                "A2": lambda: max(-g.g[0].lo, g.g[0].hi) <= speed,
+                "A3": lambda: length(g.H[0][1:]).hi <= turn,
+                "A4": lambda: norm_below(H, M) and (g.v.hi < 0 or norm_below(H, near)),
+            }[s.id]()
 
-    def in_time(self, s: VerifierStatement, leaf: Callable[..., bool]) -> bool:
-        """Whether g is defined for all q, and ``leaf(|c'|, offset', offset)`` holds, at all times of the scope."""
-
-        def part(box: Box, _: Any) -> bool:
-            *c, offset = (jets(p, box, 1)[0] for p in [*self.centre, self.offset])
-            return defined(self.g, box[:1]) and leaf(length(j.g[0] for j in c), offset.g[0], offset.v)
-
-        return cover(self.time, s.intervals(["t"], self.g), part)
-
-
-def sweeping_convex(m: SweepingData, s: VerifierStatement) -> str:
-    """S-convex: each g_i(t, .) is convex on the box.
-    Theorems: a norm of an affine function is convex, and the distance to a convex set; so is what ``convex`` says; and a C2
-    function on a convex set with a psd Hessian. Premises: 1. g is defined; 2. it has the form (``NormForm`` compares polynomials,
-    w > 0), or is convex by the rules; 3. or the Hessian is psd on parts that cover the box.
-    """
-    for g, hint in zip(m.gaps, entries(field(s.proof, "constraints"), len(m.gaps)), strict=True):
-        own, atoms, kind = list(range(1, g.n)), Atoms(), field(hint, "form")
-        if kind == "norm":
-            need(NormForm(g, hint).in_time(s, lambda *_: True), "g is not defined")  # 1, 2
-        elif kind == "rules":
-            need(cover(hint.get("time"), s.intervals(["t"], g), lambda t, _, g=g: defined(g, t[:1])), "g is not defined")  # 1
-            need(convex(atoms.read(g)[0], own, atoms, hint.get("squares")), "g is not convex by the rules")  # 2
-        else:
-            leaf = lambda j: interval_psd([row[1:] for row in j[0].H[1:]])  # noqa: E731
-            need(on_cover(g, s, hint.get("cover"), 2, leaf), "a Hessian is not psd")  # 1, 3
-    return f"g_i(t, .) is convex {m.where(s, local=False)}"
-
-
-def regular(m: SweepingData, s: VerifierStatement) -> str:
-    """A0 to A4, of each g_i on U_i = {g_i > -delta_i}.
-    A0: all points nearer than c to {g_i >= 0} are in U_i: along the segment from a point with g_i >= 0 to such a point, g_i falls
-    by less than b c, where |grad g_i| <= b on U_i. A1: a <= |grad g_i| <= b. A2: |d_t g_i| <= speed. A3: |d_t grad g_i| <= turn.
-    A4: |D^2 g_i| <= M, and <= M_contact where g_i >= 0, wherever the gradient, which is continuous, has a derivative. Theorems:
-    of the form "norm", with |w A| <= b and w |u| = g - offset > reach - delta on U, >= reach where g >= 0: grad g = w A'n, d_t g
-    = w n.c' + offset', d_t grad g = w A'(1 - nn')c'/|u|, D^2 g = w A'(1 - nn')A/|u|, |n| = 1. Of the form "box": bounds on each
-    part that U may meet, g having continuous derivatives of the order that is asked for there. Premises: 1. all numbers are >= 0,
-    a > 0, and c > 0 where a delta is given; 2. delta > 0 where it is given (else U is the whole space). Norms: 3. u /= 0 on U:
-    offset <= -reach < -delta at all times; 4. b is a bound; 5. A0: c b <= delta; A1: a^2 <= w^2 A A' <= b^2; A2: w |c'| +
-    |offset'| <= speed; A3: w b |c'| <= turn (reach - delta); A4: b^2 <= M (reach - delta), b^2 <= M_contact reach. Boxes: 6. the
-    same on the part.
-    """
-    a, b, c, speed, turn, M, near = (s.value.get(name, ZERO) for name in ("a", "b", "c", "speed", "turn", "M", "M_contact"))
-    need(all(x > 0 or (x == 0 and name not in ("a", "c")) for name, x in s.value.items()), "a number is not > 0, or < 0")  # 1
-    need(s.id != "A0" or c > 0 or all(delta is None for delta in m.deltas), "c is missing")  # 1
-
-    def norm_bound(form: NormForm, delta: Q) -> bool:  # 5
-        w, left = -least(-form.w), form.reach - delta
-        return {
-            "A0": lambda: c * form.b <= delta,
-            "A1": lambda: form.between(a, b),
-            "A2": lambda: form.in_time(s, lambda u, drift, _: end_product(w, u.hi) + max(-drift.lo, drift.hi) <= speed),
-            "A3": lambda: form.in_time(s, lambda u, *_: end_product(w * form.b, u.hi) <= turn * left),
-            "A4": lambda: form.b**2 <= M * left and form.b**2 <= near * form.reach,
-        }[s.id]()
-
-    def box_bound(g: VerifierJet, delta: Q | None, hint: dict[str, Any]) -> bool:  # 6
-        size, H = length(g.g[1:]), [row[1:] for row in g.H[1:]]
-        return {
-            "A0": lambda: delta is None or (c * number(hint["b"]) <= delta and size.hi <= number(hint["b"])),
-            "A1": lambda: a <= size.lo and size.hi <= b,
-            "A2": lambda: max(-g.g[0].lo, g.g[0].hi) <= speed,
-            "A3": lambda: length(g.H[0][1:]).hi <= turn,
-            "A4": lambda: norm_below(H, M) and (g.v.hi < 0 or norm_below(H, near)),
-        }[s.id]()
-
-    for g, delta, hint in zip(m.gaps, m.deltas, entries(field(s.proof, "constraints"), len(m.gaps)), strict=True):
-        need(delta is None or delta > 0, "delta is not > 0")  # 2
-        if field(hint, "form") == "norm":
-            form = NormForm(g, hint)
-            need(delta is not None and delta < form.reach, "delta is missing, or not < reach")  # 3
+        for g, delta, hint, form in self.each(s):
+            need(delta is None or delta > 0, "delta is not > 0")  # 2
+            if form is None:
+                order, leaf = 1 + (s.id in ("A3", "A4")), lambda j, d=delta: part_bound(j[0], d)
+                need(on_cover(g, s, hint.get("cover"), order, leaf, True), "the bound fails on a part")  # 6
+                continue
+            need((delta or INF) < form.reach, "delta is missing, or not < reach")  # 3
             need(form.in_time(s, lambda rate, drift, offset, r=form.reach: offset.hi <= -r), "the offset is above -reach")  # 3
             need(form.between(ZERO, form.b), "b is no bound of the gradient")  # 4
             need(norm_bound(form, delta or ZERO), "the bound fails")  # 5
-            continue
-        leaf = lambda j, d=delta, h=hint: (d is not None and j[0].v.hi <= -d) or box_bound(j[0], d, h)  # noqa: E731
-        need(on_cover(g, s, hint.get("cover"), 1 + (s.id in ("A3", "A4")), leaf, True), "the bound fails on a part")  # 6
-    said = {
-        "A0": f"every point nearer than {written(c, DOWN)} to one with g_i >= 0 is in" if c else "all points are in",
-        "A1": f"{written(a, DOWN)} <= |grad_q g_i| <= {written(b, UP)} on",
-        "A2": f"|d_t g_i| <= {written(speed, UP)} on",
-        "A3": f"|d_t grad_q g_i| <= {written(turn, UP)} on",
-        "A4": f"|D_q^2 g_i| <= {written(M, UP)}, and <= {written(near, UP)} where g_i >= 0, on",
-    }[s.id]
-    return f"{said} U_i = {{g_i > -delta_i}} (without a delta_i the whole space) {m.where(s)}"
+        said = {
+            "A0": f"every point nearer than {written(c, DOWN)} to one with g_i >= 0 is in" if c else "all points are in",
+            "A1": f"{written(a, DOWN)} <= |grad_q g_i| <= {written(b, UP)} on",
+            "A2": f"|d_t g_i| <= {written(speed, UP)} on",
+            "A3": f"|d_t grad_q g_i| <= {written(turn, UP)} on",
+            "A4": f"|D_q^2 g_i| <= {written(M, UP)}, and <= {written(near, UP)} where g_i >= 0, on",
+        }[s.id]
+        return f"{said} U_i = {{g_i > -delta_i}} (without a delta_i the whole space) {self.where(s)}"
 
+    def qualified(self, s: VerifierStatement) -> str:
+        """A5, A5': sum l_i |grad g_i| <= gamma |sum l_i grad g_i| for all l >= 0 and q in Q(t), over the i with g_i <= rho.
+        Theorem: it is so where a d, not 0, has <grad g_i, d> >= |grad g_i| |d| / gamma for these i: multiply by l_i, add, and
+        divide by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, without it all i;
+        A5': rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
+        """
+        gamma, rho, gaps = s.value["gamma"], s.value.get("rho", INF if s.id == "A5" else ZERO), self.gaps
+        need(all(g.own[1:] == q for g, ((q, _), *_) in zip(gaps, self.members, strict=True)), "families", UNCHECKED)
+        need(gamma >= 1, "gamma < 1")  # 1
+        need(s.id == "A5'" or rho > 0, "rho is not > 0")  # 2
 
-def qualified(m: SweepingData, s: VerifierStatement) -> str:
-    """A5, A5': sum l_i |grad g_i| <= gamma |sum l_i grad g_i| for all l >= 0 and q in Q(t), over the i with g_i <= rho.
-    Theorem: it is so where a d, not 0, has <grad g_i, d> >= |grad g_i| |d| / gamma for these i: multiply by l_i, add, and divide
-    by |d|. Where one i is near it is true with gamma = 1. Premises: 1. gamma >= 1; 2. A5: rho > 0, without it all i; A5' is with
-    rho = 0; 3. on each part that Q(t) may meet d is not 0, 4. and the inequality holds for all i that may be near.
-    """
-    gamma, rho, gaps = s.value["gamma"], s.value.get("rho", INF if s.id == "A5" else ZERO), m.gaps
-    need(all(g.own[1:] == q for g, ((q, _), *_) in zip(gaps, m.members, strict=True)), "families", UNCHECKED)
-    need(gamma >= 1, "gamma < 1")  # 1
-    need(s.id == "A5'" or rho > 0, "rho is not > 0")  # 2
+        def leaf(box: Box, hint: Any) -> bool:
+            own = dict(zip([*self.inputs, *self.parameters], box, strict=True))
+            found = [(g.own[1:], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
+            near = [(names, g.g[1:]) for names, g in found if g.v.lo <= rho]
+            if len(near) <= 1 or any(g.v.hi < 0 for _, g in found):
+                return True
+            d = dict(zip(self.inputs[1:], vector(hint, self.n), strict=True))
+            along = [sum((x * d[v] for v, x in zip(*pair, strict=True)), VerifierInterval(ZERO)).lo for pair in near]
+            sizes = [(length(gradient) * length(map(VerifierInterval, d.values()))).hi for _, gradient in near]
+            escapes = all(end_product(gamma, low) >= size for low, size in zip(along, sizes, strict=True))
+            return any(d.values()) and escapes  # 3, 4
 
-    def escapes(d: dict[str, Q], names: list[str], gradient: Box) -> bool:
-        along = sum((x * d[v] for v, x in zip(names, gradient, strict=True)), VerifierInterval(ZERO))
-        return end_product(gamma, along.lo) >= (length(gradient) * length(map(VerifierInterval, d.values()))).hi
+        if len(gaps) > 1:
+            need(cover(field(s.proof, "cover"), s.intervals(self.inputs, *gaps), leaf), "gamma fails on a part")
+        near = f"sum l_i |grad_q g_i| <= {written(gamma, UP)} |sum l_i grad_q g_i| for all l_i >= 0, over the i with g_i"
+        bound = "<= 0" if s.id == "A5'" else f"<= {written(rho, DOWN)}" if "rho" in s.value else "<= any rho"
+        return f"{near} {bound}, at every point with all g_j >= 0, {s.where(self.inputs)}"
 
-    def leaf(box: Box, hint: Any) -> bool:
-        own = dict(zip([*m.inputs, *m.parameters], box, strict=True))
-        found = [(g.own[1:], jets(g, [own[v] for v in g.inputs], 1)[0]) for g in gaps]
-        near = [(names, g.g[1:]) for names, g in found if g.v.lo <= rho]
-        if len(near) <= 1 or any(g.v.hi < 0 for _, g in found):
-            return True
-        d = dict(zip(m.inputs[1:], vector(hint, m.n), strict=True))
-        return any(d.values()) and all(escapes(d, *pair) for pair in near)  # 3, 4
+    def velocity(self, s: VerifierStatement) -> str:
+        """S-f: |f(t, q) - f(t, r)| <= K_f |q - r|, |f| <= L_f (1 + |q|); where L_t is given, |f(t, q) - f(s, q)| <= L_t |t - s|.
+        Theorems: a continuous f is Lipschitz on a convex box with a bound of its (limits of) derivatives; f = A q + b(t) has |f|
+        <= |b| + |A| |q|. Premises: 1. f is defined for all t, q of the box; 2. |A| or |D_q f| <= K_f; 3. |b| <= L_f and |A| <=
+        L_f, or |f| <= L_f (1 + |q|) on each part; 4. |d_t f| <= L_t.
+        """
+        f, K, L, atoms, own = self.program("f", self.n), s.value["K_f"], s.value["L_f"], Atoms(), list(range(1, self.n + 1))
 
-    if len(gaps) > 1:
-        need(cover(field(s.proof, "cover"), s.intervals(m.inputs, *gaps), leaf), "gamma fails on a part")
-    near = f"sum l_i |grad_q g_i| <= {written(gamma, UP)} |sum l_i grad_q g_i| for all l_i >= 0, over the i with g_i"
-    bound = "<= 0" if s.id == "A5'" else f"<= {written(rho, DOWN)}" if "rho" in s.value else "<= any rho"
-    return f"{near} {bound}, at every point with all g_j >= 0, {s.where(m.inputs)}"
+        def small(j: list[VerifierJet], far: Any) -> bool:
+            rate = length(x.g[0] for x in j).hi
+            return length(x.v for x in j).hi <= end_product(L, 1 + far) and rate <= s.value.get("L_t", rate)  # 3, 4
 
+        def part(box: Box, _: Any) -> bool:
+            j = jets(f, box, 1)  # 1
+            return small(j, length(box[1 : self.n + 1]).lo) and norm_below([x.g[1:] for x in j], K)  # 2
 
-def velocity(m: SweepingData, s: VerifierStatement) -> str:
-    """S-f: |f(t, q) - f(t, r)| <= K_f |q - r|, |f| <= L_f (1 + |q|); and, where L_t is given, |f(t, q) - f(s, q)| <= L_t |t - s|.
-    Theorems: a continuous f is Lipschitz on a convex box with a bound of its (limits of) derivatives; f = A q + b(t) has |f| <=
-    |b| + |A| |q|. Premises: 1. f is defined for all t, q of the box; 2. |A| or |D_q f| <= K_f; 3. |b| <= L_f and |A| <= L_f, or
-    |f| <= L_f (1 + |q|) on each part; 4. |d_t f| <= L_t.
-    """
-    f, K, L, atoms, own = m.program("f", m.n), s.value["K_f"], s.value["L_f"], Atoms(), list(range(1, m.n + 1))
-    found = affine(atoms.read(f), own, atoms)
+        if "cover" not in s.proof:
+            A = [[span(x) for x in row] for row in affine(atoms.read(f), own, atoms)[0]]
+            need(norm_below(A, K), "K_f")  # 2
+            need(norm_below(A, L), "L_f")  # 3
+            zero = [VerifierInterval(ZERO)] * self.n
+            leaf = lambda t, _: defined(f, t[:1]) and small(jets(f, [t[0], *zero, *t[1:]], 1, [0]), ZERO)  # noqa: E731
+            need(cover(s.proof.get("time"), s.intervals(["t"], f), leaf), "f, L_f or L_t")  # 1
+        else:
+            need(cover(s.proof["cover"], s.intervals(self.inputs, f), part), "K_f, L_f or L_t")
+        rate = f", |f(t, q) - f(s, q)| <= {written(s.value['L_t'], UP)} |t - s|" if "L_t" in s.value else ""
+        bounds = f"|f(t, q) - f(t, r)| <= {written(K, UP)} |q - r|, |f(t, q)| <= {written(L, UP)} (1 + |q|){rate}"
+        return f"{bounds}, f being defined, {s.where(self.inputs)}, the same of s and r"
 
-    def small(j: list[VerifierJet], far: Any) -> bool:
-        rate = length(x.g[0] for x in j).hi
-        return length(x.v for x in j).hi <= end_product(L, 1 + far) and rate <= s.value.get("L_t", rate)  # 3, 4
-
-    def part(box: Box, _: Any) -> bool:
-        j = jets(f, box, 1)  # 1
-        return small(j, length(box[1 : m.n + 1]).lo) and norm_below([x.g[1:] for x in j], K)  # 2
-
-    if found is not None:
-        A = [[span(x) for x in row] for row in found[0]]
-        need(norm_below(A, K), "K_f")  # 2
-        need(norm_below(A, L), "L_f")  # 3
-        zero = [VerifierInterval(ZERO)] * m.n
-        leaf = lambda t, _: defined(f, t[:1]) and small(jets(f, [t[0], *zero, *t[1:]], 1, [0]), ZERO)  # noqa: E731
-        need(cover(s.proof.get("time"), s.intervals(["t"], f), leaf), "f, L_f or L_t")  # 1
-    else:
-        need(cover(field(s.proof, "cover"), s.intervals(m.inputs, f), part), "K_f, L_f or L_t")
-    rate = f", |f(t, q) - f(s, q)| <= {written(s.value['L_t'], UP)} |t - s|" if "L_t" in s.value else ""
-    bounds = f"|f(t, q) - f(t, r)| <= {written(K, UP)} |q - r|, |f(t, q)| <= {written(L, UP)} (1 + |q|){rate}"
-    return f"{bounds}, f being defined, {s.where(m.inputs)}, the same of s and r"
-
-
-def start(m: SweepingData, s: VerifierStatement) -> str:
-    """S-start: g_i(0, q_0) >= 0. Premises: 1. g is defined there; 2. each value, which is a number or a polynomial of units."""
-    q = dict(zip(m.inputs[1:], vector(field(m.data, "q0"), m.n, m.parameters), strict=True))
-    for g, members in zip(m.gaps, m.members, strict=True):
-        for names, numbers in members:
-            point = [x + constant(ZERO) for x in (ZERO, *(q[name] for name in names), *numbers, *m.parameters.values())]
-            need(defined(g, list(map(span, point))), "g is not defined")  # 1
-            (value,) = g.run(point, constant, Atoms().apply)
-            need(least(value) >= 0, "g < 0 at the start, or too near to 0")  # 2
-    start = ", ".join(written(x) if type(x) is Q else f"a number in {span(x)}" for x in list(q.values())[:100])
-    return f"g_i(0, q_0) >= 0 for each of {sum(map(len, m.members))} i, q_0 = ({start}{', ...' * (m.n > 100)})"
+    def start(self, s: VerifierStatement) -> str:
+        """S-start: g_i(0, q_0) >= 0. Premises: 1. g is defined there: no operation on numbers raises; 2. it is >= 0."""
+        q = dict(zip(self.inputs[1:], vector(field(self.data, "q0"), self.n, self.parameters), strict=True))
+        for g, members in zip(self.gaps, self.members, strict=True):
+            for names, numbers in members:
+                point = [x + constant(ZERO) for x in (ZERO, *(q[name] for name in names), *numbers, *self.parameters.values())]
+                (value,) = g.run(point, constant, Atoms().apply)  # 1
+                need(least(value) >= 0, "g < 0 at the start, or too near to 0")  # 2
+        start = ", ".join(written(x) if type(x) is Q else f"a number in {span(x)}" for x in list(q.values())[:100])
+        return f"g_i(0, q_0) >= 0 for each of {sum(map(len, self.members))} i, q_0 = ({start}{', ...' * (self.n > 100)})"
 
 
 class OscillatorData(VerifierModel):
@@ -1090,124 +1042,62 @@ class OscillatorData(VerifierModel):
 
     def frictions(self) -> list[VerifierProgram]:
         """The friction of each element, of the speed."""
-        found = [VerifierProgram(part, None, 1, self.parameters) for part in entries(field(self.data, "theta"))]
-        need(all(part.n == 1 for part in found), "theta has other inputs than the speed")
-        return found
+        return [VerifierProgram(part, ["s"], 1, self.parameters) for part in entries(field(self.data, "theta"))]
 
+    def friction(self, s: VerifierStatement) -> str:
+        """O-theta: each theta is C1, convex and nondecreasing on [0, inf), and the symmetric part of the damping is psd.
+        Theorem: a convex C1 function with theta'(0) >= 0 is nondecreasing. Premises: 1. theta is defined and C1 for s >= 0; 2.
+        theta'(0) >= 0; 3. it is convex for s >= 0: theta'' >= 0 on a cover, or by the rules; 4. the damping is psd.
+        """
+        line, frictions = [VerifierInterval(ZERO, INF), *map(span, self.parameters.values())], self.frictions()
+        for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
+            smooth = lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1  # noqa: E731
+            need(cover(entries(hint, kind=dict).get("slope"), line, smooth), "theta'")  # 1
+            need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
+            bent = lambda box, _, p=theta: jets(p, box)[0].H[0][0].lo >= 0  # noqa: E731
+            by_rules = "cover" not in hint and convex((atoms := Atoms([0])).read(theta)[0], [0], atoms)
+            need(by_rules or cover(field(hint, "cover"), line, bent), "theta'' < 0")  # 3
+        damping = field(self.data, "damping")
+        if damping != []:
+            need(psd(matrix(damping, self.n, self.n, self.parameters)), "the damping is not psd")  # 4
+        drag = "; the symmetric part of the damping is positive semidefinite" if damping != [] else ""
+        return f"theta_j is C1, convex and nondecreasing on [0, inf), for each of {len(frictions)} j{drag}"
 
-def leftover(p: Poly, atoms: Atoms) -> Poly:
-    """A function of the input 0 without the terms that are no polynomials and convex by the rules."""
-    return Poly({k: a for k, a in p.items() if a < 0 or len(k) != 1 or k[0][0] == 0 or not bends(*k[0], [0], atoms)})
+    def potential(self, s: VerifierStatement) -> str:
+        """O-g: g is convex, g >= bound, and {C >= 0} is closed and convex with interior points.
+        Theorem: concave finite rows are continuous, and where all are > 0 there is an interior point. Premises: 1. the rows are
+        concave; 2. one point is inside; 3. g is convex, 4. defined everywhere, 5. and a sum of bound, squares and terms >= 0.
+        """
+        g, C, bound, atoms = self.program("g", 1), self.program("C"), s.value["lower bound of g"], Atoms()
+        need(concave_rows(C), "a row is not concave by the rules")  # 1
+        need(inside(C, vector(field(s.proof, "interior"), self.n)), "the point is not inside")  # 2
+        need(curved(g, s, s.proof), "g is not convex")  # 3
+        need(defined(g, []), "g is not defined")  # 4
+        need(nonnegative(atoms.read(g)[0] + -bound, field(s.proof, "bound"), atoms), "inf g")  # 5
+        whole = f"g is convex {s.where(self.inputs)}" if "cover" in s.proof else "g is convex"
+        domain = "{x : C_i(x) >= 0} is closed and convex, and has interior points"
+        return f"{whole}; g >= {written(bound, DOWN)} everywhere; {domain}"
 
+    def dry(self, s: VerifierStatement) -> str:
+        """O-dry: sum theta_j'(0) |H_j d| >= r |d| for all d.
+        Theorem: a sum of numbers >= 0 is not below the root of the sum of their squares. Premises: 1. r > 0; 2. theta_j'(0) >= 0,
+        theta_j being defined on [0, 2^-30]; 3. sum theta_j'(0)^2 H_j'H_j - r^2 is psd.
+        """
+        r, frictions = s.value["radius of A(0)"], self.frictions()
+        need(r > 0, "r is not > 0")  # 1
+        gram = eye(self.n, -r * r)
+        for theta, entry in zip(frictions, entries(field(self.data, "H"), len(frictions)), strict=True):
+            H, low = matrix(entry, None, self.n, self.parameters), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
+            need(low >= 0 and defined(theta, [VerifierInterval(ZERO, Q(1, 2**30))]), "theta'(0) < 0, or no theta")  # 2
+            gram = plus(gram, times(transpose(H), H), low * low)
+        need(psd(gram), "the radius")  # 3
+        return f"sum_j theta_j'(0) |H_j d| >= {written(r, DOWN)} |d| for all d"
 
-def friction(m: OscillatorData, s: VerifierStatement) -> str:
-    """O-theta: each theta is C1, convex and nondecreasing on [0, inf), and the symmetric part of the damping is psd.
-    Theorem: a convex C1 function with theta'(0) >= 0 is nondecreasing. Premises: 1. theta is defined and C1 for s >= 0; 2.
-    theta'(0) >= 0; 3. it is convex for s >= 0: theta'' >= 0 on a cover, or it is a sum of convex terms and of a polynomial whose
-    second derivative is a + s b with sums of squares a, b; 4. the damping is psd.
-    """
-    line, frictions = [VerifierInterval(ZERO, INF), *map(span, m.parameters.values())], m.frictions()
-    for theta, hint in zip(frictions, entries(field(s.proof, "theta"), len(frictions)), strict=True):
-        smooth = lambda box, _, p=theta: len(jets(p, box, 1, smooth=True)) == 1  # noqa: E731
-        need(cover(entries(hint, kind=dict).get("slope"), line, smooth), "theta'")  # 1
-        need(jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo >= 0, "theta'(0) < 0")  # 2
-        if "cover" in hint:
-            need(cover(hint["cover"], line, lambda box, _, p=theta: jets(p, box)[0].H[0][0].lo >= 0), "theta'' < 0")  # 3
-            continue
-        atoms = Atoms(nonnegative=[0])
-        found = at_corners(atoms.read(theta)[0])
-        for p, part in zip(found, at_each(field(hint, "squares"), len(found)), strict=True):
-            first, second = map(squares, entries(part, 2))
-            bend = slope(slope(leftover(p, atoms), 0, atoms), 0, atoms)
-            need(bend == first + variable(0) * second, "theta'' is another")  # 3
-    damping = field(m.data, "damping")
-    if damping != []:
-        need(psd(matrix(damping, m.n, m.n, m.parameters)), "the damping is not psd")  # 4
-    drag = "; the symmetric part of the damping is positive semidefinite" if damping != [] else ""
-    return f"theta_j is C1, convex and nondecreasing on [0, inf), for each of {len(frictions)} j{drag}"
-
-
-def potential(m: OscillatorData, s: VerifierStatement) -> str:
-    """O-g: g is convex, g >= bound, and {C >= 0} is closed and convex with interior points.
-    Theorems: concave finite rows are continuous, and where all are > 0 there is an interior point; g - bound is a sum of squares
-    and of terms >= 0; or, where g - mu |x|^2/2 is convex, g(x) >= g(z) - |p|^2/(2 mu) for a subgradient p at any z. Premises: 1.
-    the rows are concave; 2. one point is inside; 3. g is convex; 4. g is defined everywhere, 5. and g - bound >= 0 by its terms;
-    6. or mu > 0, and g - mu |x|^2/2 is convex; 7. and g(z) - |p|^2/(2 mu) >= bound for all p that gradients near z may be.
-    """
-    g, C, hint, bound, atoms = m.program("g", 1), m.program("C"), s.proof, s.value["lower bound of g"], Atoms()
-    need(concave_rows(C), "a row is not concave by the rules")  # 1
-    need(inside(C, vector(field(hint, "interior"), m.n)), "the point is not inside")  # 2
-    need(curved(g, s, hint), "g is not convex")  # 3
-    need(defined(g, []), "g is not defined")  # 4
-    (p,) = atoms.read(g)
-    if "mu" in hint:
-        mu, half = number(hint["mu"]), sum((variable(i) * variable(i, HALF) for i in range(m.n)), constant(ZERO))
-        need(mu > 0, "mu is not > 0")  # 6
-        need(convex(p + half * -mu, range(m.n), atoms), "g - mu |x|^2/2 is not convex")  # 6
-        (at,) = jets(g, [VerifierInterval(x) for x in vector(field(hint, "least"), m.n)], 1)
-        need(at.v.lo - end_product(1 / (2 * mu), length(at.g).power(2).hi) >= bound, "inf g")  # 7
-    else:
-        found = at_corners(p + -bound)
-        for q, part in zip(found, at_each(field(hint, "bound"), len(found)), strict=True):
-            need(positive(q + -squares(part), atoms), "inf g")  # 5
-    whole = f"g is convex {s.where(m.inputs)}" if "cover" in hint else "g is convex"
-    domain = "{x : C_i(x) >= 0} is closed and convex, and has interior points"
-    return f"{whole}; g >= {written(bound, DOWN)} everywhere; {domain}"
-
-
-def dry(m: OscillatorData, s: VerifierStatement) -> str:
-    """O-dry: sum theta_j'(0) |H_j d| >= r |d| for all d.
-    Theorem: a sum of numbers >= 0 is not below the root of the sum of their squares. Premises: 1. r > 0; 2. theta_j'(0) >= 0,
-    theta_j being defined on [0, 2^-30]; 3. sum theta_j'(0)^2 H_j'H_j - r^2 is psd.
-    """
-    r, frictions = s.value["radius of A(0)"], m.frictions()
-    need(r > 0, "r is not > 0")  # 1
-    gram = eye(m.n, -r * r)
-    for theta, entry in zip(frictions, entries(field(m.data, "H"), len(frictions)), strict=True):
-        H, low = matrix(entry, None, m.n, m.parameters), jets(theta, [VerifierInterval(ZERO)], 1)[0].g[0].lo
-        need(low >= 0 and defined(theta, [VerifierInterval(ZERO, Q(1, 2**30))]), "theta'(0) < 0, or no theta")  # 2
-        gram = plus(gram, times(transpose(H), H), low * low)
-    need(psd(gram), "the radius")  # 3
-    return f"sum_j theta_j'(0) |H_j d| >= {written(r, DOWN)} |d| for all d"
-
-
-def steps_grow(m: OscillatorData, s: VerifierStatement) -> str:
-    """O-steps: the steps are > 0 and do not shrink. Premises: 1. the first is > 0; 2. each is >= the one before."""
-    steps = vector(field(m.data, "steps"))
-    need(steps[0] > 0 and all(a <= b for a, b in pairwise(steps)), "a step is not > 0, or shrinks")  # 1, 2
-    return f"0 < h_1 <= h_2 <= ... of all {len(steps)} steps, from {written(steps[0])} to {written(steps[-1])}"
-
-
-def gap(low: Any, high: Any) -> Any:
-    """A number that high - low is not below, of ends."""
-    return INF if low == -INF or high == INF else least(high + -low)
-
-
-class VerifierLaw:
-    """A product K of closed convex sets in R^count; ``ends`` of its intervals.
-    ``bounded`` and ``nonempty`` are True where that is known: of boxes, of balls and second-order cones, of ellipsoids {l'Q l <=
-    1} with a psd Q, and of polyhedra {H l >= K} that hold 0.
-    """
-
-    def __init__(self, m: VerifierModel, data: Any, count: int) -> None:
-        blocks = entries(data)
-        self.kinds, self.ends = {field(block, "kind") for block in blocks}, []
-        need(self.kinds <= {"box", "ball", "second-order cone", "polyhedron", "ellipsoid"}, "another law", UNCHECKED)
-        need(sum(index(field(block, "size"), count + 1) for block in blocks) == count, "the law has another size")
-        for block in blocks:
-            if block["kind"] == "box":
-                lower, upper = (vector(field(block, name), block["size"], m.parameters, True) for name in ("lower", "upper"))
-                self.ends += zip(lower, upper, strict=True)
-        whole = all(gap(low, high) >= 0 and low != INF and high != -INF for low, high in self.ends)
-        need(whole, "an interval of the law is empty")
-        need(all(number(field(block, "radius")) >= 0 for block in blocks if block["kind"] == "ball"), "a radius < 0")
-        curved = [matrix(field(b, "Q"), b["size"], b["size"], m.parameters) for b in blocks if b["kind"] == "ellipsoid"]
-        need(all(map(psd, curved)), "an ellipsoid that is not convex")
-        flat = [(vector(field(b, "K")), b) for b in blocks if b["kind"] == "polyhedron"]
-        need(all(matrix(field(b, "H"), len(K), b["size"]) is not None for K, b in flat), "a polyhedron that is not written out")
-        self.nonempty = all(x <= 0 for K, _ in flat for x in K)
-        finite = all(isinstance(x, Poly) or abs(x) < INF for pair in self.ends for x in pair)
-        self.bounded = finite and self.kinds <= {"box", "ball"}
+    def steps_grow(self, s: VerifierStatement) -> str:
+        """O-steps: the steps are > 0 and do not shrink. Premises: 1. the first is > 0; 2. each is >= the one before."""
+        steps = vector(field(self.data, "steps"))
+        need(steps[0] > 0 and all(a <= b for a, b in pairwise(steps)), "a step is not > 0, or shrinks")  # 1, 2
+        return f"0 < h_1 <= h_2 <= ... of all {len(steps)} steps, from {written(steps[0])} to {written(steps[-1])}"
 
 
 class FirstOrderData(VerifierModel):
@@ -1219,7 +1109,7 @@ class FirstOrderData(VerifierModel):
         super().__init__(data, parameters)
         self.n = len(entries(field(data, "x0")))
         self.m = len(self.inputs) - 1 - self.n
-        need(self.inputs[:1] == ["t"] and self.m >= 0, "f has other inputs than t, states and multipliers")
+        need(self.inputs[:1] == ["t"], "t is not the first input")
         self.M, self.steps = matrix(field(data, "M"), self.n, self.n, parameters), vector(field(data, "steps"))
         self.theta, self.gamma = number(field(data, "theta")), number(field(data, "gamma"))
         need(all(step > 0 for step in self.steps), "a step is not > 0")
@@ -1230,77 +1120,66 @@ class FirstOrderData(VerifierModel):
         need(not any(self.n < k < f.n for k in f.used), "f looks at a multiplier")
         return [f, g, h]
 
+    def smooth(self, s: VerifierStatement) -> str:
+        """F-jacobians: f, g and h are defined and C1, so that their Jacobians are those of the linearisation.
+        Premise: 1. on parts that cover the box all operations have continuous derivatives, and no max may have a kink.
+        """
+        programs = self.programs()
+        leaf = lambda box, _: all(len(jets(p, box, 1, smooth=True)) == len(p.outputs) for p in programs)  # noqa: E731
+        need(cover(s.proof.get("cover"), s.intervals(self.inputs, *programs), leaf), "a derivative may jump")  # 1
+        return f"f, g and h have continuous first derivatives {s.where(self.inputs)}"
 
-def smooth_system(m: FirstOrderData, s: VerifierStatement) -> str:
-    """F-jacobians: f, g and h are defined and C1, so that their Jacobians are those of the linearisation.
-    Premise: 1. on parts that cover the box all operations have continuous derivatives, and no max may have a kink.
-    """
-    programs = m.programs()
-    leaf = lambda box, _: all(len(jets(p, box, 1, smooth=True)) == len(p.outputs) for p in programs)  # noqa: E731
-    need(cover(s.proof.get("cover"), s.intervals(m.inputs, *programs), leaf), "a derivative may jump")  # 1
-    return f"f, g and h have continuous first derivatives {s.where(m.inputs)}"
+    def step_bound(self, s: VerifierStatement) -> str:
+        """F-step, F-W: M - s(theta f_x + gamma g_x) is regular for all 0 <= s <= h, and h is not below any step.
+        Theorem: with a matrix R and J = theta f_x + gamma g_x, <v, R(M - s J) v> is affine in s; where it is > 0 for s = 0 and s
+        = h and all v, not 0, no v has (M - s J) v = 0. Premises: 1. h > 0 is not below a step; 2. R M + M'R' > 0; 3. R(M - h J) +
+        its transpose >= 2^-30 on parts that cover the box.
+        """
+        n, h, programs, R = self.n, s.value["h"], self.programs()[:2], matrix(field(s.proof, "R"), self.n, self.n)
+        need(h >= max(self.steps) > 0, "h is below a step")  # 1
+        RM = times(R, self.M) if n else []
+        need(psd(RM, definite=True), "R M is not definite")  # 2
 
+        def part(box: Box, _: Any) -> bool:
+            F, G = ([j.g for j in jets(p, box, 1, range(1, n + 1))] for p in programs)
+            J = [[F[i][k] * self.theta + G[i][k] * self.gamma for k in range(n)] for i in range(n)]
+            RJ = [[sum((J[i][k] * row[i] for i in range(n)), VerifierInterval(ZERO)) for k in range(n)] for row in R]
+            left = [[span(RM[a][b]) + RJ[a][b] * -h for b in range(n)] for a in range(n)]
+            return interval_psd([[left[a][b] + left[b][a] + span(Q(-(a == b), 2**30)) for b in range(n)] for a in range(n)])  # 3
 
-def step_bound(m: FirstOrderData, s: VerifierStatement) -> str:
-    """F-step, F-W: M - s(theta f_x + gamma g_x) is regular for all 0 <= s <= h, and h is not below any step.
-    Theorem: with a matrix R and J = theta f_x + gamma g_x, <v, R(M - s J) v> is affine in s; where it is > 0 for s = 0 and s = h
-    and all v, not 0, no v has (M - s J) v = 0. Premises: 1. h > 0 is not below a step; 2. R M + M'R' > 0; 3. R(M - h J) + its
-    transpose >= 2^-30 on parts that cover the box.
-    """
-    n, h, programs, R = m.n, s.value["h"], m.programs()[:2], matrix(field(s.proof, "R"), m.n, m.n)
-    need(h >= max(m.steps) > 0, "h is below a step")  # 1
-    RM = times(R, m.M) if n else []
-    need(psd(RM, definite=True), "R M is not definite")  # 2
+        need(cover(field(s.proof, "cover"), s.intervals(self.inputs, *programs), part), "the bound fails on a part")
+        matrices = f"M - s({written(self.theta)} f_x + {written(self.gamma)} g_x) is regular for 0 <= s <= {written(h, DOWN)}"
+        return f"{matrices} {s.where(self.inputs)}; no step is longer than {written(max(self.steps), UP)}"
 
-    def part(box: Box, _: Any) -> bool:
-        F, G = ([j.g for j in jets(p, box, 1, range(1, n + 1))] for p in programs)
-        J = [[F[i][k] * m.theta + G[i][k] * m.gamma for k in range(n)] for i in range(n)]
-        RJ = [[sum((J[i][k] * row[i] for i in range(n)), VerifierInterval(ZERO)) for k in range(n)] for row in R]
-        left = [[span(RM[a][b]) + RJ[a][b] * -h for b in range(n)] for a in range(n)]
-        return interval_psd([[left[a][b] + left[b][a] + span(Q(-(a == b), 2**30)) for b in range(n)] for a in range(n)])  # 3
-
-    need(cover(field(s.proof, "cover"), s.intervals(m.inputs, *programs), part), "the bound fails on a part")
-    matrices = f"M - s({written(m.theta)} f_x + {written(m.gamma)} g_x) is regular for 0 <= s <= {written(h, DOWN)}"
-    return f"{matrices} {s.where(m.inputs)}; no step is longer than {written(max(m.steps), UP)}"
-
-
-def complementarity(m: FirstOrderData, s: VerifierStatement) -> str:
-    """F-mlcp, F-unique: W_mlcp = h gamma C W^-1 B + D is psd at each step; a step has one and only one next state.
-    Theorems: -y in N_K(l), y = W_mlcp l + q, has one solution for every q where W_mlcp is definite and K closed, convex and not
-    empty. It has one where K is bounded too; two differ by a d with <d, W_mlcp d> <= 0; where W_mlcp is psd (W_mlcp + W_mlcp')d =
-    0, and then B d = T (W_mlcp + W_mlcp')d = 0: x is the same. Premises: 1. f = A x + ..., g = K x + B l + ..., h = C x + D l +
-    ..., the rest in t alone; 2. they are defined at all times; 3. W has the inverse V/d, d > 0; 4. W_mlcp, times d, is psd;
-    F-unique: 5. K is not empty; 6. W_mlcp is definite, 7. or K is bounded, 8. and B = T d (W_mlcp + W_mlcp').
-    """
-    n, both, programs, law, atoms = m.n, range(1, m.n + m.m + 1), m.programs(), VerifierLaw(m, field(m.data, "law"), m.m), Atoms()
-    found = [affine(atoms.read(p), both, atoms) for p in programs]
-    need(None not in found, "f, g or h is not affine", UNCHECKED)  # 1
-    (A, _), (K, B), (C, D) = ([[row[:n] for row in pair[0]], [row[n:] for row in pair[0]]] for pair in found if pair)
-    leaf = lambda t, _: all(defined(p, t[:1]) for p in programs)  # noqa: E731
-    need(cover(s.proof.get("time"), s.intervals(["t"], *programs), leaf), "f, g or h is not defined")  # 2
-    hints = (entries(field(s.proof, name), len(m.steps)) for name in ("inverses", "T"))
-    for step, entry, T in zip(m.steps, *hints, strict=True):
-        W = plus(plus(m.M, A, -step * m.theta), K, -step * m.gamma)
-        V, d = (matrix(entry, n, n), ONE) if entry is not None else adjugate(W)
-        need(least(d) > 0 and vanishes(plus(times(W, V), eye(n), -d)) if n else True, "W has another inverse")  # 3
-        W_mlcp = plus([[x * d for x in row] for row in D], times(times(C, V), B), step * m.gamma) if m.m else []
-        need(psd(W_mlcp), "W_mlcp is not psd", UNCHECKED)  # 4
-        if s.id == "F-unique":
-            need(law.nonempty, "a K that may be empty", UNCHECKED)  # 5
-            if not psd(W_mlcp, definite=True):  # 6
-                need(law.bounded, "W_mlcp is not definite, and K may be unbounded", UNCHECKED)  # 7
-                need(T is not None, "W_mlcp lets x vary", UNCHECKED)
-                twice = times(matrix(T, n, m.m), plus(W_mlcp, transpose(W_mlcp)))
-                need(vanishes(plus(twice, B, -1)), "B is not T d (W + W')")  # 8
-    steps = f"a step h of each of {len(m.steps)} lengths from {written(min(m.steps))} to {written(max(m.steps))}"
-    if s.id == "F-mlcp":
-        return f"W = M - h (theta f_x + gamma g_x) is regular, and h gamma C W^-1 B + D positive semidefinite, for {steps}"
-    return f"from every state, at each time, {s.where(['t'])}, there is a solution with one next x only of {steps}"
+    def complementarity(self, s: VerifierStatement) -> str:
+        """F-mlcp, F-unique: W_mlcp = h gamma C W^-1 B + D is psd at each step; a step has one and only one next state.
+        Theorem: -y in N_K(l), y = W_mlcp l + q, has one solution for every q where W_mlcp is definite, K closed, convex and not
+        empty. Premises: 1. f = A x + ..., g = K x + B l + ..., h = C x + D l + ..., the rest in t alone; 2. all are defined at
+        all times; 3. W has the inverse V/d, d > 0; 4. W_mlcp, times d, is psd; F-unique: 5. K is so; 6. W_mlcp is definite.
+        """
+        n, both, programs, atoms = self.n, range(1, self.n + self.m + 1), self.programs(), Atoms()
+        found = [affine(atoms.read(p), both, atoms)[0] for p in programs]  # 1
+        (A, _), (K, B), (C, D) = ([[row[:n] for row in rows], [row[n:] for row in rows]] for rows in found)
+        leaf = lambda t, _: all(defined(p, t[:1]) for p in programs)  # noqa: E731
+        need(cover(s.proof.get("time"), s.intervals(["t"], *programs), leaf), "f, g or h is not defined")  # 2
+        unique = s.id == "F-unique"
+        if unique:
+            self.intervals(self.m)  # 5
+        for step, entry in zip(self.steps, entries(field(s.proof, "inverses"), len(self.steps)), strict=True):
+            W = plus(plus(self.M, A, -step * self.theta), K, -step * self.gamma)
+            V, d = matrix(field(entry, "V"), n, n, self.parameters), number(field(entry, "d"), parameters=self.parameters)
+            need(least(d) > 0 and (n == 0 or vanishes(plus(times(W, V), eye(n), -d))), "W has another inverse")  # 3
+            W_mlcp = plus([[x * d for x in row] for row in D], times(times(C, V), B), step * self.gamma) if self.m else []
+            need(psd(W_mlcp, definite=unique), "W_mlcp is not psd, or not definite", UNCHECKED)  # 4, 6
+        steps = f"a step h of each of {len(self.steps)} lengths from {written(min(self.steps))} to {written(max(self.steps))}"
+        if not unique:
+            return f"W = M - h (theta f_x + gamma g_x) is regular, and h gamma C W^-1 B + D positive semidefinite, for {steps}"
+        return f"from every state, at each time, {s.where(['t'])}, there is a solution with one next x only of {steps}"
 
 
 class LureData(VerifierModel):
-    """The model x' = A(x) + B l + f(t), y = C x + D l + e(t), l ∈ -dPhi(y) or -y ∈ N_K(l).
-    Xi(z) = Phi*(-z), of a law the indicator of K. Y(z) = <D z, z> + the recession function of Xi.
+    """The model x' = A(x) + B l + f(t), y = C x + D l + e(t), -y ∈ N_K(l). Of a K that is a product of intervals Xi(z) is the
+    indicator of K at -z, and Y(z) = <D z, z> + the recession function of Xi.
     """
 
     name, first = "LureSystem", "A"
@@ -1311,286 +1190,223 @@ class LureData(VerifierModel):
         self.B = matrix(field(data, "B"), self.n, self.m, parameters)
         self.C = matrix(field(data, "C"), self.m, self.n, parameters)
         self.D = matrix(data["D"], self.m, self.m, parameters)
-        self.phi = None if field(data, "phi") is None else VerifierProgram(data["phi"], None, 1, self.parameters)
-        need(self.phi is None or self.phi.n == self.m, "phi has another number of inputs")
-        need(self.phi is None or field(data, "law") == [], "phi is given, and a law too")
-        self.law = None if self.phi else VerifierLaw(self, field(data, "law"), self.m)
-
-    def intervals(self) -> list[tuple[Any, Any]]:
-        """The ends of K, which is a box."""
-        need(self.law is not None and self.law.kinds <= {"box"}, "a law that is no box", UNCHECKED)
-        return self.law.ends if self.law else []
-
-    def offset(self) -> list[Q]:
-        """The e of y, where it does not move."""
-        e = self.data.get("e", ["0"] * self.m)
-        need(type(e) is list, "an offset e that moves with time", UNCHECKED)
-        return vector(e, self.m, self.parameters)
+        self.e = data.get("e", ["0"] * self.m)
 
     def is_wide(self) -> bool:
-        """Whether dom Y* is the whole space, and there is a K.
-        So it is where Xi grows faster than linear functions, as K is bounded, or Phi is finite and convex; and where D + D' > 0.
+        """Whether dom Y* is the whole space, and R(D + dXi) too: K is bounded (Xi grows faster than linear functions, and a
+        continuous map on K solves its variational inequality), or D + D' > 0 (D + N_K is strongly monotone).
         """
-        if self.phi is not None:
-            return defined(self.phi, []) and convex((atoms := Atoms()).read(self.phi)[0], range(self.m), atoms)
-        return self.law is not None and self.law.nonempty and (self.law.bounded or psd(self.D, definite=True))
+        return all(gap(*pair) < INF for pair in self.intervals(self.m)) or psd(self.D, definite=True)
 
-    def is_onto(self) -> bool:
-        """Whether R(D + dXi) is all: K is bounded (a continuous map on it solves its variational inequality), D + D' > 0 (D + N_K
-        is strongly monotone), or Phi is finite and convex and D psd (D + dXi is maximal monotone and coercive).
+    def interior_of_law(self, s: VerifierStatement) -> str:
+        """3.1: K has an interior point. Premise: 1. it is a product of intervals that have a length."""
+        need(all(gap(*pair) > 0 for pair in self.intervals(self.m)), "K has no interior")  # 1
+        return f"K, a product of {self.m} intervals, has interior points: Xi is continuous at one"
+
+    def feedthrough(self, s: VerifierStatement) -> str:
+        """4.1: <D z, z> >= least |z|^2, least >= 0. Premises: 1. least >= 0; 2. D - least is psd."""
+        low = s.value["least"]
+        need(low >= 0, "least < 0")  # 1
+        need(psd(plus(self.D, eye(self.m, -low))), "D - least is not psd")  # 2
+        return f"<D z, z> >= {written(low, DOWN)} |z|^2 for all z"
+
+    def storage(self, s: VerifierStatement) -> str:
+        """5.1: there is P = P' > 0 with P B = C'. Premises, of d P: 1. it is symmetric, 2. > 0; 3. d > 0, d P B = d C'."""
+        P, d = (
+            matrix(field(s.proof, "P"), self.n, self.n, self.parameters),
+            number(s.proof.get("d", "1"), parameters=self.parameters),
+        )
+        need(P == transpose(P), "P is not symmetric")  # 1
+        need(psd(P, definite=True), "P is not positive definite")  # 2
+        need(least(d) > 0 and (self.m == 0 or vanishes(plus(times(P, self.B), transpose(self.C), -d))), "P B = C' fails")  # 3
+        return "there is P = P' > 0 with P B = C'"
+
+    def growth(self, s: VerifierStatement) -> str:
+        """5.2: <P(A(x) - A(y)), x - y> <= omega <P(x - y), x - y>, with P = P' > 0 and P B = C'.
+        Theorem: where it is so everywhere, R A(-R^-1 .) + omega, R^2 = P, is maximal monotone, as A is continuous. Premises: 1.
+        those of ``storage``; 2. the inequality, and that A is defined (``slopes_below``).
         """
-        return self.is_wide() and (self.law is not None or psd(self.D))
+        known, omega, P = self.storage(s), s.value["omega"], matrix(s.proof["P"], self.n, self.n, self.parameters)  # 1
+        need(slopes_below(self.program("A", self.n), s, P, omega), "omega")  # 2
+        place = s.where(self.inputs) + ", the same of y" if "cover" in s.proof else "for all x, y"
+        return f"{known}, and <P(A(x) - A(y)), x - y> <= {written(omega, UP)} <P(x - y), x - y> {place}"
 
+    def domain_point(self, s: VerifierStatement, x: Sequence[Q]) -> None:
+        """Show that C x + e = D'k + y + (D + D')v is in D'(int K) - int dom Y*. Premises: 1. D is psd; 2. k is inside K; 3. y > 0
+        where only the lower end of l is finite, < 0 where only the upper one is, any number where both are: -y is in the interior
+        of the polar of K's recession cone. Where neither is, that has no interior, and nothing is known.
+        """
+        k, v, e = (vector(item, self.m, self.parameters) for item in (field(s.proof, "k"), field(s.proof, "v"), self.e))
+        need(psd(self.D), "D is not psd")  # 1
+        D, kv = self.D, [a + b for a, b in zip(k, v, strict=True)]
+        y = [dot(row, x) + c + -dot(one, v) + -dot(two, kv) for row, c, one, two in zip(self.C, e, D, transpose(D), strict=True)]
+        for (low, high), inner, push in zip(self.intervals(self.m), k, y, strict=True):
+            need(gap(low, inner) > 0 and gap(inner, high) > 0, "k is not inside K")  # 2
+            need((low != -INF and (high != INF or least(push) > 0)) or (high != INF and least(-push) > 0), "y is not inside")  # 3
 
-def interior_of_law(m: LureData, s: VerifierStatement) -> str:
-    """3.1: K has an interior point. Premise: 1. it is a box whose intervals have a length."""
-    need(all(gap(*pair) > 0 for pair in m.intervals()), "K has no interior")  # 1
-    return f"K, a product of {m.m} intervals, has interior points: Xi is continuous at one"
+    def range_meets_domain(self, s: VerifierStatement) -> str:
+        """5.4a, 5.x0, 5.4c: R(C) + e, or C x_0 + e, meets the set S = D'(rint dom dXi) - int dom Y*; R(D + dXi) and S have one
+        hull. Theorems: where dom Y* is the whole space so is S; where R(D + dXi) is too, so are both affine hulls. Else, where D
+        is psd, -S, which is open, is in R(D + dXi): both hulls are the whole space as soon as S has a point. Premises: 1. what is
+        the whole space; 2. or a point of S (``domain_point``), of 5.4a one in R(C) + e, of 5.x0 C x_0 + e.
+        """
+        if not self.is_wide():  # 1
+            x = vector(self.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), self.n, self.parameters)
+            self.domain_point(s, x)  # 2
+        if s.id == "5.4c":
+            return "D'(rint dom dXi) - int dom Y* and R(D + dXi) have the same affine hull, the whole space"
+        return f"{'R(C) + e meets' if s.id == '5.4a' else 'C x_0 + e is in'} D'(rint dom dXi) - int dom Y*"
 
+    def convex_ranges(self, s: VerifierStatement) -> str:
+        """5.4b: dom dXi, which is K, and R(D + dXi) are convex.
+        Theorems: the range is the whole space (``is_wide``); or D is psd: D + N_K is maximal monotone and its graph a union of
+        finitely many polyhedra, so that its range is closed, and convex but for its relative boundary. Premise: 1. one of these.
+        """
+        need(self.is_wide() or psd(self.D), "a range", UNCHECKED)  # 1
+        return "dom dXi and R(D + dXi) are convex"
 
-def feedthrough(m: LureData, s: VerifierStatement) -> str:
-    """4.1: <D z, z> >= least |z|^2, least >= 0. Premises: 1. least >= 0; 2. D - least is psd."""
-    low = s.value["least"]
-    need(low >= 0, "least < 0")  # 1
-    need(psd(plus(m.D, eye(m.m, -low))), "D - least is not psd")  # 2
-    return f"<D z, z> >= {written(low, DOWN)} |z|^2 for all z"
-
-
-def storage(m: LureData, s: VerifierStatement) -> str:
-    """5.1: there is P = P' > 0 with P B = C'. Premises, of d P: 1. it is symmetric, 2. > 0; 3. d > 0, d P B = d C'."""
-    P, d = matrix(field(s.proof, "P"), m.n, m.n, m.parameters), number(s.proof.get("d", "1"), parameters=m.parameters)
-    need(P == transpose(P), "P is not symmetric")  # 1
-    need(psd(P, definite=True), "P is not positive definite")  # 2
-    need(least(d) > 0 and (m.m == 0 or vanishes(plus(times(P, m.B), transpose(m.C), -d))), "P B = C' fails")  # 3
-    return "there is P = P' > 0 with P B = C'"
-
-
-def growth(m: LureData, s: VerifierStatement) -> str:
-    """5.2: <P(A(x) - A(y)), x - y> <= omega <P(x - y), x - y>, with P = P' > 0 and P B = C'.
-    Theorem: where it is so everywhere, R A(-R^-1 .) + omega, R^2 = P, is maximal monotone, as A is continuous. Premises: 1. those
-    of ``storage``; 2. the inequality, and that A is defined (``slopes_below``).
-    """
-    known, omega, local = storage(m, s), s.value["omega"], "cover" in s.proof  # 1
-    need(slopes_below(m.program("A", m.n), s, matrix(s.proof["P"], m.n, m.n, m.parameters), omega), "omega")  # 2
-    place = s.where(m.inputs) + ", the same of y" if local else "for all x, y"
-    return f"{known}, and <P(A(x) - A(y)), x - y> <= {written(omega, UP)} <P(x - y), x - y> {place}"
-
-
-def domain_point(m: LureData, s: VerifierStatement, x: Sequence[Q]) -> None:
-    """Show that C x + e is in D'(int K) - int dom Y*. Premises, of a box K: 1. D is psd; 2. C x + e = D'k + y + (D + D')v;
-    3. k is inside K; 4. y > 0 where only the lower end of l is finite, < 0 where only the upper one is, any number where both
-    are: -y is in the interior of the polar of K's recession cone. Where neither is, that has no interior, and nothing is known.
-    """
-    k, y, v = (vector(field(s.proof, name), m.m, m.parameters) for name in ("k", "y", "v"))
-    need(psd(m.D), "D is not psd")  # 1
-    parts = [[dot(row, z) for row in A] for A, z in ((transpose(m.D), k), (m.D, v), (transpose(m.D), v))]
-    left = [dot(row, x) + e + -part for row, e, part in zip(m.C, m.offset(), y, strict=True)]
-    left = [a + -b + -c + -d for a, b, c, d in zip(left, *parts, strict=True)]
-    need(vanishes([left]), "C x + e = D'k + y + (D + D')v fails")  # 2
-    for (low, high), inner, push in zip(m.intervals(), k, y, strict=True):
-        need(gap(low, inner) > 0 and gap(inner, high) > 0, "k is not inside K")  # 3
-        need((low != -INF and (high != INF or least(push) > 0)) or (high != INF and least(-push) > 0), "y is not inside")  # 4
-
-
-def range_meets_domain(m: LureData, s: VerifierStatement) -> str:
-    """5.4a, 5.x0, 5.4c: R(C) + e, or C x_0 + e, meets the set S = D'(rint dom dXi) - int dom Y*; R(D + dXi) and S have one hull.
-    Theorems: where dom Y* is the whole space so is S; where R(D + dXi) is too, so are both affine hulls. Else, where D is psd,
-    -S, which is open, is in R(D + dXi): both hulls are the whole space as soon as S has a point. Premises: 1. what is the whole
-    space; 2. or a point of S (``domain_point``), of 5.4a one in R(C) + e, of 5.x0 C x_0 + e.
-    """
-    if not (m.is_onto() if s.id == "5.4c" else m.is_wide()):  # 1
-        domain_point(m, s, vector(m.data["x0"] if s.id == "5.x0" else field(s.proof, "x"), m.n, m.parameters))  # 2
-    if s.id == "5.4c":
-        return "D'(rint dom dXi) - int dom Y* and R(D + dXi) have the same affine hull, the whole space"
-    return f"{'R(C) + e meets' if s.id == '5.4a' else 'C x_0 + e is in'} D'(rint dom dXi) - int dom Y*"
-
-
-def convex_ranges(m: LureData, s: VerifierStatement) -> str:
-    """5.4b: dom dXi and R(D + dXi) are convex.
-    Theorems: dom dXi is K, or an interval where Phi has one variable. The range is the whole space (``is_onto``); or K is a
-    polyhedron and D psd: D + N_K is maximal monotone and its graph a union of finitely many polyhedra, so that its range is
-    closed, and convex but for its relative boundary. Premises: 1. a law, or one variable; 2. one of the two ranges.
-    """
-    need(m.law is not None or m.m == 1, "a potential of several variables", UNCHECKED)  # 1
-    polyhedral = m.law is not None and m.law.kinds <= {"box", "polyhedron"} and m.law.nonempty
-    need(m.is_onto() or (polyhedral and psd(m.D)), "a range", UNCHECKED)  # 2
-    return "dom dXi and R(D + dXi) are convex"
-
-
-def at_rest(m: LureData, s: VerifierStatement) -> str:
-    """7.1: x = 0, l = 0, y = 0 is at rest, and 0 is an admissible start.
-    Premises: 1. A(0) = 0, exactly; 2. f = 0 at all times; 3. e = 0; 4. 0 is in K, a box; 5. as of 5.x0, with x_0 = 0.
-    """
-    A, f = m.program("A", m.n), VerifierProgram(field(m.data, "f"), ["t"], m.n, m.parameters)
-    need(all(x.v.lo == 0 == x.v.hi for x in jets(A, [VerifierInterval(ZERO)] * m.n, 0)), "A(0) is not 0")  # 1
-    need(not any(Atoms().read(f)) and defined(f, s.intervals(["t"], f)), "f is not 0")  # 2
-    need(not any(m.offset()), "e is not 0")  # 3
-    need(all(gap(a, ZERO) >= 0 and gap(ZERO, b) >= 0 for a, b in m.intervals()), "0 is not in K")  # 4
-    if not m.is_wide():
-        domain_point(m, s, [ZERO] * m.n)  # 5
-    return f"A(0) = 0, f(t) = 0 {s.where(['t'])}, e = 0, 0 is in K, and 0 is in D'(dom dXi) - int dom Y*"
+    def at_rest(self, s: VerifierStatement) -> str:
+        """7.1: x = 0, l = 0, y = 0 is at rest, and 0 is an admissible start.
+        Premises: 1. A(0) = 0, exactly; 2. f = 0 at all times; 3. e = 0; 4. 0 is in K; 5. as of 5.x0, with x_0 = 0.
+        """
+        A, f = self.program("A", self.n), VerifierProgram(field(self.data, "f"), ["t"], self.n, self.parameters)
+        need(all(x.v.lo == 0 == x.v.hi for x in jets(A, [VerifierInterval(ZERO)] * self.n, 0)), "A(0) is not 0")  # 1
+        need(not any(Atoms().read(f)) and defined(f, s.intervals(["t"], f)), "f is not 0")  # 2
+        need(not any(vector(self.e, self.m, self.parameters)), "e is not 0")  # 3
+        need(all(gap(a, ZERO) >= 0 and gap(ZERO, b) >= 0 for a, b in self.intervals(self.m)), "0 is not in K")  # 4
+        if not self.is_wide():
+            self.domain_point(s, [ZERO] * self.n)  # 5
+        return f"A(0) = 0, f(t) = 0 {s.where(['t'])}, e = 0, 0 is in K, and 0 is in D'(dom dXi) - int dom Y*"
 
 
 class InclusionData(VerifierModel):
-    """The model x' ∈ F(x) - S(x) - sum weights_k Sgn(argument_k(x)) - N_C(x), or - dphi(x) in place of S and the switches.
-    C is {x : all its rows are >= 0}.
-    """
+    """The model x' ∈ F(x) - S(x) - dphi(x) - N_C(x), without S or phi where there is none. C is {x : all its rows are >= 0}."""
 
     name, first = "MonotoneInclusion", "F"
 
-    def __init__(self, data: Any, parameters: Parameters) -> None:
-        super().__init__(data, parameters)
-        self.S = None if field(data, "S") is None else self.program("S", self.n)
-        self.phi = None if field(data, "phi") is None else self.program("phi", 1)
-        need(self.phi is None or (self.S is None and field(data, "switches") == []), "phi is given, and S or switches too")
-
-    def switches(self, atoms: Atoms) -> list[Switch]:
-        """The switches. Premises: 1. the argument is a'x + c everywhere, a not 0; 2. the weights are w a, w >= 0."""
-        found = []
-        for entry in entries(field(self.data, "switches")):
-            program = VerifierProgram(entries(entry, 2)[1], self.inputs, 1, self.parameters)
-            weights = vector(entry[0], self.n, self.parameters)
-            (a,), (c,) = self.affine(atoms.read(program), atoms)
-            w = dot(weights, a) * (1 / dot(a, a))
-            along = least(w) >= 0 and vanishes([[x + w * -y for x, y in zip(weights, a, strict=True)]])
-            need(along and defined(program, []), "no subdifferential")  # 1, 2
-            found.append((w, a, c))
-        return found
-
-    def affine(self, V: Sequence[Poly], atoms: Atoms) -> tuple[Matrix, list[Q]]:
-        """A and b of V = A x + b."""
-        A, b = affine(V, range(self.n), atoms) or ([], [variable(0)])
-        need(all(is_unit(v) for p in b for m in p for v, _ in m), "a function that is not affine", UNCHECKED)
-        return A, [plain(p) for p in b]
+    def where_given(self, name: str, outputs: int) -> VerifierProgram | None:
+        """S or phi, where there is one."""
+        return None if field(self.data, name) is None else self.program(name, outputs)
 
     def selection(self, atoms: Atoms) -> tuple[list[Poly], list[Switch]]:
-        """V and the switches, F - S = V - sum w l a; of phi V has its gradient, max(u, v) being (u + v)/2 + |u - v|/2.
-        Premises: 1. all functions are defined everywhere; 2. each max has a weight > 0, and u - v is affine.
+        """V and the switches, F - S - dphi = V - sum w l a, phi a smooth function and w max(u, v) = w (u + v)/2 + w |u - v|/2.
+        Premises: 1. all functions are defined everywhere; 2. w >= 0, and u - v is affine.
         """
-        V, switches = atoms.read(F := self.program("F", self.n)), self.switches(atoms)
-        need(all(defined(p, []) for p in (F, self.S, self.phi) if p is not None), "F - S is not defined")  # 1
-        if self.S is not None:
-            V = [v + -p for v, p in zip(V, atoms.read(self.S), strict=True)]
-        if self.phi is None:
+        F, S, phi = self.program("F", self.n), self.where_given("S", self.n), self.where_given("phi", 1)
+        need(all(defined(p, []) for p in (F, S, phi) if p is not None), "F - S is not defined")  # 1
+        V, switches = atoms.read(F), []
+        if S is not None:
+            V = [v + -p for v, p in zip(V, atoms.read(S), strict=True)]
+        if phi is None:
             return V, switches
-        (p,) = atoms.read(self.phi)
-        for key, a in list(p.items()):
-            op, u, *more = atoms.meaning.get(key[0][0] if len(key) == 1 and key[0][1] == 1 else -1, (None, None))
-            if op == "fmax" and a > 0:
-                (row,), (c,) = self.affine([u + -more[0]], atoms)  # 2
-                switches.append((a / 2, row, c))
-                p = p + Poly({key: -a}) + (u + more[0]) * (a / 2)
-        return [v + -slope(p, i, atoms) for i, v in enumerate(V)], switches
+        potential, kinks = atoms.read(phi), [v for v, (op, *_) in atoms.meaning.items() if op == "fmax"]
+        (weights,), (rest,) = affine(potential, kinks, atoms)
+        for v, w in zip(kinks, weights, strict=True):
+            _, one, other = atoms.meaning[v]
+            if w:
+                (row,), (c,) = affine([one + -other], range(self.n), atoms)  # 2
+                need(least(w) >= 0, "phi is not convex")  # 2
+                switches.append((w * HALF, row, plain(c)))
+                rest = rest + (one + other) * (w * HALF)
+        return [v + -slope(rest, i, atoms) for i, v in enumerate(V)], switches
+
+    def monotone(self, s: VerifierStatement) -> str:
+        """M-T: S + dphi is monotone; where no box is needed, maximal monotone.
+        Theorems: so is the subdifferential of a finite convex function; a continuous S that is monotone everywhere is maximal;
+        sums of maximal monotone operators that are defined everywhere are. Premises: 1. phi is convex and defined (``curved``);
+        2. S is defined and monotone (``slopes_below``).
+        """
+        S, phi, hint = self.where_given("S", self.n), self.where_given("phi", 1), field(s.proof, "phi", dict)
+        local = "cover" in {**s.proof, **hint} and bool(s.box)
+        if phi is not None:
+            need(curved(phi, s, hint), "phi is not convex")  # 1
+        if S is not None:
+            need(slopes_below(S, s, eye(self.n), ZERO, -1), "S is not monotone")  # 2
+        return f"S + dphi is {'' if local else 'maximal '}monotone {s.where(self.inputs) if local else 'for all x'}"
+
+    def set_with_interior(self, s: VerifierStatement) -> str:
+        """M-C: C is closed and convex, with an interior point. Premises: 1. its rows are concave; 2. all are > 0 at a point."""
+        C, point = self.program("C"), vector(field(s.proof, "interior"), self.n)
+        need(concave_rows(C) and inside(C, point), "a row is not concave by the rules, or the point not inside")  # 1, 2
+        return f"C, of {len(C.outputs)} rows, is closed and convex, and has interior points"
+
+    def continuous(self, s: VerifierStatement) -> str:
+        """M-A1: F is continuous. Premise: 1. it is defined on parts that cover the box: all operations are continuous there."""
+        need(on_cover(self.program("F", self.n), s, s.proof.get("cover"), 0, lambda found: True), "F is not defined")  # 1
+        return f"F is defined and continuous {s.where(self.inputs)}"
+
+    def linear_growth(self, s: VerifierStatement) -> str:
+        """M-A2: |v| <= a_1 + a_2 |x| for all x and v ∈ F(x) - S(x) - dphi(x).
+        Theorem: v = A x + b - sum w l a, |l| <= 1, and |b - sum w l a| is largest at l = +-1. Premises: 1. F - S - dphi has this
+        form; 2. |A| <= a_2; 3. |b - sum w l a| <= a_1 at all corners, a_1 >= 0.
+        """
+        V, switches = self.selection(atoms := Atoms())
+        A, b = affine(V, range(self.n), atoms)  # 1
+        a_1, a_2 = s.value["a_1"], s.value["a_2"]
+        spend(2000 * 2 ** len(switches))
+        need(norm_below([[span(x) for x in row] for row in A], a_2), "a_2")  # 2
+        for signs in product((-1, 1), repeat=len(switches)):
+            v = [x + sum(e * w * a[i] for e, (w, a, _) in zip(signs, switches, strict=True)) for i, x in enumerate(b)]
+            need(a_1 >= 0 and least(a_1 * a_1 + -dot(v, v)) >= 0, "a_1")  # 3
+        return f"|v| <= {written(a_1, UP)} + {written(a_2, UP)} |x| for all x and all v in F(x) - S(x) - dphi(x)"
+
+    def on_differences(self, s: VerifierStatement) -> str:
+        """M-24: <v - w, x - y> <= L |x - y|^2 for all x, y in C, v ∈ F(x) - S(x) - dphi(x), w ∈ F(y) - S(y) - dphi(y).
+        Theorems: what switches add is monotone, so that they only help; of the rest it is J + J' <= 2 L, of the matrix of an
+        affine function, or of all (limits of) derivatives J on a convex set. Premises: 1. F - S - dphi has this form; 2. the
+        inequality for the matrix; 3. or for F - S on each part that C may meet, 4. C and phi being convex.
+        """
+        L, atoms, F, C = s.value["L"], Atoms(), self.program("F", self.n), self.program("C")
+        tail = f"{written(L, UP)} |x - y|^2 for v in F(x) - S(x) - dphi(x), w in F(y) - S(y) - dphi(y)"
+        if "cover" not in s.proof:
+            need(symmetric_below(affine(self.selection(atoms)[0], range(self.n), atoms)[0], eye(self.n), L), "L")  # 1, 2
+            return f"<v - w, x - y> <= {tail}, for all x, y"
+        need(concave_rows(C), "a row of C is not concave by the rules")  # 4
+        S, phi = self.where_given("S", self.n), self.where_given("phi", 1)
+        need(phi is None or curved(phi, s, field(s.proof, "phi", dict)), "phi is not convex")  # 4
+
+        def part(box: Box, _: Any) -> bool:
+            J, minus = ([j.g for j in jets(p, box, 1)] if p is not None else [] for p in (F, S))
+            J = plus(J, minus, -UNIT) if minus else J
+            return any(g.v.hi < 0 for g in jets(C, box, 0)) or form_below(J, eye(self.n), L)  # 3
+
+        programs = [p for p in (F, S, C) if p is not None]
+        need(cover(s.proof["cover"], s.intervals(self.inputs, *programs), part), "L")
+        return f"<v - w, x - y> <= {tail}, for x and y in C, {s.where(self.inputs)}, the same of y"
+
+    def dissipation(self, value: dict[str, Q], atoms: Atoms) -> Poly:
+        """What beta - alpha |x|^2 - <x, v>, v ∈ F(x) - S(x) - dphi(x), is not below: -l a'x <= |c| for l ∈ Sgn(a'x + c)."""
+        V, switches = self.selection(atoms)
+        p = sum((w * -max(-least(c), -least(-c)) for w, _, c in switches), constant(value["beta"]))
+        return sum((-(variable(i) * (v + variable(i, value["alpha"]))) for i, v in enumerate(V)), p)
+
+    def dissipative(self, s: VerifierStatement) -> str:
+        """M-A3: <x, w> <= -alpha |x|^2 + beta for all x in C and the projections w of v ∈ F(x) - S(x) - dphi(x) on the tangent
+        cone of C. Theorem: w = v - n with n normal to C at x, <n, x> >= 0 as 0 is in C: it is left to show this of v.
+        Premises: 1. C is closed and convex; 2. 0 is in C; 3. alpha > 0; 4. beta - alpha |x|^2 - <x, v> is a sum of squares and of
+        terms >= 0.
+        """
+        C, alpha, beta = self.program("C"), s.value["alpha"], s.value["beta"]
+        need(concave_rows(C), "a row is not concave by the rules")  # 1
+        need(inside(C, [ZERO] * self.n, strictly=False), "0 is not in C")  # 2
+        need(alpha > 0, "alpha is not > 0")  # 3
+        need(nonnegative(self.dissipation(s.value, atoms := Atoms()), s.proof, atoms), "beta")  # 4
+        bound = f"<x, w> <= -{written(alpha, DOWN)} |x|^2 + {written(beta, UP)} for all x in C"
+        return f"{bound}, w the projection of any v in F(x) - S(x) - dphi(x) on the tangent cone of C"
 
 
-def monotone(m: InclusionData, s: VerifierStatement) -> str:
-    """M-T: S, with the jumps of its switches filled in, is monotone; where no box is needed, maximal monotone.
-    Theorems: so is the subdifferential of a finite convex function; a continuous S that is monotone everywhere is maximal; sums
-    of maximal monotone operators that are defined everywhere are. Premises: 1. phi is convex and defined; 2. or the switches are
-    subdifferentials (``switches``), 3. S is defined and monotone (``slopes_below``).
-    """
-    local = "cover" in s.proof and bool(s.box)
-    place = s.where(m.inputs) if local else "for all x"
-    if m.phi is not None:
-        need(curved(m.phi, s, s.proof), "phi is not convex")  # 1
-        return f"S is the subdifferential of phi, which is finite and convex {place}"
-    m.switches(Atoms())  # 2
-    if m.S is not None:
-        need(slopes_below(m.S, s, eye(m.n), ZERO, -1), "S is not monotone")  # 3
-    return f"S + sum weights_k Sgn(argument_k), jumps filled in, is {'' if local else 'maximal '}monotone {place}"
-
-
-def set_with_interior(m: InclusionData, s: VerifierStatement) -> str:
-    """M-C: C is closed and convex, and has an interior point. Premises: 1. its rows are concave; 2. all are > 0 at a point."""
-    C, point = m.program("C"), vector(field(s.proof, "interior"), m.n)
-    need(concave_rows(C) and inside(C, point), "a row is not concave by the rules, or the point not inside")  # 1, 2
-    return f"C, of {len(C.outputs)} rows, is closed and convex, and has interior points"
-
-
-def continuous(m: InclusionData, s: VerifierStatement) -> str:
-    """M-A1: F is continuous. Premise: 1. it is defined on parts that cover the box, as all operations are continuous there."""
-    need(on_cover(m.program("F", m.n), s, s.proof.get("cover"), 0, lambda found: True), "F is not defined")  # 1
-    return f"F is defined and continuous {s.where(m.inputs)}"
-
-
-def linear_growth(m: InclusionData, s: VerifierStatement) -> str:
-    """M-A2: |v| <= a_1 + a_2 |x| for all x and v ∈ F(x) - S(x).
-    Theorem: v = A x + b - sum w l a, |l| <= 1, and |b - sum w l a| is largest at l = +-1. Premises: 1. F - S has this form, with
-    at most 12 switches; 2. |A| <= a_2; 3. |b - sum w l a| <= a_1 at all corners, a_1 >= 0.
-    """
-    V, switches = m.selection(atoms := Atoms())
-    A, b = m.affine(V, atoms)  # 1
-    a_1, a_2 = s.value["a_1"], s.value["a_2"]
-    need(len(switches) <= 12, "more than 12 switches", UNCHECKED)
-    need(norm_below([[span(x) for x in row] for row in A], a_2), "a_2")  # 2
-    for signs in product((-1, 1), repeat=len(switches)):
-        v = [x + sum(e * w * a[i] for e, (w, a, _) in zip(signs, switches, strict=True)) for i, x in enumerate(b)]
-        need(a_1 >= 0 and least(a_1 * a_1 + -dot(v, v)) >= 0, "a_1")  # 3
-    return f"|v| <= {written(a_1, UP)} + {written(a_2, UP)} |x| for all x and all v in F(x) - S(x)"
-
-
-def on_differences(m: InclusionData, s: VerifierStatement) -> str:
-    """M-24: <v - w, x - y> <= L |x - y|^2 for all x, y in C, v ∈ F(x) - S(x), w ∈ F(y) - S(y).
-    Theorems: what switches add is monotone, so that they only help; of the rest it is J + J' <= 2 L, of the matrix of an affine
-    function, or of all (limits of) derivatives J on a convex set. Premises: 1. switches are subdifferentials, the rest is
-    defined; 2. the inequality for the matrix; 3. or on each part that C may meet, phi being C2 there; 4. C is convex.
-    """
-    L, atoms, F, C = s.value["L"], Atoms(), m.program("F", m.n), m.program("C")
-    tail = f"{written(L, UP)} |x - y|^2 for v in F(x) - S(x), w in F(y) - S(y)"
-    if "cover" not in s.proof:
-        need(symmetric_below(m.affine(m.selection(atoms)[0], atoms)[0], eye(m.n), L), "L")  # 1, 2
-        return f"<v - w, x - y> <= {tail}, for all x, y"
-    m.switches(atoms)  # 1
-    need(concave_rows(C), "a row of C is not concave by the rules")  # 4
-
-    def part(box: Box, _: Any) -> bool:
-        if any(g.v.hi < 0 for g in jets(C, box, 0)):
-            return True
-        minus = jets(m.phi, box)[0].H if m.phi is not None else [j.g for j in jets(m.S, box, 1)] if m.S is not None else []
-        J = [j.g for j in jets(F, box, 1)]
-        J = [[a + -b for a, b in zip(u, w, strict=True)] for u, w in zip(J, minus, strict=True)] if minus else J
-        return form_below(J, eye(m.n), L)  # 3
-
-    programs = [p for p in (F, m.S, m.phi, C) if p is not None]
-    need(cover(s.proof["cover"], s.intervals(m.inputs, *programs), part), "L")
-    return f"<v - w, x - y> <= {tail}, for x and y in C, {s.where(m.inputs)}, the same of y"
-
-
-def dissipation(m: InclusionData, value: dict[str, Q], atoms: Atoms) -> Poly:
-    """What beta - alpha |x|^2 - <x, v>, v ∈ F(x) - S(x), is not below: -l a'x <= |c| for l ∈ Sgn(a'x + c)."""
-    V, switches = m.selection(atoms)
-    p = sum((w * -max(-least(c), -least(-c)) for w, _, c in switches), constant(value["beta"]))
-    return sum((-(variable(i) * (v + variable(i, value["alpha"]))) for i, v in enumerate(V)), p)
-
-
-def dissipative(m: InclusionData, s: VerifierStatement) -> str:
-    """M-A3: <x, w> <= -alpha |x|^2 + beta for all x in C and the projections w of v ∈ F(x) - S(x) on the tangent cone of C.
-    Theorem: w = v - n with n normal to C at x, and <n, x> >= 0 as 0 is in C; it is left to show it of v. Premises: 1. C is closed
-    and convex; 2. 0 is in C; 3. alpha > 0; 4. beta - alpha |x|^2 - <x, v> is a sum of squares and of terms >= 0.
-    """
-    C, alpha, beta = m.program("C"), s.value["alpha"], s.value["beta"]
-    need(concave_rows(C), "a row is not concave by the rules")  # 1
-    need(inside(C, [ZERO] * m.n, strictly=False), "0 is not in C")  # 2
-    need(alpha > 0, "alpha is not > 0")  # 3
-    found = at_corners(dissipation(m, s.value, atoms := Atoms()))
-    for p, hint in zip(found, at_each(s.proof, len(found)), strict=True):
-        need(positive(p + -squares(hint), atoms), "beta")  # 4
-    bound = f"<x, w> <= -{written(alpha, DOWN)} |x|^2 + {written(beta, UP)} for all x in C"
-    return f"{bound}, w the projection of any v in F(x) - S(x) on the tangent cone of C"
-
-
-STATEMENTS: dict[str, tuple[type[VerifierModel], Callable[[Any, VerifierStatement], str]]] = {
-    **dict.fromkeys(("A0", "A1", "A2", "A3", "A4"), (SweepingData, regular)), "S-convex": (SweepingData, sweeping_convex),
-    **dict.fromkeys(("A5", "A5'"), (SweepingData, qualified)), "S-f": (SweepingData, velocity), "S-start": (SweepingData, start),
-    "O-theta": (OscillatorData, friction), "O-g": (OscillatorData, potential), "O-dry": (OscillatorData, dry),
-    "O-steps": (OscillatorData, steps_grow), "F-jacobians": (FirstOrderData, smooth_system),
-    **dict.fromkeys(("F-step", "F-W"), (FirstOrderData, step_bound)),
-    **dict.fromkeys(("F-mlcp", "F-unique"), (FirstOrderData, complementarity)),
-    "3.1": (LureData, interior_of_law), "4.1": (LureData, feedthrough), "5.1": (LureData, storage), "5.2": (LureData, growth),
-    **dict.fromkeys(("5.4a", "5.4c", "5.x0"), (LureData, range_meets_domain)), "5.4b": (LureData, convex_ranges),
-    "7.1": (LureData, at_rest), "M-T": (InclusionData, monotone), "M-C": (InclusionData, set_with_interior),
-    "M-A1": (InclusionData, continuous), "M-A2": (InclusionData, linear_growth), "M-A3": (InclusionData, dissipative),
-    "M-24": (InclusionData, on_differences),
+STATEMENTS: dict[str, Callable[[Any, VerifierStatement], str]] = {
+    **dict.fromkeys(("A0", "A1", "A2", "A3", "A4"), SweepingData.regular), "S-convex": SweepingData.convex,
+    **dict.fromkeys(("A5", "A5'"), SweepingData.qualified), "S-f": SweepingData.velocity, "S-start": SweepingData.start,
+    "O-theta": OscillatorData.friction, "O-g": OscillatorData.potential, "O-dry": OscillatorData.dry,
+    "O-steps": OscillatorData.steps_grow, "F-jacobians": FirstOrderData.smooth,
+    **dict.fromkeys(("F-step", "F-W"), FirstOrderData.step_bound),
+    **dict.fromkeys(("F-mlcp", "F-unique"), FirstOrderData.complementarity),
+    "3.1": LureData.interior_of_law, "4.1": LureData.feedthrough, "5.1": LureData.storage, "5.2": LureData.growth,
+    **dict.fromkeys(("5.4a", "5.4c", "5.x0"), LureData.range_meets_domain), "5.4b": LureData.convex_ranges,
+    "7.1": LureData.at_rest, "M-T": InclusionData.monotone, "M-C": InclusionData.set_with_interior,
+    "M-A1": InclusionData.continuous, "M-A2": InclusionData.linear_growth, "M-A3": InclusionData.dissipative,
+    "M-24": InclusionData.on_differences,
 }  # fmt: skip
 NUMBERS = {  # Those that a statement has; all others have none.
     "A1": ("a", "b"), "A2": ("speed",), "A3": ("turn",), "A4": ("M", "M_contact"), "A5": ("gamma",), "A5'": ("gamma",),
@@ -1608,7 +1424,8 @@ def answer(model: Any, statement: Any) -> tuple[str, str]:
         id = field(statement, "id")
         need(type(id) is str and id in STATEMENTS, "no proof of this kind is known here", UNCHECKED)
         need(statement.get("proof") is not None, f"there is no proof: {escaped(statement.get('why'))}", UNCHECKED)
-        (reader, rule), s = STATEMENTS[id], VerifierStatement(statement, id)
+        rule, s = STATEMENTS[id], VerifierStatement(statement, id)
+        (reader,) = (reader for reader in VerifierModel.__subclasses__() if rule in vars(reader).values())
         m = reader(model, s.parameters)
         need(set(s.box) <= {"t", *m.inputs}, "the scope has other inputs")
         return YES, rule(m, s) + s.for_parameters()
@@ -1638,23 +1455,19 @@ def read_certificate(path: str) -> dict[str, Any]:
     return {**certificate, "model": field(certificate, "model", dict), "statements": field(certificate, "statements", list)}
 
 
-def formulas(data: Any) -> str:
-    """A function as formulas of its inputs; parts that are long are left out."""
-    program, nodes = VerifierProgram(data, None, None, {}), []
+def formulas(name: str, data: Any) -> list[str]:
+    """A function of the model as this file reads it: its formulas, long parts left out; nothing where there is none to read."""
+    try:
+        program, nodes = VerifierProgram(data.get("graph", data), None, None, {}), []
+    except Exception:
+        return []
     for op, i, w in program.steps:
         u, v = nodes[i] if op not in ("in", "const") else "", nodes[w] if op in ("add", "mul", "fmax") else w
         forms = {"add": f"{u} + {v}", "mul": f"({u}) ({v})", "fmax": f"max({u}, {v})", "pow": f"({u})^({v})"}
         node = escaped(program.inputs[i]) if op == "in" else written(i) if op == "const" else forms.get(op, f"{op}({u})")
         nodes.append(node if len(node) <= 200 else "(...)")
-    return f"({', '.join(map(escaped, program.inputs))}) = ({', '.join(nodes[k] for k in program.outputs)})"
-
-
-def describe(name: str, data: Any) -> list[str]:
-    """A function of the model as this file reads it; nothing where there is none, or none that is written down."""
-    try:
-        line = f"  {escaped(name)}{formulas(data.get('graph', data))}"
-    except Exception:
-        return []
+    inputs, values = ", ".join(map(escaped, program.inputs)), ", ".join(nodes[k] for k in program.outputs)
+    line = f"  {escaped(name)}({inputs}) = ({values})"
     return [line if len(line) <= 300 else line[:297] + "..."]
 
 
@@ -1670,7 +1483,7 @@ def main(path: str) -> int | str:
         answers = [(NO, "the data of the model do not have the hash of the certificate")] * len(answers)
     print(f"A {escaped(certificate['model'].get('class'))} that calls itself {escaped(certificate.get('title'))}; SHA-256 {own}")
     parts = [(name, data) for name, part in certificate["model"].items() for data in (part if type(part) is list else [part])]
-    print(*[line for part in parts for line in describe(*part)][:40], sep="\n")
+    print(*[line for part in parts for line in formulas(*part)][:40], sep="\n")
     for s, (kind, sentence) in zip(certificate["statements"], answers, strict=True):
         id = s.get("id") if type(s) is dict else None
         print(f"{id if type(id) is str and id in STATEMENTS else escaped(id):<12} {kind}: {sentence}")

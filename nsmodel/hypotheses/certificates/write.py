@@ -96,11 +96,17 @@ def certificate_subject(model: Model, findings: Mapping[str, Finding], ranges: I
     return subject._replace(data=named | subject.data | ({"parameters": list(subject.ranges)} if subject.ranges else {}))
 
 
-def expression_program(model: Model, expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
-    """The program, of the model's parameters too, or why there is none: not every statement needs it."""
+def expression_program(
+    model: Model, expr: ca.SX, inputs: ca.SX, names: Sequence[str], values: Mapping[ca.SX, float] = MappingProxyType({})
+) -> Data:
+    """The program, of the model's parameters too, or why there is none: not every statement needs it.
+
+    Args:
+        values: of symbols that are neither inputs nor parameters.
+    """
     names = [*names, *model.parameters] if model.p.numel() else names
     try:
-        return straight_line_program(expr, ca.vertcat(inputs, model.p), names)
+        return straight_line_program(expr, ca.vertcat(inputs, model.p), names, values)
     except UnsupportedOperation as why:
         return {"inputs": list(names), "why": str(why)}
 

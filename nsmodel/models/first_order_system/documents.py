@@ -25,6 +25,7 @@ from nsmodel.hypotheses.certificates.write import (
     CertificateSubject,
     column_text,
     dense_matrix_text,
+    entry_text,
     expression_program,
     law_data,
     step_sizes_text,
@@ -90,29 +91,31 @@ def _inverse_hint(subject: CertificateSubject, finding: Finding, value: dict[str
 
 
 def _mlcp_hint(subject: CertificateSubject) -> Any:
-    """W^-1 at each step, where it is a number, and T with T (W_mlcp + W_mlcp') = B where there is one."""
+    """V and d > 0 with W V = d for the matrix W of each step: its inverse and 1, or functions of the parameters."""
     m, atoms = verify.FirstOrderData(subject.data, subject.parameters), verify.Atoms()
-    found = [verify.affine(atoms.read(program), range(1, m.n + m.m + 1), atoms) for program in m.programs()]
-    if None in found:
-        raise UnprovedFinding("f, g or h is not affine")
-    rows = (np.array(pair[0], dtype=object).reshape(-1, m.n + m.m) for pair in found if pair)
-    (A, _), (K, B), (C, D) = ((part[:, : m.n], part[:, m.n :]) for part in rows)
-    M = np.array(m.M, dtype=object).reshape(m.n, m.n)
-    hints: dict[str, list[Any]] = {"inverses": [], "T": []}
+    A, K, _ = (verify.affine(atoms.read(program), range(1, m.n + m.m + 1), atoms)[0] for program in m.programs())
+    M, A, K = (np.array([row[: m.n] for row in rows], dtype=object).reshape(m.n, m.n) for rows in (m.M, A, K))
+    hints = []
     for h in m.steps:
         W = M + -h * (m.theta * A + m.gamma * K)
-        if any(isinstance(entry, verify.Poly) for part in (W, B, C, D) for entry in part.ravel()):
-            hints["inverses"].append(None)
-            hints["T"].append(None)
+        if any(isinstance(entry, verify.Poly) for entry in W.ravel()):
+            hints.append(_inverse_over_a_box(subject, float(h)))
             continue
         inverse = exact.inverse_matrix(W)
         if inverse is None:
             raise UnprovedFinding("W is singular")
-        W_mlcp = D + h * m.gamma * exact.matrix_product(C, inverse, B)
-        T = exact.solve_linear_system(W_mlcp + W_mlcp.T, B.T)
-        hints["inverses"].append(exact_matrix_text(inverse))
-        hints["T"].append(None if T is None else exact_matrix_text(T.T))
-    return hints | {"time": AdaptiveCover()}
+        hints.append({"V": exact_matrix_text(inverse) if m.n else [], "d": "1"})
+    return {"inverses": hints, "time": AdaptiveCover()}
+
+
+def _inverse_over_a_box(subject: CertificateSubject, h: float) -> Any:
+    """The adjugate and the determinant of W, with one sign; where CasADi rounds on the way, they are not accepted."""
+    model: FirstOrderSystem = subject.model
+    slopes = [weight * ca.jacobian(of, model.x) for weight, of in ((model.theta, model.f), (model.gamma, model.g))]
+    W = ca.densify(model.M - h * (slopes[0] + slopes[1]))
+    at = ca.DM([(low + high) / 2 for low, high in subject.ranges.values()])
+    sign = float(np.sign(float(ca.Function("d", [model.p], [ca.det(W)])(at))))
+    return {"V": dense_matrix_text(model, sign * ca.adj(W)), "d": entry_text(model, sign * ca.det(W))}
 
 
 def equations(model: FirstOrderSystem) -> list[str]:

@@ -43,13 +43,16 @@ STATED = {"4.1": (StatedNumber("least eigenvalue", ROUND_DOWN, "least"),), "5.2"
 
 def subject(model: LureSystem, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:
     """The model as data."""
-    y = ca.SX.sym("y", 0) if model.law is not None else model.y
+    names = [f"y_{i}" for i in range(model.D.shape[0])]
+    if model.law is not None:
+        law = law_data(model, model.law, ranges)
+    else:
+        law = [{"kind": "potential", "graph": expression_program(model, model.phi, model.y, names)}]
     data = {
         "A": expression_program(model, model.A, model.x, model.names),
         **{name: dense_matrix_text(model, getattr(model, name)) for name in "BCD"},
         "f": expression_program(model, model.f, model.t, ["t"]), "x0": column_text(model, model.x0),
-        "law": [] if model.law is None else law_data(model, model.law, ranges),
-        "phi": None if model.law is not None else expression_program(model, model.phi, y, [f"y_{i}" for i in range(y.numel())]),
+        "law": law,
     }  # fmt: skip
     e = (
         {}
@@ -81,7 +84,7 @@ def _proof_hint(subject: CertificateSubject, finding: Finding) -> Any:
             raise UnprovedFinding("too large a P to write down")
         P = [[entry if isinstance(entry, str) else exact_number_text(entry) for entry in row] for row in P]
         return {"P": P} | cover_hint(model.A, model.x)
-    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(subject, finding.id):
+    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _verifier_range_is_whole(subject):
         _check_constant_boxes(model, finding.id)
         return _point_in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
@@ -122,10 +125,10 @@ def product_of(factors: Sequence[ca.SX]) -> ca.SX:
     return math.prod(factors, start=ca.SX(1))
 
 
-def _verifier_range_is_whole(subject: CertificateSubject, id: str) -> bool:
+def _verifier_range_is_whole(subject: CertificateSubject) -> bool:
     with suppress(verify.Unproved):
         read = verify.LureData(subject.data, subject.parameters)
-        return read.is_onto() if id == "5.4c" else read.is_wide()
+        return read.is_wide()
     return False
 
 
@@ -140,7 +143,7 @@ def _check_constant_boxes(model: LureSystem, id: str) -> None:
 
 
 def _point_in_range(model: LureSystem, x: np.ndarray | None) -> Any:
-    """x, k, y, v with C x + e = D'k + y + S v, k and y inside, of a law of boxes; empty where nothing is asked.
+    """x, v and k, inside, with C x + e = D'k + y + S v, y inside, of a law of boxes.
 
     Columns of the homogeneous system: tau > 0, l - low tau > 0 (or high tau - l), where both ends are finite also their sum,
     y > 0 or < 0 where one end is, v, and x where it is not given.
@@ -180,7 +183,6 @@ def _point_in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     return {
         "x": [exact_number_text(entry) for entry in (found[1 + 4 * m :] if x is None else exact.rational(x))],
         "k": [exact_number_text(base + sign * found[1 + i]) for i, (base, sign) in enumerate(k)],
-        "y": [exact_number_text(k[i][1] * found[1 + 2 * m + i]) for i in range(m)],
         "v": [exact_number_text(entry) for entry in found[1 + 3 * m : 1 + 4 * m]],
     }
 

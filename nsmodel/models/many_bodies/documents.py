@@ -58,7 +58,7 @@ def proofs(
         )
     if finding.id == "S-start":
         return [{}]
-    return [sweeping.constraint_hints(subject, family_rows(subject.model, subject.ranges), finding, findings, room)]
+    return [sweeping.constraint_hints(subject, family_rows(subject.model, subject.ranges), finding)]
 
 
 def family_rows(model: ManyBodies, ranges: IntervalBox) -> list[ConstraintRow]:

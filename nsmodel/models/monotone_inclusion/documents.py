@@ -17,12 +17,13 @@ from nsmodel.hypotheses.certificates.hints import (
     AdaptiveCover,
     StatedNumber,
     UnprovedFinding,
+    UnsupportedOperation,
     convexity_hint,
     cover_hint,
     interior_point_hint,
     nonnegativity_hint,
 )
-from nsmodel.hypotheses.certificates.write import CertificateSubject, column_text, expression_program
+from nsmodel.hypotheses.certificates.write import CertificateSubject, Data, column_text, expression_program
 from nsmodel.hypotheses.equations import (
     MAX_LISTED_ROWS,
     constraint_lines,
@@ -54,22 +55,53 @@ def subject(model: MonotoneInclusion, findings: Mapping[str, Finding], ranges: I
     if model.moves and times:
         model, ranges = time_as_parameter(model), {**ranges, str(model.t): times[0]}
     rows, _ = set_constraints(model)
-    phi = (
-        None
-        if model.phi is None
-        else expression_program(model, potential_without_domain(model.phi, model.x, "phi"), model.x, model.names)
-    )
-    signs, sizes = model.sign_symbols, ca.jacobian(model.operator, model.sign_symbols)
-    operator = ca.substitute(model.operator, signs, ca.SX.zeros(signs.numel()))
+    operator = ca.substitute(model.operator, model.sign_symbols, ca.SX.zeros(model.sign_symbols.numel()))
     S = None if model.phi is not None or operator.is_zero() else expression_program(model, operator, model.x, model.names)
-    switches = [
-        [column_text(model, sizes[:, k]), expression_program(model, argument, model.x, model.names)]
-        for k, argument in enumerate(ca.vertsplit(model.sign_arguments)) if signs.numel()
-    ]  # fmt: skip
-    data = {"F": expression_program(model, model.field, model.x, model.names), "phi": phi, "S": S,
-            "C": expression_program(model, rows, model.x, model.names), "x0": column_text(model, model.x0),
-            "switches": switches}  # fmt: skip
+    data = {"F": expression_program(model, model.field, model.x, model.names), "S": S, "phi": _potential(model, ranges),
+            "C": expression_program(model, rows, model.x, model.names), "x0": column_text(model, model.x0)}  # fmt: skip
     return CertificateSubject(model, data, ranges=ranges)
+
+
+def _potential(model: MonotoneInclusion, ranges: IntervalBox) -> Data | None:
+    """The program of phi; of switches, which add Sgn(a'x + c) times w a, of the sum of w |a'x + c|. None where there is neither.
+
+    It is not written down where the weights of a switch are not along the slope a of its argument.
+    """
+    if model.phi is not None:
+        return expression_program(model, potential_without_domain(model.phi, model.x, "phi"), model.x, model.names)
+    if not model.sign_symbols.numel():
+        return None
+    weights = ca.densify(ca.jacobian(model.operator, model.sign_symbols))
+    slopes = ca.densify(ca.jacobian(model.sign_arguments, model.x).T)
+    phi, values = ca.SX(0), {}
+
+    def quotient_term(entry: ca.SX) -> ca.SX:
+        """An entry; a number as a symbol, as CasADi would round quotients of numbers."""
+        if ca.symvar(entry):
+            return entry
+        symbol = ca.SX.sym("number")
+        values[symbol] = float(entry)
+        return symbol
+
+    for k, argument in enumerate(ca.vertsplit(model.sign_arguments)):
+        a, w = slopes[:, k], weights[:, k]
+        i = next((i for i in range(a.numel()) if not a[i].is_zero()), 0)
+        if not _is_along(model, w, a, i, ranges):
+            names = expression_program(model, model.x, model.x, model.names or ())["inputs"]
+            return {"inputs": names, "why": "switches whose sum is no subdifferential"}
+        phi += quotient_term(w[i]) / quotient_term(a[i]) * ca.fabs(argument)
+    return expression_program(model, phi, model.x, model.names or (), values)
+
+
+def _is_along(model: MonotoneInclusion, w: ca.SX, a: ca.SX, i: int, ranges: IntervalBox) -> bool:
+    """Whether w is a multiple of a, exactly, and entry i of a is not 0."""
+    parameters = CertificateSubject(model, {}, ranges=ranges).parameters
+    try:
+        w_exact, a_exact = ([verify.number(text, parameters=parameters) for text in column_text(model, part)] for part in (w, a))
+    except (verify.Unproved, UnsupportedOperation):
+        return False
+    left = (one * a_exact[i] + w_exact[i] * -other + verify.constant(0) for one, other in zip(w_exact, a_exact, strict=True))
+    return bool(a_exact[i]) and not any(left)
 
 
 def proofs(
@@ -79,25 +111,22 @@ def proofs(
     model: MonotoneInclusion = subject.model
     if finding.id == "M-C":
         return [interior_point_hint(subject, finding)]
-    V = model.field - (
-        model.operator if model.phi is None else ca.gradient(potential_without_domain(model.phi, model.x, "phi"), model.x)
-    )
-    if finding.id == "M-T":
-        if model.phi is None:
-            return [cover_hint(model.operator, model.x)]
-        atoms = verify.Atoms()
-        (phi,) = atoms.read(verify.VerifierProgram(subject.data["phi"], None, None, subject.parameters))
-        return [convexity_hint(phi, range(model.x.numel()), atoms)]
     if finding.id == "M-A2":
         return [{}]
+    atoms, read = verify.Atoms(), verify.InclusionData(subject.data, subject.parameters)
     if finding.id == "M-A3":
-        atoms, numbers = verify.Atoms(), {name: Fraction(number) for name, number in value.items()}
-        read = verify.InclusionData(subject.data, subject.parameters)
-        found = nonnegativity_hint(verify.dissipation(read, numbers, atoms), atoms)
+        found = nonnegativity_hint(read.dissipation({name: Fraction(number) for name, number in value.items()}, atoms), atoms)
         if found is None:
             raise UnprovedFinding("the dissipation is not shown to be >= 0 by squares")
         return [found]
-    return [cover_hint(V, model.x) if finding.id == "M-24" else {"cover": AdaptiveCover()}]
+    if finding.id == "M-A1":
+        return [{"cover": AdaptiveCover()}]
+    potential = read.where_given("phi", 1)
+    phi = {} if potential is None else {"phi": convexity_hint(atoms.read(potential)[0], range(read.n), atoms)}
+    if finding.id == "M-T":
+        return [cover_hint(model.operator, model.x) | phi]
+    slope = 0 if model.phi is None else ca.gradient(potential_without_domain(model.phi, model.x, "phi"), model.x)
+    return [cover_hint(model.field - model.operator - slope, model.x) | phi]
 
 
 LATEX_SEPARATOR = r",\ "

@@ -162,59 +162,43 @@ def proofs(
     subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
 ) -> list[Any]:
     """Hints: the form of each constraint, covers of the box, directions of escape."""
-    return [_sweeping_hint(subject, finding, findings, value, room)]
-
-
-def constraint_hints(
-    subject: CertificateSubject, rows: Sequence[ConstraintRow], finding: Finding, findings: Mapping[str, Finding], room: Fraction
-) -> Data:
-    """The form of each constraint."""
-    return {"constraints": [_constraint_form_hint(subject, row, k, finding, findings, room) for k, row in enumerate(rows)]}
-
-
-def _sweeping_hint(
-    subject: CertificateSubject, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
-) -> Any:
     model: SweepingProcess = subject.model
     if finding.id in ("S-f", "S-start"):
         if finding.id == "S-f":
             verify.VerifierProgram(subject.data["f"], None, None, subject.parameters)  # it may not be written down
-        return {"time": AdaptiveCover(), "cover": AdaptiveCover()}
+            return [{"time": AdaptiveCover()}, {"cover": AdaptiveCover()}]
+        return [{}]
     if finding.id in ("A5", "A5'"):
         every = finding.id == "A5" and "rho" not in value
-        return {"cover": AdaptiveCover(_escape_direction_rule(model, np.inf if every else 0.0))}
-    return constraint_hints(subject, constraint_rows(model, subject.ranges), finding, findings, room)
+        return [{"cover": AdaptiveCover(_escape_direction_rule(model, np.inf if every else 0.0))}]
+    return [constraint_hints(subject, constraint_rows(model, subject.ranges), finding)]
 
 
-def _constraint_form_hint(
-    subject: CertificateSubject, row: ConstraintRow, k: int, finding: Finding, findings: Mapping[str, Finding], room: Fraction
-) -> dict[str, Any]:
+def constraint_hints(subject: CertificateSubject, rows: Sequence[ConstraintRow], finding: Finding) -> Data:
+    """The form of each constraint."""
+    return {"constraints": [_constraint_form_hint(subject, row, k, finding) for k, row in enumerate(rows)]}
+
+
+def _constraint_form_hint(subject: CertificateSubject, row: ConstraintRow, k: int, finding: Finding) -> dict[str, Any]:
     """The form of one constraint: affine, a norm or the distance to a box or a segment, else bounds over the box."""
     shape = row.shape
     if shape.kind == "plane":
-        rules, n = finding.id == "S-convex", row.q.numel()
+        n = row.q.numel()
         slow = [0, *range(1 + n, n + row.slow.numel())]
-        return {"form": "rules", "time": AdaptiveCover()} if rules else {"form": "box", "cover": AdaptiveCover(only=slow)}
+        return {"time": AdaptiveCover()} if finding.id == "S-convex" else {"cover": AdaptiveCover(only=slow)}
     if shape.kind == "distance" and (hint := _norm_form_hint(subject, row, shape, k)) is not None:
         return hint
-    local = finding.scope is not None and bool(finding.scope.states)
     if finding.id == "S-convex":
         program, atoms = (
             verify.VerifierProgram(subject.data["constraints"][k]["graph"], None, None, row.parameters(subject)),
             verify.Atoms(),
         )
         (p,) = atoms.read(program)
-        hint = convexity_hint(p, range(1, program.n), atoms)
-        return hint | ({"form": "box"} if "cover" in hint else {"form": "rules", "time": AdaptiveCover()})
+        return {"time": AdaptiveCover()} | convexity_hint(p, range(1, program.n), atoms)
+    local = finding.scope is not None and bool(finding.scope.states)
     if not local and finding.id not in ("A2", "A3", "A4"):
         raise UnprovedFinding(f"constraint '{row.name}': a form that is not written down here")
-    b = finding.value.get("b") if finding.id == "A1" else findings["A1"].value.get("b") if "A1" in findings else None
-    if finding.id not in ("A0", "A1"):
-        b = np.inf
-    if b is None:
-        raise UnprovedFinding("no bound of the gradients is known")
-    bound = {"b": exact_number_text(Fraction(b) * (1 + room / 2))} if np.isfinite(b) else {}
-    return {"form": "box", "cover": AdaptiveCover(), **bound}
+    return {"cover": AdaptiveCover()}
 
 
 def _norm_form_hint(subject: CertificateSubject, row: ConstraintRow, shape: ConstraintShape, k: int) -> dict[str, Any] | None:
@@ -243,13 +227,15 @@ def _norm_form_hint(subject: CertificateSubject, row: ConstraintRow, shape: Cons
     hint |= {"A": exact_matrix_text(A), "c": [_time_graph(a.offset, row) for _, a in squares]}
     if shape.clips:
         clips = [next((shape.clips[i] for i in a.row if i < 0), None) for _, a in squares]
-        ends = [
-            clip and (-np.inf if clip.low is None else clip.low, np.inf if clip.high is None else clip.high) for clip in clips
-        ]
-        hint["clips"] = [pair and [exact_number_text(end) for end in pair] for pair in ends]
+        directions = zip(exact_matrix_text(exact.eye(len(squares))), clips, strict=True)
+        hint["clips"] = [[e, _clip_ends(clip)] for e, clip in directions if clip is not None]
     gram = exact.doubles(exact.matrix_product(A, A.T))
     b = Fraction(float(weight) * float(np.sqrt(np.linalg.eigvalsh(gram)[-1]))) * (1 + ROUNDING_ALLOWANCE / 4)
     return hint | {"b": exact_number_text(b)}
+
+
+def _clip_ends(clip: Any) -> list[str]:
+    return [exact_number_text(end if end is not None else none) for end, none in ((clip.low, -np.inf), (clip.high, np.inf))]
 
 
 def _is_norm_form(program: verify.VerifierProgram, hint: dict[str, Any]) -> bool:
@@ -261,7 +247,7 @@ def _is_norm_form(program: verify.VerifierProgram, hint: dict[str, Any]) -> bool
 
 
 def segment_hints(g: verify.VerifierProgram) -> Iterator[dict[str, Any]]:
-    """What a norm of q - a - s e, s the nearest point to <q - a, e>/|e|^2 of an interval, may be: a as c, e as along."""
+    """What a norm of q - a - s e, s the nearest point to <q - a, e>/|e|^2 of an interval, may be: a as c, e and the interval."""
     atoms, own = verify.Atoms(), range(1, g.n)
     (p,) = atoms.read(g)
     meanings = [atoms.meaning[v] for m in p for v, _ in m if v in atoms.meaning and len(atoms.meaning[v]) > 2]
@@ -277,13 +263,13 @@ def segment_hints(g: verify.VerifierProgram) -> Iterator[dict[str, Any]]:
         for _, y, z in (part for part in nested if part[0] == "fmax"):
             y, other = (y, z.number()) if z.number() is not None else (z, y.number())
             if end is not None and other is not None:
-                tries += [(y, [other, -end]), (-y, [end, -other, "high first"])]
+                tries += [(y, [other, -end]), (-y, [-other, end])]
         for line, ends in tries if op and end is not None else ():
             slope = [line.get(((k, 1),), Fraction(0)) for k in own]
             size = sum(a * a for a in slope)
             if size:
                 const = [{"inputs": ["t", *g.inputs[g.n :]], "steps": [["const", str(entry)]], "outputs": [0]} for entry in c]
-                yield {"c": const, "along": [str(a / size) for a in slope], "ends": [str(end) for end in ends]}
+                yield {"c": const, "clips": [[[str(a / size) for a in slope], [str(end) for end in ends]]]}
 
 
 def _time_graph(offset: Any, row: ConstraintRow) -> Any:
