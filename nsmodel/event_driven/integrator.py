@@ -53,6 +53,7 @@ from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes, reaches
 from nsmodel.event_driven.radau import StiffIntegrator
 from nsmodel.event_driven.state_updates import (
     AROUND,
+    check_what_blocks_set,
     coast_to_stop,
     project_to_held_rows,
     reinitialise,
@@ -111,6 +112,9 @@ class Integrator:
             system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals
         )
         self.accumulation = ZenoDetector()
+        self._acted: list[list[float | None] | None] = [None] * len(
+            system.updates
+        )  # The sides of comparisons as blocks acted last.
         self._still = 0  # Pieces, one after the other, that hardly moved time.
         self._pending_event: StartEvent | None = None  # The event that the next piece begins with.
         self._selected_solver: MultiplierSolver | None = None  # Of the mode just chosen, whose first orders stand.
@@ -257,7 +261,8 @@ class Integrator:
             s = self._series_length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
                 update_scales(system, 0.0, 0.0)
-                if update_blocks(system, place):
+                self._acted = [None] * len(system.updates)
+                if self._let_blocks_act():
                     self._select_next_mode("at the start")
                     self._pending_event = None
                     return
@@ -459,7 +464,10 @@ class Integrator:
         if reaches_time(place.t, known):
             self._pass_switch_time(known)
             return
+        held, pending = [place.x[i] for i in self.problem.updated], self._pending_event
         self._select_next_mode("after " + switch_name(hit.of, self.problem.rows))
+        if hit.of[0] in self.problem.block_parts and held == [place.x[i] for i in self.problem.updated]:
+            self._pending_event = pending  # A comparison of a block that sets nothing new is no event.
         self._record_undecided(hit, found, rates)
         if self.accumulation.event_rate_grows(place.t):
             raise self._accumulation_error(hit)
@@ -468,7 +476,7 @@ class Integrator:
         """Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""
         kind, i = switch
         if kind != ROW:
-            return kind != "blocks" and self.system.plain[switch]
+            return kind not in self.problem.block_parts and self.system.plain[switch]
         B, D, C = self.system.slopes()
         if self.system.jets["h"].branches:
             return False
@@ -503,12 +511,12 @@ class Integrator:
 
     def _select_next_mode(self, when: str) -> None:
         """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
-        system, place = self.system, self.place
+        system, place, acts = self.system, self.place, 0
         for _ in range(JUMPS + UPDATES * bool(self.problem.updated)):
             before = list(place.codes)
             if (how := select_mode(system, place)) is not None:
-                if update_blocks(system, place):
-                    place.crossed = set()
+                if self._let_blocks_act():
+                    place.crossed, acts = set(), acts + 1
                     continue
                 self._check_uniqueness()
                 self._selected_solver = how if system.linear_in_l and not system.blocks.all else None
@@ -519,7 +527,24 @@ class Integrator:
                 break
             self._apply_impulse(p)
             place.open, place.crossed = all_switches(system), set()
+        if acts >= UPDATES:
+            names = ", ".join(self.problem.block_parts)
+            raise StepError(f"t = {place.t:.10g}: what {names} set changes their own comparisons again and again at one time")
         raise self._no_mode_error(when)
+
+    def _let_blocks_act(self) -> bool:
+        """Let the blocks act whose comparisons are others than when they acted last; whether what they hold is another.
+
+        All read what was held before. What they set may change comparisons: these act once more, at the same time.
+        """
+        system, place = self.system, self.place
+        sides = [list(part.choice) for part in system.updates]
+        acting = [k for k, (now, before) in enumerate(zip(sides, self._acted, strict=True)) if now != before]
+        self._acted = sides
+        if acting and update_blocks(system, place, acting):
+            return True
+        check_what_blocks_set(system, place.t)
+        return False
 
     def _accumulation_error(self, hit: SwitchCondition) -> StepError:
         reason = f"the switches of {switch_name(hit.of, self.problem.rows)} accumulate; time steps go over them"
@@ -556,6 +581,7 @@ class Integrator:
         self.place = PieceStart(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
         for part, choice in saved["choice"].items():
             system.parts[part].choice[:] = choice
+        self._acted = [list(part.choice) for part in system.updates]
         for row, l in zip(system.l, saved["l"], strict=True):
             row[0] = l
         for of, sizes in saved["sizes"].items():

@@ -104,7 +104,7 @@ class ModeSeries:
         given = {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)}
         self.inputs = given | {(2, i): row for i, row in enumerate(self.push)}
         self.parts = {name: TaylorExpansion(own, orders, self.inputs, language, known) for name, own in recurrences.items()}
-        self.updates = [part for name, part in self.parts.items() if name == "blocks"]
+        self.updates = [self.parts[name] for name in problem.block_parts]
         rates = [self.parts[name].outputs for name in ("f", "g") if name in self.parts]
         self._sum_y = compile_sums(self.y, [self.parts["h"].outputs], nonzero_terms(D, self.m), self.l, scaled=False)
         self._sum_rate = compile_sums(self.x, rates, nonzero_terms(B, self.n), self.push, scaled=True)

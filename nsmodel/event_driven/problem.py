@@ -37,8 +37,12 @@ from nsmodel.modeling.signals.function import Expression
 from nsmodel.modeling.signals.pwm import Pwm
 from nsmodel.modeling.signals.schedule import merge_near_times
 from nsmodel.modeling.variants import block_input_entries, initial_inputs
+from nsmodel.proof.verdict import not_none
 
 TINY_SPEED = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
+
+
+BLOCK = "block"  # Begins the names of those parts of the equations that are what blocks set.
 
 
 class NotEventDriven(UsageError):
@@ -100,6 +104,12 @@ class ContinuousProblem:
     updates: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     updated: tuple[int, ...] = ()
     updaters: tuple[str, ...] = ()
+
+    @property
+    def block_parts(self) -> dict[str, list[int]]:
+        """{name of a block that acts after each step, as a part of the equations: its rows of ``updates``}."""
+        names = [f"{BLOCK} '{name}'" for name in self.updaters]
+        return {name: [k for k, own in enumerate(names) if own == name] for name in dict.fromkeys(names)}
 
     @property
     def sliding_law_names(self) -> tuple[str, ...]:
@@ -188,6 +198,11 @@ def with_input_states(problem: ContinuousProblem, model: Model) -> ContinuousPro
         if (part := getattr(problem, name)) is not None and part.numel()
     }
     first = {str(symbol): problem.x.numel() + i for i, symbol in enumerate(chain)}
+    start = input_states(model, 0.0, None)
+    if updates:  # Their first action is that of the mode at the start.
+        before = not_none(model_ticks(model)).before(np.array(ca.DM(model.start)).ravel(), np.zeros(model.u.numel()))
+        for place in (place for block in updates for place in block.at):
+            start[first[model.input_names[place]] - problem.x.numel()] = float(before[place])
     for block in updates:
         if ca.depends_on(block.next, getattr(model, "lam", ca.SX(0, 1))):
             raise NotEventDriven(f"block '{block.name}' reads multipliers after each step")
@@ -196,7 +211,7 @@ def with_input_states(problem: ContinuousProblem, model: Model) -> ContinuousPro
     )
     return replace(
         problem, **parts | {"f": f, "g": ca.densify(g)}, x=ca.vertcat(problem.x, held), held=held.numel(),
-        names=(*problem.names, *names), x0=ca.vertcat(problem.x0, ca.DM(input_states(model, 0.0, None))),
+        names=(*problem.names, *names), x0=ca.vertcat(problem.x0, ca.DM(start)),
         ends=tuple(LawEnds(end.name, *ca.substitute([end.lower, end.upper], *([part] for part in put))) for end in problem.ends),
         records={name: ca.substitute(record, *put) for name, record in problem.records.items()},
         updates=ca.substitute(ca.vertcat(ca.SX(0, 1), *(block.next for block in updates)), *put),

@@ -6,6 +6,7 @@ What blocks that act after each step set when a condition of theirs changes; and
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -95,27 +96,29 @@ def reinitialise(system: ModeSystem, place: PieceStart) -> None:
         place.open = {c.of for c in mode_conditions(system, place.codes, how, AROUND) if is_condition_zero(system, c)}
 
 
-def update_blocks(system: ModeSystem, place: PieceStart) -> bool:
-    """Set what blocks hold to what they set it to in the mode just chosen; whether that was something else.
-
-    Raises:
-        StepError: what a block sets moves with time.
-    """
-    p, updates = system.problem, system.parts.get("blocks")
-    if updates is None:
+def update_blocks(system: ModeSystem, place: PieceStart, acting: Sequence[int]) -> bool:
+    """Set what some blocks hold to what they set it to in the mode just chosen, from the old values; whether that is another."""
+    p, before = system.problem, list(place.x)
+    for k, rows in enumerate(p.block_parts.values()):
+        for row, of in zip(system.updates[k].outputs, rows, strict=True):
+            if k in acting:
+                place.x[p.updated[of]] = row[0]
+    if place.x == before:
         return False
-    before = [place.x[i] for i in p.updated]
-    for i, row in zip(p.updated, updates.outputs, strict=True):
-        place.x[i] = row[0]
-    if [place.x[i] for i in p.updated] != before:
-        # The unit of the motion before may be so long that beside its coefficients what is far from a switch seems rounding.
-        place.tau = min(place.tau, initial_time_unit(system, place.t, place.x, place.tau))
-        reinitialise(system, place)
-        return True
-    for k, row in enumerate(updates.outputs):
-        if any(row[1 : ORDERS + 1]):
-            raise StepError(
-                f"t = {place.t:.10g}: block '{p.updaters[k]}' sets {p.names[p.updated[k]]} to what moves with time, not at "
-                "switches alone; give it a period (sampled)"
-            )
-    return False
+    # The unit of the motion before may be so long that beside its coefficients what is far from a switch seems rounding.
+    sizes = [max(size, abs(x)) for size, x in zip(system.sizes.x, place.x, strict=True)]
+    place.tau = min(place.tau, initial_time_unit(system, place.t, place.x, place.tau, sizes))
+    reinitialise(system, place)
+    return True
+
+
+def check_what_blocks_set(system: ModeSystem, t: float) -> None:
+    """Refuse what moves between switches: StepError names the block."""
+    p = system.problem
+    for part, (name, rows) in zip(system.updates, p.block_parts.items(), strict=True):
+        for row, of in zip(part.outputs, rows, strict=True):
+            if any(row[1 : ORDERS + 1]):
+                raise StepError(
+                    f"t = {t:.10g}: {name} sets {p.names[p.updated[of]]} to what moves with time, not at switches alone; "
+                    "give it a period (sampled)"
+                )

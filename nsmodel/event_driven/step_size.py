@@ -59,12 +59,12 @@ def step_size(system: ModeSystem, codes: list[int], how: MultiplierSolver, p: in
     return _common_length(rows)
 
 
-def initial_time_unit(system: ModeSystem, t: float, x: list[float], tau: float) -> float:
-    """The time in which f changes the state by its own size, where both are something; else tau."""
+def initial_time_unit(system: ModeSystem, t: float, x: list[float], tau: float, sizes: list[float] | None = None) -> float:
+    """The time in which f changes the state by its own size, or by ``sizes``, where both are something; else tau."""
     system.t[0], system.t[1] = t, 1.0
     for row, v in zip(system.x, x, strict=True):
         row[0] = v
-    rates = [abs(v) / abs(a) for v, a in zip(system.parts["f"].order(0), x, strict=True) if a and math.isfinite(v)]
+    rates = [abs(v) / abs(a) for v, a in zip(system.parts["f"].order(0), sizes or x, strict=True) if a and math.isfinite(v)]
     return power_of_two_unit(FIRST / max(rates)) if max(rates, default=0.0) > 0 else tau
 
 

@@ -38,7 +38,7 @@ from nsmodel.event_driven.multipliers import (
     is_p_matrix,
     multiplier_solver,
 )
-from nsmodel.event_driven.problem import ContinuousProblem
+from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven
 from nsmodel.event_driven.recurrence_code import rescale_time
 from nsmodel.event_driven.recurrences import independent_branches, taylor_decompose
 
@@ -98,7 +98,11 @@ class ModeSystem(ModeSeries):
         h = p.h if of_l is None else ca.substitute(p.h, p.l, ca.SX.zeros(p.l.shape)) if p.l.numel() else p.h
         jets = {"f": taylor_decompose(p.f, inputs, "f"), "h": taylor_decompose(h, inputs, "h")}
         jets |= {"g": taylor_decompose(p.g, inputs, "g")} if constant_B is None else {}
-        jets |= {"blocks": taylor_decompose(p.updates, inputs, "the update of a block")} if p.updated else {}
+        jets |= {name: taylor_decompose(p.updates[rows], inputs, f"the update of {name}") for name, rows in p.block_parts.items()}
+        for name, rows in p.block_parts.items():
+            others = p.x[[i for k, i in enumerate(p.updated) if k not in rows]]
+            if not jets[name].branches and ca.depends_on(p.updates[rows], others):
+                raise NotEventDriven(f"{name} sets what other blocks hold, at no switch; let the block that sets it do so")
         super().__init__(problem, jets, constant_B, of_l, orders)
         self.lower, self.upper = (
             [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)

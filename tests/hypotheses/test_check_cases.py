@@ -54,6 +54,7 @@ HOLDS = {
     "inclusion_8_1": "M-T M-C M-A1 M-A2 M-A3 M-24",
     "inclusion_8_2": "M-T M-C M-A1 M-A2 M-A3 M-24",
     "inclusion_8_2_full": "M-T M-C M-A1 M-A2 M-A3 M-24",
+    "integrate_and_fire": "F-jacobians F-W F-mlcp F-unique F-step",
     "leash": "M-T M-C M-A1 M-A2 M-A3 M-24 M-H",
     "moving_disc": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "moving_half_line": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",

@@ -38,6 +38,7 @@ FACTOR = "factor_p"
 FACTOR_BOXES = ((0.99, 1.01), (0.9, 1.2), (0.5, 2.0), (0.0, 1.0), (-1.0, 1.0), (0.25, 4.0))  # Of random models.
 BOUNDS = {  # Between which values what blocks set stays.
     "sampled_pi": {"w": within(-10, 10)},
+    "integrate_and_fire": {"z": within(0, 9)},
     "schmitt_trigger": {"s": within(-1, 1)},
     "sliding_mode": {"w": within(-1, 1)},
     "thermostat": {"u": within(0, 1)},

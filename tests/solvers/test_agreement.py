@@ -92,7 +92,7 @@ NOT_MONOTONE = {
     "twisting": Stretch(1e-2, 200),
     "zhuravlev_ivanov": Stretch(1e-2, 60),
 }
-NO_LAW = {"schmitt_trigger", "sliding_mode", "thermostat"}
+NO_LAW = {"integrate_and_fire", "schmitt_trigger", "sliding_mode", "thermostat"}
 
 # At rest on the kink of |x| both rows are active and only the sum of their multipliers is determined: IPOPT may end between.
 MAY_STOP = {("cabot_4_2", "ipopt")}
