@@ -7,11 +7,11 @@ continuous, x' = (i - (x - z))/tau, and V jumps.
 
 What to see: V rises to 1 and is put back to 0, every tau log(i/(i - 1)) = 21.97 ms; z counts the spikes, 9 in 0.2 s.
 
-A wrong answer: V above 1 by more than a step's rise, or a spike that counts twice. By constant steps a spike is late by up to a step;
-with --rtol its time is that of the crossing.
+A wrong answer: V above 1 by more than a step's rise, or a spike that counts twice. By constant steps a spike is late by up to a
+step; with --rtol its time is that of the crossing.
 
-Source: Lapicque, Recherches quantitatives sur l'excitation électrique des nerfs (1907); Gerstner and Kistler, Spiking Neuron Models
-(2002), 4.1.
+Source: Lapicque, Recherches quantitatives sur l'excitation électrique des nerfs (1907); Gerstner and Kistler, Spiking Neuron
+Models (2002), 4.1.
 """
 
 import casadi as ca

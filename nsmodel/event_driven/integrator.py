@@ -112,7 +112,7 @@ class Integrator:
             system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals
         )
         self.accumulation = ZenoDetector()
-        self._acted: list[list[float | None] | None] = [None] * len(
+        self._acted: list[Any] = [None] * len(
             system.updates
         )  # The sides of comparisons as blocks acted last.
         self._still = 0  # Pieces, one after the other, that hardly moved time.

@@ -1,7 +1,8 @@
-"""Blocks that act at events, beside loops written by hand: counters, toggles, resets, blocks that read each other, ticks and edges."""
+"""Blocks that act at events, beside loops by hand: counters, toggles, resets, blocks that read each other, ticks and edges."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -76,6 +77,16 @@ def copy_of(name, of, i, c):
     return Rule({z: -1.0}, lambda x, m: [x[i] > c], lambda over, m, x: {z: choose(over[0], m[of], m[z])})
 
 
+def made_rule(kind, name, i, c, of, k):
+    if kind in ("rise", "fall"):
+        return edges(name, i, c, kind == "rise")
+    if kind == "threshold":
+        return threshold(name, of, k)
+    if kind == "copy":
+        return copy_of(name, of, i, c)
+    return {"toggle": toggle, "level": level}[kind](name, i, c)
+
+
 def drawn(rng):
     """Oscillators x_i = a cos(w t + p) and blocks that look at them; (model, rules, exact x(t), frequencies)."""
     count = int(rng.integers(1, 3))
@@ -87,11 +98,7 @@ def drawn(rng):
         kinds = ["rise", "fall", "toggle", "level", *(["threshold", "copy"] if holds else [])]
         kind = kinds[int(rng.integers(len(kinds)))]
         of = holds[int(rng.integers(len(holds)))] if holds else ""
-        rules.append({
-            "rise": lambda: edges(name, i, c, True), "fall": lambda: edges(name, i, c, False), "toggle": lambda: toggle(name, i, c),
-            "level": lambda: level(name, i, c), "threshold": lambda: threshold(name, of, float(rng.integers(0, 4)) + 0.5),
-            "copy": lambda: copy_of(name, of, i, c),
-        }[kind]())  # fmt: skip
+        rules.append(made_rule(kind, name, i, c, of, float(rng.integers(0, 4)) + 0.5))
         holds.append(next(iter(rules[-1].memory)))
     return model_of(rules, a, w, p), rules, lambda t: a * np.cos(w * t + p), (a, w, p)
 
@@ -113,7 +120,7 @@ def model_of(rules, a, w, p, t_end=12.0):
 
 
 def by_hand(rules, exact, motion, t_end=12.0):
-    """What is held at the end, and how often something was set: all act at the start, then whose comparisons changed, from old values."""
+    """What is held at the end, and the times: all act at the start, then those whose comparisons changed, from old values."""
     a, w, p = motion
     held = {name: value for rule in rules for name, value in rule.memory.items()}
     thresholds = {(i, c) for rule in rules for i, c in looked_at(rule, len(a))}
@@ -166,7 +173,7 @@ def test_random_blocks_hold_what_a_loop_by_hand_holds(seed, rtol):
     for draw in range(20 if seed else 12):
         model, rules, exact, motion = drawn(np.random.default_rng([seed, draw]))
         held, times = by_hand(rules, exact, motion)
-        if any(abs(b - a) < 1e-2 for a, b in zip(times, times[1:], strict=False)) or (times and 12.0 - times[-1] < 1e-2):
+        if any(abs(b - a) < 1e-2 for a, b in itertools.pairwise(times)) or (times and 12.0 - times[-1] < 1e-2):
             continue  # which of two events is first is beyond rtol = 1e-4
         run = simulate(model, rtol=rtol)
         found = {name: float(run.inputs[-1, k]) for k, name in enumerate(model.input_names)}
@@ -195,8 +202,8 @@ def test_a_counter_counts_each_edge_once(T, count):
 
 def test_events_of_a_hysteresis_are_those_that_switch():
     x, u = ca.SX.sym("x"), ca.SX.sym("u")
-    room = FirstOrderSystem(x=x, f=[(5 + 30 * u - x) / 2], x0=[15], blocks=[hysteresis(u, x, 19, 21, start=1)], t_end=2, step=1e-3,
-                            names=["T"])  # fmt: skip
+    blocks = [hysteresis(u, x, 19, 21, start=1)]
+    room = FirstOrderSystem(x=x, f=[(5 + 30 * u - x) / 2], x0=[15], blocks=blocks, t_end=2, step=1e-3, names=["T"])
     run = simulate(room, rtol=1e-10)
     switched = np.flatnonzero(np.diff(run.u)) + 1
     assert len(switched) == 5
