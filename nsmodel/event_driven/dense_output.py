@@ -126,18 +126,17 @@ def inputs_at(arrays: RunArrays, t: np.ndarray, *, after: bool = False) -> np.nd
 def find_mode_changes(arrays: RunArrays) -> tuple[Event, ...]:
     """All changes of the mode up to the last row, in order."""
     starts, codes = arrays["piece_start"], arrays["piece_codes"]
-    x0, widths = arrays["x"][:1], arrays.get("piece_event_width", np.zeros(len(starts)))
     numbers = np.flatnonzero(arrays["piece_event"] & (starts <= arrays["t"][-1]))
-    found = []
-    for k in numbers:
-        t = starts[k : k + 1]
-        after = evaluate_pieces(arrays, t, np.array([k]))
-        before = evaluate_pieces(arrays, t, np.array([k - 1])) if k else after._replace(x=x0)
-        row = int(np.searchsorted(arrays["t"], t[0]))
-        x, _, l, y = ((one[0], other[0]) for one, other in zip(before[1:], after[1:], strict=True))
-        index = codes[k - 1] if k else np.full_like(codes[k], UNKNOWN_INDEX)
-        found.append(Event(float(t[0]), row, index, codes[k], *x, *l, *y, arrays["piece_impulse"][k], float(widths[k])))
-    return tuple(found)
+    t, last = starts[numbers], np.maximum(numbers - 1, 0)
+    after, before = evaluate_pieces(arrays, t, numbers), evaluate_pieces(arrays, t, last)
+    index = codes[last]
+    if numbers.size and numbers[0] == 0:
+        before.x[0], index[0] = arrays["x"][0], UNKNOWN_INDEX
+    widths = arrays.get("piece_event_width", np.zeros(len(starts)))[numbers]
+    both = (part for name in ("x", "multipliers", "y") for part in (getattr(before, name), getattr(after, name)))
+    rows = np.searchsorted(arrays["t"], t).tolist()
+    columns = (t.tolist(), rows, index, codes[numbers], *both, arrays["piece_impulse"][numbers], widths.tolist())
+    return tuple(Event(*entries) for entries in zip(*columns, strict=True))
 
 
 def sample_pieces(arrays: RunArrays, points: int, begin: float, end: float) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, html_repr
+from nsmodel._utils import cached_per_object, display, escape_invisible, html_repr
 from nsmodel.errors import UsageError
 from nsmodel.event_driven import dense_output
 from nsmodel.files.archive import read_archive, write_npz
@@ -127,7 +127,7 @@ class Trajectory(RunData):
         """The switches of an event-driven run, in order; UsageError for a run by time stepping, which has none but its rows'."""
         if not self.is_event_driven:
             raise UsageError("events are found by event-driven runs: give rtol; of time steps see run.index_set")
-        return dense_output.find_mode_changes(self.arrays)
+        return _events_of(self)
 
     def save(self, path: str | Path) -> None:
         """Write one npz file at ``path`` with all arrays and the metadata; StorageError where that fails."""
@@ -202,3 +202,8 @@ class Trajectory(RunData):
         """Return one line: title, class, steps, times, status."""
         kind, span = self.metadata.get("model_class", "model"), f"t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
         return f"Trajectory({self.title!r}, {kind}, {len(self)} steps, {span}, {self.status})"
+
+
+@cached_per_object
+def _events_of(run: Trajectory) -> tuple[dense_output.Event, ...]:
+    return dense_output.find_mode_changes(run.arrays)

@@ -274,3 +274,11 @@ def test_a_copy_of_what_another_block_holds_is_refused_by_name():
     model = FirstOrderSystem(x=x, f=[1.0], x0=[0], t_end=2, step=1e-2, blocks=blocks, names=["way"])
     with pytest.raises(UsageError, match="block 'second' sets what other blocks hold, at no switch"):
         simulate(model, rtol=1e-6, method="event-driven")
+
+
+def test_events_are_made_once_and_are_what_the_pieces_say():
+    run = counted(60, rtol=1e-8)
+    assert run.events is run.events
+    for event in run.events:
+        assert event.x_before[0] == pytest.approx(0, abs=1e-7)
+        assert run.at(event.t).x[0] == pytest.approx(event.x_after[:2], abs=1e-12)
