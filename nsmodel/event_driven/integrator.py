@@ -112,9 +112,7 @@ class Integrator:
             system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals
         )
         self.accumulation = ZenoDetector()
-        self._acted: list[Any] = [None] * len(
-            system.updates
-        )  # The sides of comparisons as blocks acted last.
+        self._acted: list[Any] = [None] * len(system.updates)  # The sides of comparisons as blocks acted last.
         self._still = 0  # Pieces, one after the other, that hardly moved time.
         self._pending_event: StartEvent | None = None  # The event that the next piece begins with.
         self._selected_solver: MultiplierSolver | None = None  # Of the mode just chosen, whose first orders stand.

@@ -388,7 +388,7 @@ class EventDrivenPropagator:
             t = arrays["t"]
             before = np.concatenate([np.nan_to_num(t[:1] - arrays["step"][:1]), t[:-1]])
             arrays |= self._drive.rows(t, before)
-            self._fill_block_inputs(arrays, t, before)
+            self._fill_block_inputs(arrays)
         arrays |= self._outputs(arrays)
         return arrays if self.certified is None else arrays | self.certified.arrays(self.record.numbers, arrays["t"], arrays["x"])
 
@@ -405,15 +405,13 @@ class EventDrivenPropagator:
             name: np.zeros((1, size)) for name, size in sizes.items() if name != "energy"
         }
 
-    def _fill_block_inputs(self, arrays: dict[str, np.ndarray], t: np.ndarray, before: np.ndarray) -> None:
+    def _fill_block_inputs(self, arrays: dict[str, np.ndarray]) -> None:
         """What blocks hold, in the columns of the inputs: as in the piece that ends at a row, and in that which begins before."""
         entries, places = block_set_entries(self.model)
         if not (entries.size and len(arrays["piece_start"])):
             return
-        starts, values = arrays["piece_start"], arrays["piece_x"][:, :, 0][:, places + self.problem.x.numel() - self.problem.held]
-        begin = np.maximum(np.searchsorted(starts, before, side="right") - 1, 0)
-        end = np.where(t > 0, np.maximum(np.searchsorted(starts, t, side="left") - 1, 0), 0)
-        arrays["inputs"][:, entries], arrays["inputs_begin"][:, entries] = values[end], values[begin]
+        at_end, at_begin = self.record.held_at_rows()
+        arrays["inputs"][:, entries], arrays["inputs_begin"][:, entries] = at_end[:, places], at_begin[:, places]
 
     # -- for files
 

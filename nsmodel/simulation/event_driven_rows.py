@@ -97,7 +97,8 @@ ColumnFunction = Callable[[np.ndarray], np.ndarray]
 class CarriedState:
     """What the rows that are written leave for the next: how many, the last one's time and integral of the multipliers.
 
-    ``until``: that integral up to the next piece; ``worst``: the largest estimate of the pieces since the last row.
+    ``until``: that integral up to the next piece; ``worst``: the largest estimate of the pieces since the last row; ``held``: the
+    states that blocks and signals hold just after the last row, None where that is known by the next piece.
     """
 
     rows: int
@@ -105,6 +106,7 @@ class CarriedState:
     integral: np.ndarray
     until: np.ndarray
     worst: float = 0.0
+    held: np.ndarray | None = None
 
 
 class _EventDrivenRows(NamedTuple):
@@ -163,6 +165,17 @@ class PieceRows:
         self._process_new_pieces()
         return self._carried
 
+    def held_at_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """The states that are held just before each row, and just after the row before it: (k, held) each."""
+        self._process_new_pieces()
+        block = PieceBuffer.concatenate(self._blocks)
+        held, t = self._held(block), np.concatenate([[self._before.t], *(rows.t for rows in self._rows)])
+        after = held[np.minimum(np.searchsorted(block.end, t[:-1], side="right"), len(held) - 1)]
+        if len(after) and self._before.held is not None:
+            after[0] = self._before.held
+        first = held[:1] if self.starts else held[:0]
+        return np.vstack([first, held[self.numbers[int(self.starts) :]]]), np.vstack([first, after])
+
     @property
     def pieces(self) -> list[Piece]:
         """The pieces in memory, one by one."""
@@ -217,13 +230,24 @@ class PieceRows:
         worst, rest = _largest_estimates(before.worst, block.defect, piece)
         rows, now = _EventDrivenRows(t, piece + self._counted_pieces, worst, integral), float(t[-1]) if len(t) else before.t
         own = integral[-1] if integral is not None and len(t) else before.integral
-        self._carried = CarriedState(before.rows + len(times), now, own, until, rest)
+        self._carried = CarriedState(before.rows + len(times), now, own, until, rest, self._held_after(block, t))
         self._new, self._columns = [], None
         self._blocks.append(block)
         self._user_series.append(series)
         self._rows.append(rows)
         self._counted_pieces += block.count
         self._count_rows += len(t)
+
+    def _held_after(self, block: PieceBuffer, t: np.ndarray) -> np.ndarray | None:
+        """What is held just after the last row, of times t in these pieces or before them; None: in the next piece."""
+        if not len(t) and self._carried.held is not None:
+            return self._carried.held
+        piece = np.searchsorted(block.end, t[-1], side="right") if len(t) else 0
+        return self._held(block)[piece].copy() if piece < block.count else None
+
+    def _held(self, block: PieceBuffer) -> np.ndarray:
+        n = self.problem.x.numel()
+        return block.series[:, n - self.problem.held : n, 0]
 
     def _row_times(self, end: np.ndarray) -> tuple[np.ndarray, bool]:
         """The rows of pieces with these ends, and whether the last one of the run is among them."""
@@ -339,12 +363,15 @@ class PieceRows:
     def checkpoint(self) -> dict[str, Any]:
         """What is carried on to the next rows."""
         c = self.carried
-        return {"rows": c.rows, "t": c.t, "integral": c.integral.tolist(), "until": c.until.tolist(), "worst": c.worst}
+        held = None if c.held is None else c.held.tolist()
+        lists = {"integral": c.integral.tolist(), "until": c.until.tolist(), "held": held}
+        return {"rows": c.rows, "t": c.t, "worst": c.worst, **lists}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         integral, until = (np.array(saved[name], float) for name in ("integral", "until"))
-        self._carried = self._before = CarriedState(saved["rows"], saved["t"], integral, until, saved["worst"])
+        held = None if saved.get("held") is None else np.array(saved["held"], float)
+        self._carried = self._before = CarriedState(saved["rows"], saved["t"], integral, until, saved["worst"], held)
         self.starts = False
 
 

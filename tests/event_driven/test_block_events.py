@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nsmodel import FirstOrderSystem, each_step, hysteresis, sampled, simulate
+from nsmodel import FirstOrderSystem, each_step, hysteresis, pwm, sampled, simulate
 from nsmodel.errors import StepError, UsageError
+from nsmodel.simulation import event_driven_rows
 
 
 @dataclass(frozen=True)
@@ -282,3 +283,22 @@ def test_events_are_made_once_and_are_what_the_pieces_say():
     for event in run.events:
         assert event.x_before[0] == pytest.approx(0, abs=1e-7)
         assert run.at(event.t).x[0] == pytest.approx(event.x_after[:2], abs=1e-12)
+
+
+@pytest.mark.parametrize("times", [None, 97])
+def test_columns_of_inputs_do_not_depend_on_chunks(times, tmp_path, monkeypatch):
+    """What is held just before a row, and just after the row before, where the pieces are in another chunk."""
+    x, u, d, z = (ca.SX.sym(name) for name in ("x", "u", "d", "z"))
+    outputs, update = {d: ca.fmin(ca.fmax(z, 0), 1)}, {z: z + 0.07 * (1 - x)}
+    control = sampled("control", period=0.3, memory={z: 0.1}, outputs=outputs, update=update)
+    of = {"inputs": {u: pwm(0.3, duty=d)}, "blocks": [control], "names": ["a"]}
+    model = FirstOrderSystem(x=x, f=[u - x], x0=[0], t_end=6, step=1e-2, **of)
+    rows = {} if times is None else {"times": np.linspace(0, 6, times)[1:].tolist()}
+    whole = simulate(model, rtol=1e-6, **rows)
+    monkeypatch.setattr(event_driven_rows, "CHUNK_BYTES", 1)
+    parts = simulate(model, rtol=1e-6, out=tmp_path / "run", **rows)
+    for name, array in whole.arrays.items():
+        np.testing.assert_array_equal(parts.arrays[name], array, err_msg=name)
+    if times is None:  # at the end of each period u is 0: its pulse has ended
+        ends = np.abs(whole.t / 0.3 - np.round(whole.t / 0.3)) < 1e-9
+        assert (whole.u[ends][1:] == 0).all()
