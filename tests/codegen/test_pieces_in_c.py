@@ -347,3 +347,51 @@ def test_what_has_no_pieces_in_c_is_named(tmp_path):
     )  # fmt: skip
     with pytest.raises(CodegenError, match="its l is a series of y"):
         codegen.write(ball, tmp_path / "b", event_driven=True)
+
+
+def shared_library(model, folder):
+    folder = built(model, folder).parent
+    library = folder / "thing.so"
+    subprocess.run([CC, "-shared", "-fPIC", optimised("-O2"), "-o", library, folder / "thing_pieces.c", "-lm"], check=True)
+    lib = ctypes.CDLL(str(library))
+    lib.thing_pieces_get_time.restype = ctypes.c_double
+    return lib, ctypes.create_string_buffer(1 << 20)
+
+
+def state_of(lib, s, n):
+    x = (ctypes.c_double * n)()
+    lib.thing_pieces_get_state(s, x)
+    return lib.thing_pieces_get_time(s), list(x)
+
+
+@pytest.mark.parametrize("t", [1e16, 1e18, 4e15])
+def test_a_piece_that_does_not_move_time_ends_with_a_status(t, tmp_path):
+    """Where t + s is t the call comes back, and says so; before it ran for ever."""
+    lib, s = shared_library(case("zener_limiter"), tmp_path)
+    assert lib.thing_pieces_init(s, ctypes.c_double(1e-8)) == 0
+    lib.thing_pieces_set_most(s, ctypes.c_long(20))
+    x = (ctypes.c_double * len(case("zener_limiter").names))(0.65060781287170633)
+    lib.thing_pieces_set_state(s, ctypes.c_double(t), x)
+    status = lib.thing_advance(s, ctypes.c_double(t * (1 + 1e-15) + 2))
+    assert status in (1, 3, 9, 10)
+
+
+def test_a_state_that_is_refused_changes_nothing(tmp_path):
+    """Where no mode is found the library stands where it stood, and goes on to the same bits."""
+    x = ca.SX.sym("x", 2)
+    l = ca.SX.sym("l")
+    model = nsmodel.FirstOrderSystem(x=x, lam=l, f=[x[1], -x[0] + ca.sqrt(4 - x[0])], g=[0, l], h=[x[1]], law=nsmodel.relay(1),
+                                     x0=[3, 0], t_end=4, step=1e-2)  # fmt: skip
+    lib, s = shared_library(model, tmp_path)
+    number = ctypes.c_double
+    assert lib.thing_pieces_init(s, number(1e-8)) == 0
+    assert lib.thing_advance(s, number(1.0)) == 0
+    before = state_of(lib, s, 2)
+    assert lib.thing_pieces_set_state(s, number(0.5), (number * 2)(5.0, 0.0)) != 0
+    assert state_of(lib, s, 2) == before
+    assert lib.thing_advance(s, number(3.0)) == 0
+    after = state_of(lib, s, 2)
+    assert lib.thing_pieces_init(s, number(1e-8)) == 0
+    assert lib.thing_advance(s, number(1.0)) == 0
+    assert lib.thing_advance(s, number(3.0)) == 0
+    np.testing.assert_allclose(after[1], state_of(lib, s, 2)[1], rtol=1e-14)

@@ -953,12 +953,12 @@ static int next_piece(model_pieces *s)
     return s->work < s->budget ? MODEL_OK : MODEL_NOT_SOLVED;
 }
 
-/* The next piece that has a length; where that fails the place is as before. */
+/* The next piece that has a length; where that fails the place is as before. BAD_STEP: t + s is t of piece after piece. */
 static int advance_piece(model_pieces *s)
 {
-    int status;
+    int status, tried = 0;
     do
-        status = next_piece(s);
+        status = tried++ < TINY_PIECES ? next_piece(s) : MODEL_BAD_STEP;
     while (status == MODEL_OK && !(s->piece[AT_T] + s->piece[AT_TAU]*s->piece[AT_S] > s->piece[AT_T]));
     if (status != MODEL_OK)
         s->at = s->before;

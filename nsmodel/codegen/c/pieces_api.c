@@ -22,18 +22,20 @@ static int clear(model_pieces *s, double rtol)
     return MODEL_OK;
 }
 
+static int begin_at(model_pieces *s, double t, const double *x);
+
 /* Begin at the start of the model; where the parameters do not let it, others may go on from there. */
 static int begin_at_start(model_pieces *s)
 {
     double x[N];
     const int status = take_parameters(s);
     start(s, x);
-    if (status == MODEL_OK)
-        return model_pieces_set_state(s, 0, x);
+    if (status == MODEL_OK && all_finite(N, x))
+        return begin_at(s, 0, x);
     memcpy(s->at.x, x, sizeof x);
     s->t = s->at.t = 0;
     s->live = 0;
-    return s->status = status;
+    return s->status = status == MODEL_OK ? MODEL_NOT_FINITE : status;
 }
 
 int model_pieces_init(model_pieces *s, double rtol)
@@ -47,36 +49,72 @@ int model_pieces_init(model_pieces *s, double rtol)
     return begin_at_start(s);
 }
 
+/* Begin at a state; where that fails it stands there all the same, for others to go on from. */
+static int begin_at(model_pieces *s, double t, const double *x)
+{
+    s->live = 0;
+    s->t = t;
+    return s->status = begin(s, t, x);
+}
+
+/* What a setter that refuses gives back. */
+typedef struct {
+    model_place at;
+    double t;
+    int live, status;
+} model_standing;
+
+static model_standing standing_of(const model_pieces *s)
+{
+    const model_standing was = {s->at, s->t, s->live, s->status};
+    return was;
+}
+
+/* As it stood; series and matrices are computed anew. */
+static int give_back(model_pieces *s, const model_standing *was, int status)
+{
+    s->at = was->at;
+    s->at.known = 0;
+    s->t = was->t;
+    s->live = was->live;
+    s->status = was->status;
+    s->count = s->current = s->next = 0;
+    return status;
+}
+
 int model_pieces_set_state(model_pieces *s, double t, const double *x)
 {
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
     if (!is_finite(t) || !all_finite(N, x))
         return MODEL_NOT_FINITE;
-    s->live = 0;
-    s->t = t;
-    return s->status = begin(s, t, x);
+    const model_standing was = standing_of(s);
+    const int status = begin_at(s, t, x);
+    return status == MODEL_OK ? status : give_back(s, &was, status);
 }
 
 #if PARAMETERS
-/* Put count numbers in place of those from the first on, and begin anew where it stands. */
+/* Put count numbers in place of those from the first on, and begin anew where it stands; none where that is not possible. */
 static int put_numbers(model_pieces *s, int first, int count, const double *values)
 {
-    double x[N];
+    double x[N], old[MODEL_PIECES_NP];
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
     if (!all_finite(count, values))
         return MODEL_NOT_FINITE;
+    const model_standing was = standing_of(s);
     model_pieces_get_state(s, x);
+    memcpy(old, s->p, sizeof old);
     memcpy(s->p + first, values, (size_t)count*sizeof *values);
     s->count = s->current = s->next = 0;
-    const int status = take_parameters(s);
-    if (status != MODEL_OK) {
-        memcpy(s->at.x, x, sizeof x);
-        s->live = 0;
-        return s->status = status;
-    }
-    return model_pieces_set_state(s, s->t, x);
+    int status = take_parameters(s);
+    if (status == MODEL_OK)
+        status = begin_at(s, s->t, x);
+    if (status == MODEL_OK)
+        return status;
+    memcpy(s->p, old, sizeof old);
+    take_parameters(s);
+    return give_back(s, &was, status);
 }
 #endif
 
@@ -94,6 +132,8 @@ int model_pieces_set_inputs(model_pieces *s, const double *u)
 {
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
+    if (s->status == MODEL_OK && !memcmp(s->p + @NOWN@, u, MODEL_PIECES_NU*sizeof *u))
+        return MODEL_OK;
     const double events = s->at.events;
     memcpy(s->sizes, s->at.size_x, sizeof s->at.size_x);
     memcpy(s->sizes + L, s->at.size_l, M*sizeof *s->sizes);

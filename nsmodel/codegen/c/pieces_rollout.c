@@ -43,7 +43,9 @@ static int begin_run(model_pieces *s, const model_asked *of, const double *p, in
 #else
     UNUSED(unique);
 #endif
-    return s->status = status == MODEL_OK ? model_pieces_set_state(s, 0, x) : status;
+    if (status == MODEL_OK && !all_finite(N, x))
+        status = MODEL_NOT_FINITE;
+    return status == MODEL_OK ? begin_at(s, 0, x) : (s->status = status);
 }
 
 int model_begin(model_pieces *s, const model_asked *of, const double *p, int unique) { return begin_run(s, of, p, unique); }
