@@ -12,6 +12,7 @@ from nsmodel.errors import EmptyLawError
 from nsmodel.modeling.laws.base import find_invalid_row
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.active_set import enumerate_index_sets
+from nsmodel.solvers.friction_contacts import is_in_the_plane, solutions_on_all_modes
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.plan import Plan
 from nsmodel.solvers.residuals import REACH, NumericLaw
@@ -25,6 +26,7 @@ JUMP_OPERATIONS = frozenset({  # Operations with derivative 0 whose value change
     ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO,
 })  # fmt: skip
 MAX_NAMES = 12  # Contacts that a message names.
+MODE_MISFIT = 1e-6  # A residual from which on a choice of modes has no answer, whatever rounding is.
 LIFTED = 1e12  # So many times what is violated a row that is farther off says nothing: contacts that do not act.
 FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
@@ -71,7 +73,7 @@ def explain_step_failure(
         (_describe_opposing_rows(problem, law, W, b) if monotone or not law.is_normal_cone else "")
         or (_describe_nearly_opposite(problem, W) if structure.projection else "")
         or (_describe_exhausted_index_sets(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
-        or _describe_unproved_failure(problem, structure, law, plan, W) + _describe_closing_contacts(problem, law, b)
+        or _describe_unproved_failure(problem, structure, law, plan, W) + _describe_closing_contacts(problem, law, W, b)
     )
 
 
@@ -128,14 +130,30 @@ def _describe_unproved_failure(
     return "no solver reached the tolerance"
 
 
-def _describe_closing_contacts(problem: OneStepProblem, law: NumericLaw, b: np.ndarray) -> str:
+def _describe_closing_contacts(problem: OneStepProblem, law: NumericLaw, W: np.ndarray, b: np.ndarray) -> str:
     """The contacts that close where nothing pushes, '' of laws without friction."""
     if law.is_normal_cone:
         return ""
     contacts = _contact_rows(law)[0] | np.isin(problem.rows, problem.axes.get("contact", ()))
     names = [f"'{problem.rows[i]}'" for i in np.flatnonzero(contacts & (b < 0))]
     more = f", and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    return f", with the contacts {', '.join(names[:MAX_NAMES])}{more} closing" if names else ""
+    if not names:
+        return ""
+    tried = _count_failing_modes(law, W, b)
+    none = f"; none of the {tried} choices of their modes (open, stick, slip) has an answer" if tried else ""
+    return f", with the contacts {', '.join(names[:MAX_NAMES])}{more} closing{none}"
+
+
+def _count_failing_modes(law: NumericLaw, W: np.ndarray, b: np.ndarray) -> int:
+    """How many choices of modes the contacts on lines have that are near, where none of them has an answer; else 0."""
+    near = [(rows, K) for rows, K in law.curved if b[rows.start] <= LIFTED * np.abs(b).min(where=b != 0, initial=np.inf)]
+    kept = [i for rows, _ in near for i in range(rows.start, rows.stop)]
+    own = NumericLaw(law.lower[kept], law.upper[kept], tuple((slice(2 * k, 2 * k + 2), K) for k, (_, K) in enumerate(near)))
+    if len(kept) != 2 * len(near) or not is_in_the_plane(own):
+        return 0
+    W, b = W[np.ix_(kept, kept)], b[kept]
+    found = [mlcp.affine_law_residual(W, b, own, l).max() for l, _ in solutions_on_all_modes(W, b, own)]
+    return len(found) if found and min(found) > MODE_MISFIT else 0
 
 
 @cached_per_object

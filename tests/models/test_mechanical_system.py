@@ -552,6 +552,17 @@ def test_a_step_without_an_answer_names_its_contacts():
         simulate(ladder(1e9, 0.05))
 
 
+def test_a_corner_whose_friction_leaves_no_answer_says_so():
+    """A disc that hits floor and wall in one step, mu = 1.5 and e = 1/2: W has rank 3 of 4, and no modes fit."""
+    q, v, rough = S("p", 3), S("w", 3), {"mu": 1.5, "e": 0.5}
+    walls = {"floor": mechanics.disc(q, v, 0.1, **rough), "wall": mechanics.disc(q, v, 0.1, ((0, 0), (1, 0)), **rough)}
+    start = {"q0": [0.1003, 0.1096, 0], "v0": [-0.3114, -2.537, 0.1877], "t_end": 0.004, "step": 0.004}
+    model = MechanicalSystem(q=q, v=v, M=[1, 1, 0.005], F=[0, -G, 0], contacts=walls, **start)
+    none = "with the contacts 'floor', 'wall' closing; none of the 16 choices of their modes"
+    with pytest.raises(nsmodel.StepError, match=none):
+        simulate(model)
+
+
 def test_bad_walls_are_named():
     q, v = S("p", 2), S("w", 2)
     with pytest.raises(ModelError, match=r"wall: .*the normal not 0"):
