@@ -623,8 +623,12 @@ def _turning(g: Function, delta: Any, a: Point, sampler: Sampler) -> str:
         middle = (low + high) / 2
         low, high = (low, middle) if dot(slope(middle).g, down) > 0 else (middle, high)
     width = sampler.width * sampler.width if sampler.real is as_float else sampler.width
-    before, behind = slope(low - width / scale), slope(high + width / scale)
-    jump = norm(minus(before.g[1:], behind.g[1:])) > 1e-3 * scale
+
+    def apart(width: Any) -> Any:
+        return norm(minus(slope(low - width / scale).g[1:], slope(high + width / scale).g[1:]))
+
+    behind, wide, narrow = slope(high + width / scale), apart(width), apart(width / 16)
+    jump = wide > 1e-3 * scale and narrow > wide / 2  # Of a gradient that is steep alone a sixteenth is left.
     inside = (delta is None or behind.v > -delta) and sampler.holds(
         [x + high * d for x, d in zip(a, down, strict=True)], g.inputs
     )
