@@ -462,10 +462,10 @@ class Integrator:
         if reaches_time(place.t, known):
             self._pass_switch_time(known)
             return
-        held, pending = [place.x[i] for i in self.problem.updated], self._pending_event
+        before_all, pending = ([place.x[i] for i in self.problem.updated], list(place.codes)), self._pending_event
         self._select_next_mode("after " + switch_name(hit.of, self.problem.rows))
-        if hit.of[0] in self.problem.block_parts and held == [place.x[i] for i in self.problem.updated]:
-            self._pending_event = pending  # A comparison of a block that sets nothing new is no event.
+        if hit.of[0] in self.problem.block_parts and before_all == ([place.x[i] for i in self.problem.updated], place.codes):
+            self._pending_event = pending  # A comparison of a block that sets nothing new, and changes no mode, is no event.
         self._record_undecided(hit, found, rates)
         if self.accumulation.event_rate_grows(place.t):
             raise self._accumulation_error(hit)
@@ -502,8 +502,12 @@ class Integrator:
     def _pass_switch_time(self, known: float) -> None:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
         system, place = self.system, self.place
+        before = place.x
         place.t = known
         place.x = self.known.after(known, place.x)
+        for k, reads in enumerate(self.problem.block_reads):  # What a block reads may jump where no comparison changes.
+            if any(place.x[i] != before[i] for i in reads):
+                self._acted[k] = None
         reinitialise(system, place)
         self._select_next_mode("at a known time")
 

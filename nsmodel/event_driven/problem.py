@@ -17,7 +17,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
@@ -105,11 +105,17 @@ class ContinuousProblem:
     updated: tuple[int, ...] = ()
     updaters: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def block_parts(self) -> dict[str, list[int]]:
         """{name of a block that acts after each step, as a part of the equations: its rows of ``updates``}."""
         names = [f"{BLOCK} '{name}'" for name in self.updaters]
         return {name: [k for k, own in enumerate(names) if own == name] for name in dict.fromkeys(names)}
+
+    @cached_property
+    def block_reads(self) -> list[list[int]]:
+        """Of each of these blocks the entries of x that are held and that no such block sets: inputs, and what ticks set."""
+        held = [i for i in range(self.x.numel() - self.held, self.x.numel()) if i not in self.updated]
+        return [[i for i in held if ca.depends_on(self.updates[rows], self.x[i])] for rows in self.block_parts.values()]
 
     @property
     def sliding_law_names(self) -> tuple[str, ...]:
@@ -200,7 +206,7 @@ def with_input_states(problem: ContinuousProblem, model: Model) -> ContinuousPro
     first = {str(symbol): problem.x.numel() + i for i, symbol in enumerate(chain)}
     start = input_states(model, 0.0, None)
     if updates:  # Their first action is that of the mode at the start.
-        before = not_none(model_ticks(model)).before(np.array(ca.DM(model.start)).ravel(), np.zeros(model.u.numel()))
+        before = not_none(model_ticks(model)).before(np.array(ca.DM(model.start)).ravel(), initial_inputs(model))
         for place in (place for block in updates for place in block.at):
             start[first[model.input_names[place]] - problem.x.numel()] = float(before[place])
     for block in updates:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nsmodel import FirstOrderSystem, each_step, hysteresis, pwm, sampled, simulate
+from nsmodel import FirstOrderSystem, each_step, hysteresis, pwm, relay, sampled, simulate, table
 from nsmodel.errors import StepError, UsageError
 from nsmodel.simulation import event_driven_rows
 
@@ -302,3 +302,28 @@ def test_columns_of_inputs_do_not_depend_on_chunks(times, tmp_path, monkeypatch)
     if times is None:  # at the end of each period u is 0: its pulse has ended
         ends = np.abs(whole.t / 0.3 - np.round(whole.t / 0.3)) < 1e-9
         assert (whole.u[ends][1:] == 0).all()
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-9])
+def test_a_block_takes_what_an_input_jumps_to_while_its_comparison_stands(rtol):
+    """z is u where x > 1/2, else as it was: u jumps at t = 1, 2, 3 while x > 1/2 from 1/2 on."""
+    x, z, u = (ca.SX.sym(name) for name in ("x", "z", "u"))
+    block = each_step("gate", memory={z: 0.0}, update={z: ca.if_else(x > 0.5, u, z)})
+    given = {"inputs": {u: table([0, 1, 2, 3], [5, 6, 7, 8])}, "blocks": [block], "names": ["a"]}
+    model = FirstOrderSystem(x=x, f=[1 + 0 * z], x0=[0], t_end=3.5, step=1e-3, **given)
+    run = simulate(model, rtol=rtol)
+    for t, held in ((0.4, 0), (0.6, 5), (1.5, 6), (2.5, 7), (3.4, 8)):
+        assert run.z[np.searchsorted(run.t, t)] == held
+    steps = simulate(model)
+    assert [steps.z[np.searchsorted(steps.t, t)] for t in (0.4, 0.6, 1.5, 2.5, 3.4)] == [0, 5, 6, 7, 8]
+
+
+def test_a_change_of_the_mode_at_a_comparison_is_an_event():
+    """A relay switches where a comparison of a block changes that sets nothing new there."""
+    x, l, z = ca.SX.sym("x"), ca.SX.sym("l"), ca.SX.sym("z")
+    block = each_step("latch", memory={z: 1.0}, update={z: ca.if_else(x > 1, 1, z)})
+    model = FirstOrderSystem(x=x, lam=l, f=[1.0], g=[l / 2], h=[1 - x], law=relay(1), x0=[0], t_end=4, step=0.01, blocks=[block],
+                             names=["a"])  # fmt: skip
+    run = simulate(model, rtol=1e-8)
+    changes = np.flatnonzero(np.diff(run.index_set[:, 0].astype(int)) != 0)[1:]
+    assert len(run.events) == len(changes) == 1
