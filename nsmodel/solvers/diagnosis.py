@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
 from nsmodel.errors import EmptyLawError
+from nsmodel.modeling.laws import CoulombSet
 from nsmodel.modeling.laws.base import find_invalid_row
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.active_set import enumerate_index_sets
-from nsmodel.solvers.friction_contacts import is_in_the_plane, solutions_on_all_modes
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.plan import Plan
 from nsmodel.solvers.residuals import REACH, NumericLaw
@@ -26,7 +28,9 @@ JUMP_OPERATIONS = frozenset({  # Operations with derivative 0 whose value change
     ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO,
 })  # fmt: skip
 MAX_NAMES = 12  # Contacts that a message names.
-MODE_MISFIT = 1e-6  # A residual from which on a choice of modes has no answer, whatever rounding is.
+MODERATE = 1e-4  # Of the largest: parts of W and friction beside which linear programmes tell what is infeasible.
+MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one.
+OPEN, STICK, INFEASIBLE = "open", "stick", 2  # The last: what linprog says.
 LIFTED = 1e12  # So many times what is violated a row that is farther off says nothing: contacts that do not act.
 FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
@@ -73,7 +77,8 @@ def explain_step_failure(
         (_describe_opposing_rows(problem, law, W, b) if monotone or not law.is_normal_cone else "")
         or (_describe_nearly_opposite(problem, W) if structure.projection else "")
         or (_describe_exhausted_index_sets(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
-        or _describe_unproved_failure(problem, structure, law, plan, W) + _describe_closing_contacts(problem, law, W, b)
+        or _describe_unproved_failure(problem, structure, law, plan, W)
+        + _describe_closing_contacts(problem, structure, law, W, b)
     )
 
 
@@ -130,7 +135,9 @@ def _describe_unproved_failure(
     return "no solver reached the tolerance"
 
 
-def _describe_closing_contacts(problem: OneStepProblem, law: NumericLaw, W: np.ndarray, b: np.ndarray) -> str:
+def _describe_closing_contacts(
+    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, W: np.ndarray, b: np.ndarray
+) -> str:
     """The contacts that close where nothing pushes, '' of laws without friction."""
     if law.is_normal_cone:
         return ""
@@ -140,20 +147,52 @@ def _describe_closing_contacts(problem: OneStepProblem, law: NumericLaw, W: np.n
     if not names:
         return ""
     tried = _count_failing_modes(law, W, b)
-    none = f"; none of the {tried} choices of their modes (open, stick, slip) has an answer" if tried else ""
+    of = "" if structure.affine else " of the linearised step"
+    none = (
+        f"; none of the {tried} choices of modes (open, stick, slip){of} of the contacts that act has an answer" if tried else ""
+    )
     return f", with the contacts {', '.join(names[:MAX_NAMES])}{more} closing{none}"
 
 
 def _count_failing_modes(law: NumericLaw, W: np.ndarray, b: np.ndarray) -> int:
-    """How many choices of modes the contacts on lines have that are near, where none of them has an answer; else 0."""
-    near = [(rows, K) for rows, K in law.curved if b[rows.start] <= LIFTED * np.abs(b).min(where=b != 0, initial=np.inf)]
-    kept = [i for rows, _ in near for i in range(rows.start, rows.stop)]
-    own = NumericLaw(law.lower[kept], law.upper[kept], tuple((slice(2 * k, 2 * k + 2), K) for k, (_, K) in enumerate(near)))
-    if len(kept) != 2 * len(near) or not is_in_the_plane(own):
+    """How many choices of modes contacts on lines have that act, where linear programmes show that none has an answer; else 0.
+
+    It is 0 too where other rows push these contacts: frictionless ones that act, joints.
+    """
+    acts = [(rows, K) for rows, K in law.curved if b[rows.start] <= LIFTED * (-b).max()]
+    kept = [i for rows, _ in acts for i in range(rows.start, rows.stop)]
+    others = [i for i in range(law.size) if i not in kept and b[i] <= LIFTED * (-b).max()]
+    on_lines = len(kept) == 2 * len(acts) and all(isinstance(K, CoulombSet) for _, K in acts)
+    if not acts or not on_lines or len(acts) > MAX_ACTING or W[np.ix_(kept, others)].any():
         return 0
-    W, b = W[np.ix_(kept, kept)], b[kept]
-    found = [mlcp.affine_law_residual(W, b, own, l).max() for l, _ in solutions_on_all_modes(W, b, own)]
-    return len(found) if found and min(found) > MODE_MISFIT else 0
+    W, b, mu = W[np.ix_(kept, kept)], b[kept] / np.abs(b[kept]).max(), [float(K.mu) for _, K in acts]
+    size, own = np.abs(W).max(), np.diag(W)
+    if not own.min() > MODERATE * size or max(mu) * MODERATE > 1:  # Programmes of numbers of many sizes prove nothing.
+        return 0
+    W = W / size
+    choices = list(product((OPEN, STICK, 1.0, -1.0), repeat=len(acts)))
+    return 0 if any(_has_answer_in_modes(W, b, mu, modes) for modes in choices) else len(choices)
+
+
+def _has_answer_in_modes(W: np.ndarray, b: np.ndarray, mu: Sequence[float], modes: Sequence[Any]) -> bool:
+    """Whether some l solves y = W l + b in these modes: open, stick, or slip, P_T = -+ mu P_N against +- y_T >= 0."""
+    from scipy.optimize import linprog
+
+    unit, zero, held, kept = np.eye(len(W)), np.zeros(len(W)), [], []  # Rows (of l, of 1) of a l = c, and of a l >= c.
+    for k, (own, mode) in enumerate(zip(mu, modes, strict=True)):
+        n, t = 2 * k, 2 * k + 1
+        kept.append((unit[n], 0.0))
+        if mode == OPEN:
+            held += [(unit[n], 0.0), (unit[t], 0.0)]
+            kept.append((W[n], -b[n]))
+        elif mode == STICK:
+            held += [(W[n], -b[n]), (W[t], -b[t])]
+            kept += [(own * unit[n] + side * unit[t], 0.0) for side in (1, -1)]
+        else:
+            held += [(W[n], -b[n]), (unit[t] + mode * own * unit[n], 0.0)]
+            kept.append((mode * W[t], -mode * b[t]))
+    A, c, G, d = (np.array(part) for rows in (held, kept) for part in zip(*rows, strict=True))
+    return linprog(zero, A_ub=-G, b_ub=-d, A_eq=A, b_eq=c, bounds=(None, None)).status != INFEASIBLE
 
 
 @cached_per_object

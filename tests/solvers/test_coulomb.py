@@ -14,7 +14,8 @@ import nsmodel
 from nsmodel import ModelError, complementarity, coulomb, equality, product
 from nsmodel.modeling.laws import CoulombSet
 from nsmodel.solvers import friction_contacts, mlcp
-from nsmodel.solvers.residuals import numeric_law
+from nsmodel.solvers.diagnosis import _count_failing_modes
+from nsmodel.solvers.residuals import NumericLaw, numeric_law
 from nsmodel.study.reference_steps import CoulombAtRows, block_residual
 from tests.codegen.test_codegen_affine import COMPILER, Library, compiled, hostile, source
 
@@ -338,3 +339,33 @@ def test_nothing_is_proved_by_a_law_that_is_no_normal_cone():
         assert "no normal cone" in found[id].how
     with pytest.raises(ModelError, match="write a FirstOrderSystem"):
         nsmodel.LureSystem(A=np.zeros((2, 2)), B=np.eye(2), C=np.eye(2), law=coulomb(0.5), x0=[0, 0], t_end=1, step=0.1)
+
+
+@pytest.mark.parametrize("rank", [4, 3, 2])
+def test_that_no_modes_fit_is_never_said_of_a_problem_with_an_answer(rank):
+    """Planted answers in all modes, W definite and singular; and where it is said nothing solves the problem."""
+    rng, said = np.random.default_rng(rank), 0
+    for _ in range(30):
+        G, mu = rng.normal(size=(4, rank)), rng.uniform(0.1, 3, 2)
+        W = G @ G.T
+        law = NumericLaw(
+            np.full(4, -np.inf), np.full(4, np.inf), tuple((slice(2 * k, 2 * k + 2), CoulombSet(mu[k])) for k in (0, 1))
+        )
+        l, y = np.zeros(4), np.zeros(4)
+        for k, mode in enumerate(rng.integers(3, size=2)):
+            n, t = 2 * k, 2 * k + 1
+            if mode == 0:
+                y[n], y[t] = rng.uniform(0, 1), rng.normal()
+            else:
+                l[n] = rng.uniform(0, 1)
+                l[t] = mu[k] * l[n] * rng.uniform(-1, 1)
+            if mode == 2:
+                y[t] = rng.normal()
+                l[t] = -np.sign(y[t]) * mu[k] * l[n]
+        assert _count_failing_modes(law, W, y - W @ l) == 0
+        b = rng.normal(size=4)
+        if (b < 0).any() and _count_failing_modes(law, W, b):
+            said += 1
+            found = mlcp.solve_mlcp(W, b, law, np.zeros(4), np.full(4, -1, np.int8), (mlcp.SEMISMOOTH,), True, 1e-10)
+            assert not found.residual <= 1e-9
+    assert said if rank < 4 else not said
