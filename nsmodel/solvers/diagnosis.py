@@ -77,8 +77,8 @@ def explain_step_failure(
         (_describe_opposing_rows(problem, law, W, b) if monotone or not law.is_normal_cone else "")
         or (_describe_nearly_opposite(problem, W) if structure.projection else "")
         or (_describe_exhausted_index_sets(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
-        or _describe_unproved_failure(problem, structure, law, plan, W)
-        + _describe_closing_contacts(problem, structure, law, W, b)
+        or _describe_failing_modes(problem, structure, law, W, b)
+        or _describe_unproved_failure(problem, structure, law, plan, W) + _describe_closing_contacts(problem, law, b)
     )
 
 
@@ -135,43 +135,47 @@ def _describe_unproved_failure(
     return "no solver reached the tolerance"
 
 
-def _describe_closing_contacts(
-    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, W: np.ndarray, b: np.ndarray
-) -> str:
+def _describe_closing_contacts(problem: OneStepProblem, law: NumericLaw, b: np.ndarray) -> str:
     """The contacts that close where nothing pushes, '' of laws without friction."""
     if law.is_normal_cone:
         return ""
     contacts = _contact_rows(law)[0] | np.isin(problem.rows, problem.axes.get("contact", ()))
     names = [f"'{problem.rows[i]}'" for i in np.flatnonzero(contacts & (b < 0))]
     more = f", and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    if not names:
+    return f", with the contacts {', '.join(names[:MAX_NAMES])}{more} closing" if names else ""
+
+
+def _describe_failing_modes(
+    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, W: np.ndarray, b: np.ndarray
+) -> str:
+    """That the contacts that act have an answer in no choice of modes; '' where that is not shown."""
+    failing = contacts_without_answer(law, W, b)
+    if not failing:
         return ""
-    tried = _count_failing_modes(law, W, b)
-    of = "" if structure.affine else " of the linearised step"
-    none = (
-        f"; none of the {tried} choices of modes (open, stick, slip){of} of the contacts that act has an answer" if tried else ""
-    )
-    return f", with the contacts {', '.join(names[:MAX_NAMES])}{more} closing{none}"
+    names, where = ", ".join(f"'{problem.rows[i]}'" for i in failing), "" if structure.affine else " in the linearised step"
+    modes = f"none of the {4 ** len(failing)} choices of modes (open, stick, slip either way) of the contacts that act"
+    return f"{modes}, {names}, has an answer{where}"
 
 
-def _count_failing_modes(law: NumericLaw, W: np.ndarray, b: np.ndarray) -> int:
-    """How many choices of modes contacts on lines have that act, where linear programmes show that none has an answer; else 0.
+def contacts_without_answer(law: NumericLaw, W: np.ndarray, b: np.ndarray) -> list[int]:
+    """The normal rows of contacts on lines that act, where linear programmes show that no modes have an answer; else none.
 
-    It is 0 too where other rows push these contacts: frictionless ones that act, joints.
+    It is none too where other rows push these contacts, frictionless ones that act or joints, and where there are too many.
     """
-    acts = [(rows, K) for rows, K in law.curved if b[rows.start] <= LIFTED * (-b).max()]
+    near = b <= LIFTED * (-b).max(initial=0.0)
+    acts = [(rows, K) for rows, K in law.curved if isinstance(K, CoulombSet) and near[rows.start]]
     kept = [i for rows, _ in acts for i in range(rows.start, rows.stop)]
-    others = [i for i in range(law.size) if i not in kept and b[i] <= LIFTED * (-b).max()]
-    on_lines = len(kept) == 2 * len(acts) and all(isinstance(K, CoulombSet) for _, K in acts)
-    if not acts or not on_lines or len(acts) > MAX_ACTING or W[np.ix_(kept, others)].any():
-        return 0
-    W, b, mu = W[np.ix_(kept, kept)], b[kept] / np.abs(b[kept]).max(), [float(K.mu) for _, K in acts]
-    size, own = np.abs(W).max(), np.diag(W)
-    if not own.min() > MODERATE * size or max(mu) * MODERATE > 1:  # Programmes of numbers of many sizes prove nothing.
-        return 0
-    W = W / size
-    choices = list(product((OPEN, STICK, 1.0, -1.0), repeat=len(acts)))
-    return 0 if any(_has_answer_in_modes(W, b, mu, modes) for modes in choices) else len(choices)
+    strange = any(not isinstance(K, CoulombSet) for _, K in law.curved) or len(kept) != 2 * len(acts)
+    if not acts or strange or len(acts) > MAX_ACTING or W[kept][:, near & _contact_rows(law)[1]].any():
+        return []
+    W, b, mu = W[np.ix_(kept, kept)], b[kept], [float(K.mu) for _, K in acts]
+    size = np.abs(W).max()
+    if not np.diag(W).min() > MODERATE * size or max(mu) * MODERATE > 1:  # Numbers of many sizes prove nothing.
+        return []
+    W, b = W / size, b / max(np.abs(b).max(), 1e-300)
+    if any(_has_answer_in_modes(W, b, mu, modes) for modes in product((OPEN, STICK, 1.0, -1.0), repeat=len(acts))):
+        return []
+    return [rows.start for rows, _ in acts]
 
 
 def _has_answer_in_modes(W: np.ndarray, b: np.ndarray, mu: Sequence[float], modes: Sequence[Any]) -> bool:
@@ -192,7 +196,7 @@ def _has_answer_in_modes(W: np.ndarray, b: np.ndarray, mu: Sequence[float], mode
             held += [(W[n], -b[n]), (unit[t] + mode * own * unit[n], 0.0)]
             kept.append((mode * W[t], -mode * b[t]))
     A, c, G, d = (np.array(part) for rows in (held, kept) for part in zip(*rows, strict=True))
-    return linprog(zero, A_ub=-G, b_ub=-d, A_eq=A, b_eq=c, bounds=(None, None)).status != INFEASIBLE
+    return bool(linprog(zero, A_ub=-G, b_ub=-d, A_eq=A, b_eq=c, bounds=(None, None)).status != INFEASIBLE)
 
 
 @cached_per_object
