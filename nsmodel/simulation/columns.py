@@ -15,14 +15,14 @@ from nsmodel.files.storage import dumps
 from nsmodel.modeling.output_columns import ColumnArrays, ColumnNames, evaluate_quantity
 from nsmodel.modeling.outputs import Quantity, SymbolsByName, check_output_name, read_column
 from nsmodel.modeling.parameters import read_units
-from nsmodel.simulation.run_data import RunData, input_names, model_type, multiplier_names, state_names, units_of
+from nsmodel.simulation.run_data import CONTACT_AXES, RunData, input_names, model_type, multiplier_names, state_names, units_of
 
-DATASET_COORDINATES = ("time", "state", "multiplier", "input", "body", "contact", "slip")  # Of an xarray.Dataset.
+DATASET_COORDINATES = ("time", "state", "multiplier", "input", "body", *CONTACT_AXES)  # Of an xarray.Dataset.
 # What its arrays have beside time; the first of these axes that a run has.
 COLUMN_AXES = {name: ("multiplier",) for name in ("multipliers", "y", "reactions")}
 COLUMN_AXES |= {name: ("state",) for name in ("v", "selection", "defect")}
-COLUMN_AXES |= {"inputs": ("input",), "inputs_begin": ("input",), "pressure": ("body",), "gap": ("contact", "multiplier")}
-COLUMN_AXES |= {name: ("contact",) for name in ("u_N", "acting", "missed", "penetration", "impulse_work")} | {"u_T": ("slip",)}
+COLUMN_AXES |= {"inputs": ("input",), "inputs_begin": ("input",), "pressure": ("body",)}
+COLUMN_AXES |= {name: (axis,) for axis, names in CONTACT_AXES.items() for name in names} | {"gap": ("contact", "multiplier")}
 
 
 def _unused_name(name: str, taken: Container[str], prefix: str) -> str:

@@ -205,6 +205,9 @@ def _names_or_numbered(given: Sequence[str] | None, stem: str, width: int) -> li
     return list(given) if given is not None and len(given) == width else [f"{stem}_{i}" for i in range(width)]
 
 
+CONTACT_AXES = {  # What metadata["axes"] names: of each axis the arrays that have a column for each entry.
+    "contact": ("u_N", "gap", "acting", "missed", "penetration", "impulse_work"), "slip": ("u_T",),
+}  # fmt: skip
 # What the arrays of a run must be: {name: (kinds of number, axes)}.
 _ARRAY_TYPES = {
     **dict.fromkeys(("t",), ("if", 1)),
@@ -261,3 +264,11 @@ def check_run_arrays(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, An
     for name, least in columns.items():
         if name in arrays and arrays[name].shape[1] < least:
             raise StorageError(f"{path}: array '{name}' has shape {arrays[name].shape}; its names ask for {least} columns")
+    for axis, names in metadata.get("axes", {}).items():
+        if axis not in CONTACT_AXES:
+            raise StorageError(f"{path}: axes names '{axis}'; expected some of {list(CONTACT_AXES)}")
+        for name in CONTACT_AXES[axis]:
+            if name in arrays and arrays[name].size != len(t) * len(names):
+                raise StorageError(
+                    f"{path}: array '{name}' has shape {arrays[name].shape}; axes['{axis}'] names {len(names)} columns"
+                )

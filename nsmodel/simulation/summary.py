@@ -124,10 +124,10 @@ def _bodies_summary(run: RunData, totals: dict[str, Any]) -> dict[str, Any] | No
 
 def _contacts_summary(run: RunData) -> list[dict[str, Any]]:
     """Of each contact of a mechanical system, in the saved rows: in how many steps it acts, how deep it is, the steps missed."""
-    if not run.arrays.keys() >= {"acting", "missed", "penetration"}:
+    names = run.metadata.get("axes", {}).get("contact", [])
+    if not names or not run.arrays.keys() >= {"acting", "missed", "penetration"}:
         return []
     acts, missed, penetration = (run.arrays[name].reshape(len(run.t), -1) for name in ("acting", "missed", "penetration"))
-    names = run.metadata["axes"]["contact"]
     columns = zip(names, np.nansum(acts, axis=0), np.nanmax(penetration, axis=0), np.nansum(missed, axis=0), strict=True)
     return [{"name": name, "acting": int(a), "penetration": float(deep), "missed": int(m)} for name, a, deep, m in columns]
 

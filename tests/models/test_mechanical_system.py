@@ -260,6 +260,31 @@ def test_each_contact_has_its_columns_and_its_line_by_name(name, tmp_path):
         assert re.search(rf"{contact} +acts in {found[contact]['acting']} steps, missed in 0, penetration at most", text)
 
 
+def with_axes(axes: object, path: Path) -> nsmodel.Trajectory:
+    """A run of two contacts, saved with other axes (None: without) and read again."""
+    run = simulate(nsmodel.load("ball_on_ramp"), t_end=0.01)
+    kept = {name: value for name, value in run.metadata.items() if name != "axes"}
+    nsmodel.Trajectory(run.arrays, kept | ({} if axes is None else {"axes": axes})).save(path)
+    return nsmodel.Trajectory.load(path)
+
+
+@pytest.mark.parametrize("axes", [
+    {"contact": []}, {"contact": ["a"]}, {"contact": ["a", "b", "c"], "slip": ["x"]}, {"time": ["x"]}, {"state": ["a"] * 6},
+    {"contact": [1, 2]}, [], {"contact": "ab"},
+])  # fmt: skip
+def test_forged_axes_are_refused(axes, tmp_path):
+    with pytest.raises(nsmodel.errors.StorageError, match="axes"):
+        with_axes(axes, tmp_path / "run.npz")
+
+
+@pytest.mark.parametrize("axes", [None, {}, {"contact": ["a", "a"], "slip": ["a", "a"]}])
+def test_axes_that_name_no_contact_or_one_twice_are_shown(axes, tmp_path):
+    forged = with_axes(axes, tmp_path / "run.npz")
+    forged.summary_text()
+    forged.to_csv(tmp_path / "run.csv")
+    forged.to_xarray()
+
+
 def test_contacts_that_others_close_are_missed():
     """Two balls fly apart from a wall; an impulse drives the first one into a wall whose gap the free step does not close."""
     q, v = S("p", 2), S("w", 2)
