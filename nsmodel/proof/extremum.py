@@ -8,7 +8,8 @@ import numpy as np
 from nsmodel.proof.expression_graph import Program
 from nsmodel.proof.global_search import BoxBounds, SearchGoal, SearchSpace, Supremum, bound_without_search, search_supremum
 from nsmodel.proof.global_search import samples as samples
-from nsmodel.proof.interval_bounds import mean_value_form, natural_extension, validated_boxes
+from nsmodel.proof.interval_arithmetic import interval_matrix_product, widen_sums
+from nsmodel.proof.interval_bounds import enclose, mean_value_form, natural_extension, validated_boxes
 from nsmodel.proof.verdict import connected_components
 
 MAX_SLOPE_ENTRIES = 64  # A matrix of more entries is bounded without slopes.
@@ -93,6 +94,15 @@ def spectral_norm_bounds(J: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarra
     J, (low, high) = ca.SX(J), validated_boxes(z, lower, upper)
     goals = [_block_norm(J[rows, columns]) for rows, columns in _matrix_blocks(J)] or [_scalar_goal(ca.SX(0))]
     return np.max([bound_without_search(goal, ca.vec(z), low, high) for goal in goals], axis=0)
+
+
+def distance_to_inverse(Y: np.ndarray, W: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Return a rigorous bound of |Y W - I| over a box, Y and W (n, n), from bounds of the entries of W; below 1, W is regular."""
+    bounds, unit = enclose(W, z, lower, upper), np.eye(len(Y))
+    if not np.isfinite(bounds).all():
+        return np.inf
+    low, high = interval_matrix_product(Y, *bounds)
+    return float(_spectral_norm_bound(np.nextafter(low - unit, -np.inf)[None], np.nextafter(high - unit, np.inf)[None])[0])
 
 
 def largest_eigenvalue(
@@ -225,21 +235,16 @@ def _middle_and_radius(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.n
         return middle, np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
 
 
-def _widen_sums(x: np.ndarray, terms: int) -> np.ndarray:
-    """Return sums of non-negative terms, or roots of them, widened by more than their rounding."""
-    return np.nextafter(x * (1 + 4 * (terms + 8) * np.finfo(float).eps), np.inf)
-
-
 def _spectral_norm_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """Bounds (k,) of the largest singular value of interval matrices (k, m, n)."""
     m, n = lo.shape[1:]
     size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _middle_and_radius(lo, hi)
     with np.errstate(all="ignore"):
-        frobenius = _widen_sums(np.sqrt((size**2).sum(axis=(1, 2))), m * n)
-        by_sums = _widen_sums(np.sqrt(size.sum(axis=1).max(axis=1) * size.sum(axis=2).max(axis=1)), m + n)
+        frobenius = widen_sums(np.sqrt((size**2).sum(axis=(1, 2))), m * n)
+        by_sums = widen_sums(np.sqrt(size.sum(axis=1).max(axis=1) * size.sum(axis=2).max(axis=1)), m + n)
         scale = np.sqrt((middle**2).sum(axis=(1, 2)))
         spectral = np.linalg.norm(middle, 2, axis=(1, 2)) + 16 * (m + n) * np.finfo(float).eps * scale
-        around = _widen_sums(spectral + np.sqrt((radius**2).sum(axis=(1, 2))), m * n)
+        around = widen_sums(spectral + np.sqrt((radius**2).sum(axis=(1, 2))), m * n)
     return _tightest_bound(frobenius, by_sums, around)
 
 
@@ -252,13 +257,13 @@ def _eigenvalue_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         off = size.copy()
         off[:, diagonal, diagonal] = 0.0
-        discs = np.nextafter(hi[:, diagonal, diagonal] + _widen_sums(off.sum(axis=2), n), np.inf).max(axis=1)
+        discs = np.nextafter(hi[:, diagonal, diagonal] + widen_sums(off.sum(axis=2), n), np.inf).max(axis=1)
         scale = np.sqrt((middle**2).sum(axis=(1, 2)))
         slack = 32 * n * np.finfo(float).eps * scale
         radius_norm = np.minimum(
-            _widen_sums(np.sqrt((radius**2).sum(axis=(1, 2))), n * n), _widen_sums(radius.sum(axis=2).max(axis=1), n)
+            widen_sums(np.sqrt((radius**2).sum(axis=(1, 2))), n * n), widen_sums(radius.sum(axis=2).max(axis=1), n)
         )
-        around = np.nextafter(np.linalg.eigvalsh(middle)[:, -1] + _widen_sums(radius_norm + slack, 4), np.inf)
+        around = np.nextafter(np.linalg.eigvalsh(middle)[:, -1] + widen_sums(radius_norm + slack, 4), np.inf)
     return _tightest_bound(discs, around)
 
 

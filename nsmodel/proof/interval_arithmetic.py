@@ -189,6 +189,21 @@ def in_domain(x: IntervalPair, low: float, high: float) -> Array:
     return (x[0] >= low - slack) & (x[1] <= high + slack) & (x[1] >= low) & (x[0] <= high)
 
 
+def widen_sums(x: Array, terms: int) -> Array:
+    """Return sums of non-negative terms, or roots of them, widened by more than their rounding."""
+    return next_up(x * (1 + 4 * (terms + 8) * np.finfo(float).eps))
+
+
+def interval_matrix_product(Y: Array, lo: Array, hi: Array) -> IntervalPair:
+    """Return bounds of Y A, Y (m, n), for all A between lo and hi (n,) or (n, k), by the middle of A and its radius."""
+    middle = lo + (hi - lo) / 2
+    radius = next_up(np.maximum(hi - middle, middle - lo))
+    product, size, terms = Y @ middle, np.abs(Y) @ np.abs(middle), Y.shape[1]
+    rounding = 4 * (terms + 4) * np.finfo(float).eps * size
+    error = widen_sums(np.abs(Y) @ radius + rounding, terms) + np.finfo(float).tiny
+    return next_down(product - error), next_up(product + error)
+
+
 def square_root(x: IntervalPair) -> IntervalPair:
     """Return sqrt(x)."""
 

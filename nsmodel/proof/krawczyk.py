@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.expression_graph import program
+from nsmodel.proof.interval_arithmetic import interval_matrix_product, widen_sums
 from nsmodel.proof.interval_bounds import MeanValueBounds, mean_value_form
 
 MAX_NEWTON_STEPS, MAX_WIDENINGS, WIDENING_GROWTH = 30, 12, 4.0
@@ -83,7 +84,7 @@ def _regular_coordinates(J: np.ndarray, m: int) -> np.ndarray | None:
 def _krawczyk_test(F: ca.SX, z: ca.SX, at: np.ndarray, free: np.ndarray, size: np.ndarray, J: np.ndarray) -> ZeroEnclosure | None:
     code, Y = program(F, z), np.linalg.inv(J[:, free])
     point = mean_value_form(code, at[None], at[None])
-    moved = _interval_matrix_product(Y, point.lo[:, 0], point.hi[:, 0])
+    moved = interval_matrix_product(Y, point.lo[:, 0], point.hi[:, 0])
     radius = 2 * np.maximum(np.abs(moved[0]), np.abs(moved[1])) + 1e-15 * (size[free] + np.abs(at[free]))
     for _ in range(MAX_WIDENINGS):
         lower, upper = at.copy(), at.copy()
@@ -108,22 +109,8 @@ def _contraction_bound(
     lo, hi = bounds.slope_lo[:, 0][:, free], bounds.slope_hi[:, 0][:, free]
     if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
         return None
-    low, high = _interval_matrix_product(Y, lo, hi)
+    low, high = interval_matrix_product(Y, lo, hi)
     eye = np.eye(free.size)
     rest = np.nextafter(np.maximum(np.abs(eye - low), np.abs(eye - high)), np.inf)
     far = np.nextafter(np.maximum(upper[free] - at[free], at[free] - lower[free]), np.inf)
-    return _widen_rounded_sums(rest @ far, free.size)
-
-
-def _interval_matrix_product(Y: np.ndarray, lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of Y A for A between lo and hi, by the middle of A and its radius."""
-    middle = lo + (hi - lo) / 2
-    radius = np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
-    product, size = Y @ middle, np.abs(Y) @ np.abs(middle)
-    error = _widen_rounded_sums(np.abs(Y) @ radius + 4 * (len(Y) + 4) * np.finfo(float).eps * size, len(Y)) + np.finfo(float).tiny
-    return np.nextafter(product - error, -np.inf), np.nextafter(product + error, np.inf)
-
-
-def _widen_rounded_sums(x: np.ndarray, terms: int) -> np.ndarray:
-    """Sums of non-negative terms, widened by more than their rounding."""
-    return np.nextafter(x * (1 + 4 * (terms + 8) * np.finfo(float).eps), np.inf)
+    return widen_sums(rest @ far, free.size)

@@ -1,6 +1,7 @@
 """Intervals and extrema: nothing lies outside a bound; known maxima are found; what cannot be proved is not."""
 
 import itertools
+from fractions import Fraction
 
 import casadi as ca
 import mpmath
@@ -11,6 +12,7 @@ from nsmodel.proof.affine_reduction import reduce_coordinates
 from nsmodel.proof.extremum import (
     _eigenvalue_bound,
     _spectral_norm_bound,
+    distance_to_inverse,
     largest_eigenvalue,
     samples,
     spectral_norm,
@@ -556,6 +558,35 @@ def test_norms_and_eigenvalues_against_a_grid(index):
         rough = function(A, z, lower, upper, quick=True)
         assert 0.98 * best <= rough.value <= rough.bound
         assert rough.bound >= best
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 20])
+def test_distances_to_an_inverse_are_above_those_at_points(n):
+    """On boxes of width 0 by Fractions: |E|_2 <= bound means bound^2 I - E E' psd, of which the diagonal is looked at."""
+    rng = np.random.default_rng(n)
+    z, width = ca.SX.sym("z", 3), 10.0 ** rng.integers(-6, 0)
+    parts = [rng.normal(size=(n, n)) for _ in range(4)]
+    W = ca.SX(parts[0] + n * np.eye(n)) + parts[1] * z[0] ** 2 + parts[2] * ca.sin(z[1]) + parts[3] * z[2]
+    centre, Y = rng.normal(size=3), np.linalg.inv(parts[0] + n * np.eye(n))
+    points = centre + width * rng.uniform(-1, 1, (200, 3))
+    full = np.array([np.array(ca.Function("W", [z], [W])(point)) for point in points])
+    best = np.linalg.norm(Y @ full - np.eye(n), 2, axis=(1, 2)).max()
+    bound = distance_to_inverse(Y, W, z, centre - width, centre + width)
+    assert best <= bound * (1 + 1e-12)
+    assert bound <= best + 40 * n * width
+    there = distance_to_inverse(Y, ca.SX(ca.DM(full[0])), z, centre, centre)
+    exactly = [[Fraction(float(value)) for value in row] for row in full[0]]
+    rows = [[sum(Fraction(float(a)) * b for a, b in zip(row, column, strict=True)) for column in zip(*exactly, strict=True)]
+            for row in Y]  # fmt: skip
+    size = max(sum((value - (i == j)) ** 2 for j, value in enumerate(row)) for i, row in enumerate(rows))
+    assert size <= Fraction(there) ** 2
+
+
+def test_distances_to_an_inverse_without_bounds_are_infinite():
+    z = ca.SX.sym("z")
+    assert distance_to_inverse(np.eye(2), ca.diagcat(1 / z, 1), z, -np.ones(1), np.ones(1)) == INF
+    assert distance_to_inverse(np.eye(2), ca.diagcat(1 + z, 1), z, np.zeros(1), np.full(1, INF)) == INF
+    assert distance_to_inverse(np.eye(1), 1 + z, z, -np.full(1, 0.5), np.full(1, 0.5)) == pytest.approx(0.5, rel=1e-13)
 
 
 def test_norms_that_are_known():

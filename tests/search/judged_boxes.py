@@ -16,7 +16,6 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -114,18 +113,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     given = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
-    rows = []
-    for name, seed in product(given.classes or MAKERS, range(given.first, given.first + given.models)):
-        rows.append(judged(name, seed))
-        row = rows[-1]
-        for item in row["contradictions"]:
-            print(f"{row['model']}: {item}", flush=True)
-        print(*(f"{row['model']} {key}: {row[key]}" for key in ("crash", "fault") if key in row), sep="\n", end="", flush=True)
-        print("\n" * any(key in row for key in ("crash", "fault")), end="", flush=True)
-    bad = sum(bool(row["contradictions"]) for row in rows)
-    print(f"{len(rows)} models, {sum(row['held'] for row in rows)} hypotheses hold over their boxes, {bad} models contradict, "
-          f"{sum('crash' in row for row in rows)} crashes, {sum(row['seconds'] for row in rows):.0f} s")  # fmt: skip
-    return int(bad > 0)
+    rows: list[dict[str, Any]] = []
+    for name in given.classes or MAKERS:
+        own = [_printed(judged(name, seed)) for seed in range(given.first, given.first + given.models)]
+        print(f"{name}: {_counts(own)}", flush=True)
+        rows += own
+    print(f"all: {_counts(rows)}")
+    return int(any(row["contradictions"] for row in rows))
+
+
+def _printed(row: dict[str, Any]) -> dict[str, Any]:
+    """The row, what is wrong with it printed."""
+    lines = [str(item) for item in row["contradictions"]] + [f"{key}: {row[key]}" for key in ("crash", "fault") if key in row]
+    for line in lines:
+        print(f"{row['model']} {line}", flush=True)
+    return row
+
+
+def _counts(rows: Sequence[dict[str, Any]]) -> str:
+    """What came out of some models, in words."""
+    held, seconds = (sum(row[key] for row in rows) for key in ("held", "seconds"))
+    wrong, crashed, faults = (sum(bool(row.get(key)) for row in rows) for key in ("contradictions", "crash", "fault"))
+    return (
+        f"{len(rows)} models, {held} hypotheses hold over their boxes, {wrong} models contradict, {crashed} crashes, "
+        f"{faults} faults of the search, {seconds:.0f} s"
+    )
 
 
 if __name__ == "__main__":

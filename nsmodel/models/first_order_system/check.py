@@ -43,7 +43,7 @@ from nsmodel.models.first_order_system.unique_step import mlcp_solvability
 from nsmodel.proof import exact, interval_bounds
 from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.proof.expression_graph import operation_codes
-from nsmodel.proof.extremum import spectral_norm
+from nsmodel.proof.extremum import distance_to_inverse, spectral_norm
 from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.simulation.trajectory import Trajectory
 
@@ -297,10 +297,9 @@ def _check_regularity(at: SystemLinearisation, step: Finding, quick: bool) -> Fi
     centre = np.median(finite, axis=0)
     inside = ((at.points >= at.lower) & (at.points <= at.upper)).all(axis=1) & np.isfinite(W).all(axis=(1, 2))
     if np.linalg.cond(centre) < 1e6 and len(at.steps) == 1 and _largest_change(centre, W[inside]) < 1:
-        change = ca.DM(np.linalg.inv(centre)) @ (at.model.M - h * at.G) - ca.SX.eye(len(centre))
-        sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99, bound_alone=True)
-        if sup.bound < 1 - 1e-9:
-            how = f"|W_0^-1 W - I| <= {sup.bound:.3g} < 1 on {at.where}, W_0 its median along the run (interval arithmetic)."
+        bound = _largest_change_bound(at, np.linalg.inv(centre), h, quick)
+        if bound < 1 - 1e-9:
+            how = f"|W_0^-1 W - I| <= {bound:.3g} < 1 on {at.where}, W_0 its median along the run (interval arithmetic)."
             return make_finding(F_W, HOLDS, how, value, scope=at.scope())
     signs = np.linalg.slogdet(finite)[0]
     clear = relative > 1e-9
@@ -316,6 +315,16 @@ def _largest_change(centre: np.ndarray, W: np.ndarray) -> float:
     """The largest |W_0^-1 W - I| at the points, in floating point: no bound over the region is below it."""
     changes = np.linalg.inv(centre) @ W - np.eye(len(centre))
     return float(np.linalg.norm(changes, 2, axis=(1, 2)).max(initial=0.0))
+
+
+def _largest_change_bound(at: SystemLinearisation, inverse: np.ndarray, h: float, quick: bool) -> float:
+    """A bound of |W_0^-1 W - I| on the region: by the entries of W, and where they are too wide, by those of the product."""
+    W = ca.SX(at.model.M - h * at.G)
+    bound = distance_to_inverse(inverse, W, at.z, at.lower, at.upper)
+    if bound < 1 - 1e-9:
+        return bound
+    change = ca.DM(inverse) @ W - ca.SX.eye(len(inverse))
+    return spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99, bound_alone=True).bound
 
 
 def _condition_number(spectrum: np.ndarray) -> float:

@@ -28,7 +28,7 @@ from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet
 from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.expression_graph import additive_terms, is_double, is_same_expression
-from nsmodel.proof.monotone import JumpPoint, decide_monotonicity, extract_constant_factor, is_continuous_by_pieces
+from nsmodel.proof.monotone import JumpPoint, Monotonicity, decide_monotonicity, extract_constant_factor, is_continuous_by_pieces
 from nsmodel.solvers.residuals import numeric_law
 
 
@@ -75,7 +75,7 @@ class FreeMultiplier:
     B: ca.SX
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SelectedField:
     """G on C.
 
@@ -233,15 +233,19 @@ def monotone_part(S: ca.SX, C: ConvexSet, *, signs_are_sets: bool = True) -> Mon
                 own.append((h, place))
             place[i] += factor
             kept.setdefault(direction, []).append((i, scaled))
+    decided: list[tuple[ca.SX, tuple[float, float], Monotonicity]] = []  # chains have one profile in many directions
+
+    def decide(along: ca.SX, low: float, high: float) -> Monotonicity:
+        known = (found for h, ends, found in decided if ends == (low, high) and is_same_expression(h, along))
+        found = next(known, None) or decide_monotonicity(along, symbol, low, high, signs_are_sets=signs_are_sets)
+        decided.append((along, (low, high), found))
+        return found
+
     count, left_open = 0, []
     for direction, terms in groups.items():
         along = _combined_profile(np.array(direction, dtype=object), terms)
         ends = Ridges(symbol, symbol, np.array([direction], dtype=object)).box(*C.bounding_box)
-        found = (
-            None
-            if along is None
-            else decide_monotonicity(along, symbol, float(ends[0][0]), float(ends[1][0]), signs_are_sets=signs_are_sets)
-        )
+        found = None if along is None else decide(along, float(ends[0][0]), float(ends[1][0]))
         if found is not None and found.nondecreasing:
             count += 1
             left_open += [jump for jump in found.jumps if not jump.filled]

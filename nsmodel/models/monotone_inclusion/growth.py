@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from fractions import Fraction
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -336,10 +337,11 @@ class FieldRowBound(NamedTuple):
     slope: float
 
 
-def read_field_rows(field: SelectedField) -> list[FieldRowBound]:
+@lru_cache(maxsize=4)
+def read_field_rows(field: SelectedField) -> tuple[FieldRowBound, ...]:
     """Read the rows of rest, bounding the terms that are no polynomials."""
     z, low, high = field.variables
-    return [_read_field_row(row, field, z, low, high) for row in ca.vertsplit(field.rest)]
+    return tuple(_read_field_row(row, field, z, low, high) for row in ca.vertsplit(field.rest))
 
 
 def _read_field_row(row: ca.SX, field: SelectedField, z: ca.SX, low: np.ndarray, high: np.ndarray) -> FieldRowBound:
