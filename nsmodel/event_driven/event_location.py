@@ -12,7 +12,7 @@ is not decided.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from operator import mul
 from typing import NamedTuple
@@ -22,22 +22,27 @@ import numpy as np
 from nsmodel.event_driven.bernstein import NONE, first_root, poly_slope, poly_value, poly_values, simple_root, taylor_shift
 from nsmodel.event_driven.disc_arithmetic import EPS, EquationsOnDisc, TaylorForm, form_of_polynomial
 from nsmodel.event_driven.modes import (
+    GERM,
     ORDERS,
     ROW,
     TIE,
     ULP,
+    GermRounding,
     PieceStart,
     SwitchCondition,
     condition_argument,
     condition_scale,
     condition_uncertainty,
     dominant_time_share,
+    germ_rounding,
     germ_time_share,
     has_own_row,
     is_same_condition,
+    known_to,
     leading_order,
     lowest_order,
     mode_conditions,
+    without_rounding,
 )
 from nsmodel.event_driven.multipliers import MultiplierSolver
 from nsmodel.event_driven.step_size import power_of_two_unit
@@ -47,6 +52,7 @@ ALMOST = 0.999  # Of the way to where a sign is no longer proved.
 CLOSER, WIDER = 8.0, 1.5  # By which discs shrink towards a root, and grow beyond it.
 MAX_DISCS, MAX_MULTIPLICITY = 400, 8
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
+LOOKED = 16  # Values of a polynomial that is rounding alone.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
 
 
@@ -235,6 +241,7 @@ class EventLocator:
         nothing bounds that: half of the way to it is gone.
         """
         system, hit, share, powers, whole = self._system, None, None, _argument_powers(s, orders), s
+        rounding: GermRounding | None = None
         for condition in mode_conditions(system, place.codes, how, orders):
             if but is not None and condition.of == but.of:
                 continue
@@ -247,20 +254,26 @@ class EventLocator:
                 continue
             germ = condition.coefficients()
             c = list(map(mul, germ, powers))
-            least, opened = TIE * condition_scale(system, condition), condition.of in place.open
-            largest = max(map(abs, c))
-            if largest <= least:
+            scale, opened = TIE * condition_scale(system, condition), condition.of in place.open
+            least = scale
+            if _stays_within(c, least):
                 least = condition_uncertainty(system, condition)
-                if largest <= least:
+                if _stays_within(c, least):
+                    continue
+            known_so: Sequence[float] = ()
+            if c[0] <= (GERM / TIE) * scale:
+                rounding = germ_rounding(system, orders) if rounding is None else rounding
+                known_so = known_to(condition, rounding)
+                if known_so and (_stays_within(c, known_so[0]) or not any(without_rounding(germ, known_so))):
                     continue
             if c[0] <= (least if opened else 0.0):
-                share = germ_time_share(system) if share is None else share
-                first = leading_order(germ, least, share) if opened else leading_order(germ, 0.0, share)
+                share = germ_time_share(system, rounding or {}) if share is None else share
+                first = leading_order(germ, least if opened else 0.0, share, known_so)
                 if opened and first != 1:
                     least = condition_uncertainty(system, condition)
-                    first = lowest_order(germ, least) if least else leading_order(germ, least, share)
+                    first = lowest_order(germ, least, known_so) if least else leading_order(germ, least, share, known_so)
                     if least and first is not None and germ[first] < 0:  # What ends at once would be chosen again, as it was.
-                        first = leading_order(germ, least, share)
+                        first = leading_order(germ, least, share, known_so)
                 c = c[ORDERS + 1 if first is None else first :]
                 if max(map(abs, c)) <= least:
                     continue
@@ -331,6 +344,13 @@ class EventLocator:
         if own is not None and not is_simple_root(own.coefficients(), rtol * condition_scale(system, own)):
             width = self._isolation.width(place, own, rtol)
         return IsolatedRoot(how, own, width, 0, True, place.t)
+
+
+def _stays_within(c: list[float], least: float) -> bool:
+    """Whether a polynomial is no larger than that on [0, 1]: by its coefficients, or by values, where rounding has made these."""
+    if max(map(abs, c)) <= least:
+        return True
+    return abs(c[0]) <= least and all(abs(poly_value(c, k / LOOKED)) <= least for k in range(1, LOOKED + 1))
 
 
 def _resolvable_part(c: list[float]) -> float:

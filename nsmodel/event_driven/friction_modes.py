@@ -294,7 +294,7 @@ class SlipOnset:
         B, D, C = slopes
         self.tau, self.held = tau, len(active)
         self.rows = [*active, *(i for block in blocks for i in block.at)]
-        _, U, V = generalised_inverse(D[np.ix_(active, active)]) if active else (None, np.zeros((0, 0)), np.zeros((0, 0)))
+        _, U, V, *_ = generalised_inverse(D[np.ix_(active, active)])
         self.free = U.shape[1]
         self.U, self.V = (_extend_basis(basis, len(self.rows) - self.held) for basis in (U, V))
         self.W = self.U.T @ (C[self.rows] @ B[:, self.rows]) @ self.V

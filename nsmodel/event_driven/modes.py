@@ -25,11 +25,13 @@ from nsmodel.event_driven.bernstein import poly_values
 from nsmodel.event_driven.disc_arithmetic import EPS, DiscBall, DiscValues
 from nsmodel.event_driven.friction_modes import FrictionBlock
 from nsmodel.event_driven.multipliers import ROUNDING, MultiplierSolver, multiplier_solver
+from nsmodel.event_driven.multipliers import TIE as TIE
 from nsmodel.event_driven.system import MAX_CACHED_MODES, RESTS, ModeSystem
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.residuals import NumericLaw, numeric_law
 
 ROW = "row"
+GermRounding = dict[str, list[list[float]]]  # {"x", "l" or "y": its rows}; {} where nothing is said.
 Switch = tuple[str, int]  # (ROW, i), or (part, its branch)
 
 
@@ -58,9 +60,6 @@ class SwitchCondition(NamedTuple):
         c = self.row[: self.orders + 1] if self.sign > 0 else [-v for v in self.row[: self.orders + 1]]
         c[0] += self.shift
         return c
-
-
-TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
 
 
 def is_same_condition(one: SwitchCondition, other: SwitchCondition) -> bool:
@@ -216,6 +215,8 @@ MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or
 MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double.
 ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
+LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
+FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])
 
 
 @dataclass
@@ -305,7 +306,7 @@ def valid_modes(
         if (how := _expand_germs(system, place)) is not None and not (
             system.rows_off_zero(how) or list(_violated_conditions(system, place, how))
         ):
-            yield how, [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system)
+            yield how, [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system, germ_rounding(system))
 
 
 def jump_impulse(system: ModeSystem, place: PieceStart) -> np.ndarray | None:
@@ -357,7 +358,12 @@ def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]
     if len(place.open) > FEW:
         return UNDECIDED, ""
     before, codes = _mode_state(system, place), [_switch_code(system, place, switch) for switch in sorted(place.open)]
-    own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system), ""
+    own, pushed, share, split = (
+        [row[: ORDERS + 1] for row in system.x],
+        system.pushed(),
+        germ_time_share(system, germ_rounding(system)),
+        "",
+    )
     for _, x, push, its in valid_modes(system, place, before, codes):
         rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, push, system.sizes.x, strict=True)]
         if any(_germs_differ(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
@@ -374,25 +380,34 @@ def _germs_differ(a: list[float], b: list[float], share: float, least: float) ->
     return max(abs(p - q) for p, q in zip(a, b, strict=True)) > GERM_DIFFERENCE * max(map(abs, a + b)) + least
 
 
-def germ_time_share(system: ModeSystem) -> float:
+def germ_time_share(system: ModeSystem, known: GermRounding) -> float:
     """The share of the unit of time in which coefficients of x, l and l'S l do not grow from order to order: that of germs.
 
-    In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last. Where these are
-    rounding of what multipliers push x by, x begins beyond them, and tells no time.
+    What is ``known`` to be rounding is none.
+
+    In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last. Where they are, a
+    row begins beyond them, and tells no time.
     """
     share, watched = 1.0, [block for block in system.blocks.all if block.curved is not None]
     inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
-    for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l), inner):
+    for acts, rows, sizes in (("x", system.x, system.sizes.x), ("l", system.l, system.sizes.l), ("inside", *inner)):
         for i, (row, so_far) in enumerate(zip(rows, sizes, strict=True)):
+            if acts in known and not any((row := without_rounding(row, known[acts][i]))[1 : HALF + 1]):
+                continue
             last = row[HALF + 1 : ORDERS + 1]
             if share == 1 and max(last) <= so_far and min(last) >= -so_far:
                 continue
             own = list(map(abs, row[1 : ORDERS + 1]))
             first = max(so_far, *own[:HALF])
-            if (share == 1 and max(own[HALF:]) <= first) or (rows is system.x and first <= ROUNDING * system.pushed()[i]):
+            if (share == 1 and max(own[HALF:]) <= first) or (acts == "x" and first <= ROUNDING * system.pushed()[i]):
                 continue
             share = _shrink_time_share(row, so_far, share)
     return share
+
+
+def without_rounding(c: Sequence[float], known: Sequence[float]) -> list[float]:
+    """Coefficients, 0 where they are below what they are known to; of the orders of which that is said."""
+    return [0.0 if abs(v) <= least else v for v, least in zip(c, known, strict=False)]
 
 
 def _shrink_time_share(c: list[float], so_far: float, share: float) -> float:
@@ -407,11 +422,14 @@ def _shrink_time_share(c: list[float], so_far: float, share: float) -> float:
     return share
 
 
-def leading_order(c: list[float], least: float, share: float) -> int | None:
+def leading_order(c: list[float], least: float, share: float, known: Sequence[float] = ()) -> int | None:
     """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are.
 
-    ``share``: of the unit of time, see `pace`; where the condition itself needs a shorter one, and is no rounding in it, that.
+    ``known``: what each coefficient is known to; ``share``: of the unit of time, see `germ_time_share`; where the condition
+    itself needs a shorter one, and is no rounding in it, that.
     """
+    if known:
+        return lowest_order(c, least, known)
     if len(c) > HALF + 1 and max(map(abs, c[HALF + 1 : ORDERS + 1])) > max(map(abs, c[: HALF + 1])):
         own = _shrink_time_share(c, abs(c[0]), share)
         if max(abs(a) * own**k for k, a in enumerate(c[: HALF + 1])) > least:
@@ -421,10 +439,10 @@ def leading_order(c: list[float], least: float, share: float) -> int | None:
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
 
-def lowest_order(c: list[float], least: float) -> int | None:
+def lowest_order(c: list[float], least: float, known: Sequence[float] = ()) -> int | None:
     """The same by rounding alone: the first order above ``least`` in a unit of time in which later ones are no larger."""
-    decide = c[: ORDERS + 1]
-    return next((k for k, a in enumerate(decide) if abs(a) * dominant_time_share(decide, k) ** k > least), None)
+    decide = without_rounding(c, known) if known else c[: ORDERS + 1]
+    return next((k for k, a in enumerate(decide) if a and abs(a) * dominant_time_share(decide, k) ** k > least), None)
 
 
 def dominant_time_share(c: list[float], k: int) -> float:
@@ -467,7 +485,7 @@ def _pivot_to_valid_mode(system: ModeSystem, place: PieceStart) -> MultiplierSol
 
 def _expand_germs(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:
     how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
-    return None if how is None or any(any(map(math.isnan, row[: ORDERS + 1])) for row in system.x) else how
+    return None if how is None or any(any(map(math.isnan, row[: ORDERS + 1])) for row in (*system.x, *system.y)) else how
 
 
 def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierSolver) -> Iterator[SwitchCondition]:
@@ -475,19 +493,33 @@ def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierS
 
     Where l or what a branch chooses jumps, y and arguments may jump too: of the others those that are clearly broken.
     """
-    share = germ_time_share(system)
+    rounding = germ_rounding(system)
+    share = germ_time_share(system, rounding)
     for condition in mode_conditions(system, place.codes, how, ORDERS):
         if condition.of in place.crossed:
             continue
+        known = known_to(condition, rounding)
         if condition.of in place.open or condition.acts in ("l", "inside"):
             c = condition.coefficients()
-            first = leading_order(c, TIE * condition_scale(system, condition), share)
+            first = leading_order(c, TIE * condition_scale(system, condition), share, known)
             if first != 1 and condition.acts not in ("l", "inside"):
-                first = leading_order(c, condition_uncertainty(system, condition), share)
+                first = leading_order(c, condition_uncertainty(system, condition), share, known)
             if first is not None and c[first] < 0:
                 yield condition
-        elif condition.sign * condition.row[0] + condition.shift < -TIE * condition_scale(system, condition):
+        elif condition.sign * condition.row[0] + condition.shift < -max([TIE * condition_scale(system, condition), *known[:1]]):
             yield condition
+
+
+def germ_rounding(system: ModeSystem, orders: int = ORDERS) -> GermRounding:
+    """What the coefficients of x, l and y are known to, a row each; of curved blocks nothing."""
+    if not (system.is_linear and system.m) or system.how is None:
+        return {}
+    return {acts: part.tolist() for acts, part in zip("xly", system.rounding(orders), strict=True)}
+
+
+def known_to(condition: SwitchCondition, rounding: GermRounding) -> Sequence[float]:
+    """What the coefficients of a condition are known to, of `germ_rounding`; () where nothing is said."""
+    return rounding[condition.acts][condition.of[1]] if condition.acts in rounding else ()
 
 
 def _leave_singular_mode(system: ModeSystem, place: PieceStart) -> bool:
@@ -546,20 +578,27 @@ def _restore_mode(system: ModeSystem, place: PieceStart, before: tuple) -> None:
 
 
 def _guess_modes(system: ModeSystem, place: PieceStart) -> Iterator[list[int]]:
-    """Index sets of one implicit step, a small one and a smaller one: of the solvers that time stepping has."""
+    """Index sets of the germs' Laplace transforms at some large s: y^ = q^ + M(s) l^, linear in l^ (Heemels et al., eq. 6).
+
+    s times the transform of a germ has its sign for all s from some s on; M(s) = h_l + h_x (s - (f + g)_x)^-1 g_l is psd where
+    the system is passive. q^ is made of the germs of a mode in which no row is held.
+    """
     if not system.m:
         return
     law, m = numeric_law(system.problem.law), system.m
     chain = (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION) if m <= FEW else (mlcp.INDEX_SET, mlcp.LEMKE)
     if law.curved:
         chain = (mlcp.SEMISMOOTH,)
-    for share in (1e-3, 1e-6):
+    free = [code or 1 for code in place.codes]
+    if system.expand(place.t, place.x, free, place.tau, ORDERS) is None:
+        return
+    y, l = np.array(system.y)[:, : ORDERS + 1], np.array([row[0] for row in system.l])
+    orders, (B, D, C), A = np.arange(ORDERS + 1), system.slopes(), system.rate_slopes()
+    for share in LAPLACE_SHARES:
         h = share * place.tau
-        system.expand(place.t, place.x, place.codes, place.tau, 1)
-        y, rate, l = (np.array([row[k] for row in rows]) for rows, k in ((system.y, 0), (system.y, 1), (system.l, 0)))
-        B, D, C = system.slopes()
-        W = D + h * (C @ B)
-        found = mlcp.solve_mlcp(W, y + share * rate - W @ l, law, l, np.array(place.codes, np.int8), chain, False, 1e-9)
+        W = D + h * (C @ np.linalg.solve(np.eye(system.n) - h * A, B))
+        q = y @ (FACTORIALS * share**orders) - W @ l
+        found = mlcp.solve_mlcp(W, q, law, l, np.array(place.codes, np.int8), chain, False, 1e-9)
         if np.isfinite(found.residual):
             yield [int(code) for code in found.index]
 

@@ -13,17 +13,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import mul
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.modeling.expressions import derivatives
-from nsmodel.proof.verdict import attach_buffers
+from nsmodel.proof.verdict import attach_buffers, connected_components
 
 MatrixRows = list[list[float]]
 SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
+CANCELS = 1e-13  # Of the terms of a sum, or of the length of a vector: what comes to less is rounding.
+ENTRY_ROUNDING = 1 / 8  # Of an inverse of condition 1: the rounding of an entry, in 8 roundings of the largest.
 MAX_MINOR_ROWS = 8  # Rows of a matrix whose principal minors are all looked at.
 BALANCING = 4  # Passes that bring the entries of a matrix near 1.
 NOTHING = 1e-300  # Beside what may be 0, where it divides.
@@ -45,11 +47,46 @@ class MultiplierSolver:
     feeds: bool = False  # Whether some y depends directly on an l that ``through`` finds.
     lift: MatrixRows | None = None
     entries: tuple[float, ...] = ()  # Of both matrices, as `unrolled` takes them.
+    condition: float = 1.0  # Of what was inverted, in its best units.
 
     @property
     def index(self) -> int:
         """1 where l is found to the order of x, else 2: to one less."""
         return 1 if self.through is None else 2
+
+    @cached_property
+    def sizes(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """|direct| and |through|, beside the rounding that each entry has of the largest of its row and column."""
+        direct, through = (
+            None if part is None else _with_rounding(np.array(part), self.condition) for part in (self.direct, self.through)
+        )
+        return direct, through
+
+
+def _with_rounding(matrix: np.ndarray, condition: float) -> np.ndarray:
+    A = np.abs(matrix)
+    largest = float(A.max(initial=0.0))
+    rounding = np.outer(A.max(axis=1), A.max(axis=0)) * (ENTRY_ROUNDING * condition / largest) if largest > 0 else 0.0
+    return A + rounding
+
+
+class ErrorPropagation(NamedTuple):
+    """Sizes of how an order of l_a, and of x', errs by: errors of x, rounding of y_a, of the rate of x, and of the next y_a."""
+
+    l: tuple[np.ndarray, ...]
+    x: tuple[np.ndarray, ...]
+
+
+def error_propagation(how: MultiplierSolver, A: np.ndarray, B: np.ndarray, D: np.ndarray, C: np.ndarray) -> ErrorPropagation:
+    """Of l_a = -D^+ y_a - N y_a', with y_a = C x and x' = A x + B l."""
+    n, a = len(A), list(how.active)
+    B, C, (direct, through) = B[:, a], C[a], how.sizes
+    none = np.zeros((len(a), len(a)))
+    plus, N = (none if matrix is None else np.array(matrix) for matrix in (how.direct, how.through))
+    F, P = A - B @ plus @ C, np.eye(n) - B @ N @ C
+    of_l = (plus @ C + N @ C @ F, (none if direct is None else direct), N @ C, none if through is None else through)
+    of_x = (P @ F, P @ B @ plus, P, B @ N)
+    return ErrorPropagation(tuple(map(np.abs, of_l)), tuple(map(np.abs, of_x)))
 
 
 def multiplier_solver(
@@ -62,15 +99,17 @@ def multiplier_solver(
         return _single_row_solver(active[0], B, D, C)
     a = list(active)
     D_aa, W_aa = D[np.ix_(a, a)], C[a] @ B[:, a]
-    plus, U, V = generalised_inverse(D_aa)
+    plus, U, V, condition = generalised_inverse(D_aa)
     if not U.shape[1]:
-        return MultiplierSolver(active, plus.tolist(), None, None)
-    inner, left, _ = generalised_inverse(U.T @ W_aa @ V)
+        return MultiplierSolver(active, plus.tolist(), None, None, condition=condition)
+    moved = U.T @ W_aa @ V
+    moved[np.abs(moved) <= CANCELS * (np.abs(U).T @ np.abs(W_aa) @ np.abs(V))] = 0.0
+    inner, left, _, further = generalised_inverse(moved)
     through = V @ inner @ U.T
     lift = np.linalg.pinv(U.T @ C[a]) @ U.T if lifts and np.isfinite(C[a]).all() else None
     return MultiplierSolver(
         active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()),
-        None if lift is None else lift.tolist(),
+        None if lift is None else lift.tolist(), condition=max(condition, further),
     )  # fmt: skip
 
 
@@ -90,22 +129,51 @@ def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) 
             row[k] -= d
 
 
-def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(A^+, U, V): least in norm in units in which A is near 1, and bases of the left and the right null space."""
+class GeneralisedInverse(NamedTuple):
+    """A^+, least in norm in units in which A is near 1, bases of the left and the right null space, and A's condition there."""
+
+    plus: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    condition: float = 1.0
+
+
+def generalised_inverse(A: np.ndarray) -> GeneralisedInverse:
+    """Of a square matrix, of each of the blocks that it falls into by itself; NaN where it has no numbers."""
     m = len(A)
     if not A.any():
-        return np.zeros((m, m)), np.eye(m), np.eye(m)
+        return GeneralisedInverse(np.zeros((m, m)), np.eye(m), np.eye(m))
     if not (A - np.diag(A.diagonal())).any() and A.diagonal().all():
-        return np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0))
+        return GeneralisedInverse(np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0)))
     if not np.isfinite(A).all():
-        return np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0))
+        return GeneralisedInverse(np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0)))
+    nonzero = np.zeros((2 * m, 2 * m), bool)
+    nonzero[:m, m:], nonzero[m:, :m] = A != 0, A.T != 0
+    plus, left, right, condition = np.zeros((m, m)), [np.zeros((m, 0))], [np.zeros((m, 0))], 1.0
+    for group in connected_components(nonzero):
+        rows, columns = [i for i in group if i < m], [i - m for i in group if i >= m]
+        own = _block_inverse(A[np.ix_(rows, columns)])
+        plus[np.ix_(columns, rows)], condition = own.plus, max(condition, own.condition)
+        for bases, at, basis in ((left, rows, own.left), (right, columns, own.right)):
+            whole = np.zeros((m, basis.shape[1]))
+            whole[at] = basis
+            bases.append(whole)
+    return GeneralisedInverse(plus, np.hstack(left), np.hstack(right), condition)
+
+
+def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
+    rows, columns = A.shape
+    if not A.size:
+        return GeneralisedInverse(np.zeros((columns, rows)), np.eye(rows), np.eye(columns))
     r, c = _equilibration_factors(A)
     u, s, vt = np.linalg.svd(A * r[:, None] * c)
     rank = int((s > SINGULAR * s[0]).sum())
-    if rank == m:
-        return np.linalg.inv(A), np.zeros((m, 0)), np.zeros((m, 0))
+    condition = float(s[0] / s[rank - 1])
+    if rank == rows == columns:
+        return GeneralisedInverse(np.linalg.inv(A), np.zeros((rows, 0)), np.zeros((columns, 0)), condition)
     plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
-    return plus, r[:, None] * u[:, rank:], c[:, None] * vt[rank:].T
+    left, right = (np.where(np.abs(part) > CANCELS, part, 0.0) for part in (u[:, rank:], vt[rank:].T))
+    return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition)
 
 
 def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -132,7 +200,7 @@ def is_p_matrix(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int]
     K = D + W * (SHORT * d / w if d and w else 1.0)
     S = K[np.ix_(opened, opened)]
     if held:
-        plus, U, _ = generalised_inverse(K[np.ix_(held, held)])
+        plus, U, *_ = generalised_inverse(K[np.ix_(held, held)])
         if U.shape[1]:
             return False
         S = S - K[np.ix_(opened, held)] @ plus @ K[np.ix_(held, opened)]
@@ -191,6 +259,7 @@ class SlopesAtPoint:
         self._call()
 
 
+TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
 NEGLIGIBLE = 1e-6  # Of what moves a state on a piece.
 ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
 

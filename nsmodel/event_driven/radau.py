@@ -238,7 +238,10 @@ class RadauMethod:
             return None
         _, y, watched = (a.copy() for a in self._evaluate(start, start.t + h * of.nodes, start.x + Z, L))
         y[:, held] = 0.0
-        return self._with_error(start, CollocationFit(h, start.x + Z, L, y, watched), rtol, atol)
+        try:
+            return self._with_error(start, CollocationFit(h, start.x + Z, L, y, watched), rtol, atol)
+        except np.linalg.LinAlgError:  # So short that h is lost beside singular h_l.
+            return None
 
     def write(self, start: CollocationStart, fit: CollocationFit) -> tuple[float, float]:
         """Put the polynomials into the rows of the system, and return (tau, s): the unit of time and their length in it."""

@@ -73,7 +73,7 @@ def _held_row_matrices(a: list[int], D: np.ndarray, C: np.ndarray) -> tuple[np.n
 @lru_cache(maxsize=64)
 def _left_null_space(D: bytes, rows: int) -> np.ndarray:
     """The left null space of D."""
-    return generalised_inverse(np.frombuffer(D).reshape(rows, rows))[1]
+    return generalised_inverse(np.frombuffer(D).reshape(rows, rows)).left
 
 
 AROUND = 4  # Order of the expansions at an event.

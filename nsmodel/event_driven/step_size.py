@@ -21,7 +21,7 @@ from nsmodel.event_driven.bernstein import poly_slope, poly_slopes, poly_values
 from nsmodel.event_driven.modes import PieceStart
 from nsmodel.event_driven.multipliers import NOTHING, ROUNDING, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
-from nsmodel.event_driven.system import ModeSystem
+from nsmodel.event_driven.system import LITTLE, ModeSystem
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
@@ -210,8 +210,9 @@ def estimate_local_error(
         missed = _max_residual_ratio(
             system, off, most, at, tau, of, (np.abs(velocity) + _multiplier_contribution(system, l)).tolist()
         )
+        little = LITTLE * max(map(abs, l), default=0.0)
         for i, d in of_l:
-            if size := max(system.size_l(i), abs(l[i])):
+            if size := max(system.size_l(i), abs(l[i]), little):
                 worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
     worst = max(worst, missed / LOCAL)
     for i in held:
@@ -221,6 +222,7 @@ def estimate_local_error(
             if beyond > goal / LOCAL:
                 moved = tau * at * np.abs(system.slopes()[2][i])
                 size = max(size, float(moved @ _multiplier_contribution(system, l)))
+                size = max(size, system.size_y(i), LITTLE * max(system.terms(k, x, l) for k in held))
                 beyond = abs(y[i]) - SEEN_ROW * size - float(moved @ of.rounding())
                 goal = MULTIPLIERS * rtol * size
             worst = max(worst, beyond / (goal + NOTHING))

@@ -29,11 +29,14 @@ from nsmodel.event_driven.mode_series import ModeSeries, UnrolledOrders, nonzero
 from nsmodel.event_driven.multipliers import (
     NOTHING,
     ROUNDING,
+    TIE,
+    ErrorPropagation,
     MultiplierSolver,
     SlopesAtPoint,
     StateScales,
     ZeroTest,
     constant_matrix,
+    error_propagation,
     is_monotone,
     is_p_matrix,
     multiplier_solver,
@@ -41,7 +44,10 @@ from nsmodel.event_driven.multipliers import (
 from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven
 from nsmodel.event_driven.recurrence_code import rescale_time
 from nsmodel.event_driven.recurrences import independent_branches, taylor_decompose
+from nsmodel.modeling.expressions import derivatives
+from nsmodel.proof.verdict import not_none
 
+TIME_ROUNDING = 2.0**-52 / ROUNDING  # What time is known to, in the rounding of an operation.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 
@@ -80,9 +86,18 @@ NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
 NEWTON_CONVERGED = 1e-14
 MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
-LITTLE = 1e-6  # Of the largest multiplier: a smaller one is measured beside that.
+SOLVED = ROUNDING / TIE  # Of what l of a held row is the sum of: what stands for the rounding of its solve, where TIE of it is.
+LITTLE = 1e-6  # Of the largest multiplier, or y: a smaller one is measured beside that.
 RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
+
+
+def _first_orders(rows: Sequence[Sequence[float]], number: int) -> np.ndarray:
+    """The first coefficients (rows, number), 0 beyond those that there are."""
+    out = np.zeros((len(rows), number))
+    for own, row in zip(out, rows, strict=True):
+        own[: len(row)] = row[:number]
+    return out
 
 
 class ModeSystem(ModeSeries):
@@ -121,7 +136,13 @@ class ModeSystem(ModeSeries):
         self._slope_caches = {
             of: self._point_cache if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")
         }
+        self._propagations: dict[tuple[int, ...], ErrorPropagation] = {}
+        self.is_linear = (
+            self.constant is not None and not self.blocks.all and not ca.depends_on(derivatives(p.f, p.x), ca.veccat(*inputs))
+        )
         self._slip_onset: SlipOnset | None = None
+        self.how: MultiplierSolver | None = None  # Of the mode that stands, and what its l are the sums of.
+        self._solved: list[float] | None = None
         self._has_all_orders = False  # Whether all orders stand, whatever was asked for.
         self._unrolled = None if self.blocks.all or self.updates else UnrolledOrders(self, linear=self.linear_in_l)
 
@@ -163,6 +184,50 @@ class ModeSystem(ModeSeries):
         B, D, C = self._slope_evaluator.out
         return B, D, C
 
+    def rounding(self, orders: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What orders 0, ..., ``orders`` of x, l and y (n or m, orders + 1) of the mode that stands are known to.
+
+        A running error analysis: x begins with its own rounding, each order is rounded as what it is the sum of, and takes on the
+        errors of those before, to first order at the place. Matrices are multiplied before their sizes are taken, as held rows
+        take errors back.
+        """
+        how, tau, (B, D, C) = not_none(self.how), abs(self.t[1]), map(np.abs, self.slopes())
+        a, of, early = list(how.active), self._error_propagation(how), TIME_ROUNDING * abs(self.t[0]) / tau
+        x, l, y = (np.abs(_first_orders(rows, orders + 3)) for rows in (self.x, self.l, self.y))
+        f, h = (x[:, 1:] * np.arange(1, orders + 3)) / tau + B @ l[:, :-1], y + D @ l
+        f, h = (part[:, :-1] + early * part[:, 1:] * np.arange(1, part.shape[1]) for part in (f, h))  # At t, rounded.
+        of_x, of_l, of_y = np.zeros((self.n, orders + 2)), np.zeros((self.m, orders + 1)), np.zeros((self.m, orders + 1))
+        of_x[:, 0] = x[:, 0]
+        for k in range(orders + 1):
+            part, terms, first = (k + 1) / tau, C @ x[:, k] + h[:, k], l[:, k].copy()
+            first[a] += of.l[1] @ terms[a]  # What l is by y alone, before y' moves it.
+            rate = f[:, k] + B @ first
+            given = (of_x[:, k], terms[a], rate, (C @ rate + part * h[:, k + 1])[a])
+            of_l[a, k] = sum((matrix @ v for matrix, v in zip(of.l, given, strict=True)), l[a, k])
+            of_y[:, k] = terms + C @ of_x[:, k] + D @ of_l[:, k]
+            of_x[:, k + 1] = sum((matrix @ v for matrix, v in zip(of.x, given, strict=True)), rate) / part
+        u = ROUNDING * (1 + (self.n + self.m) / 4)  # Of sums of so many terms.
+        return u * of_x[:, :-1], u * of_l, u * of_y
+
+    def _error_propagation(self, how: MultiplierSolver) -> ErrorPropagation:
+        found = self._propagations.get(how.active) if self.is_linear else None
+        if found is None:
+            found = error_propagation(how, self.rate_slopes(), *self.slopes())
+            if len(self._propagations) >= MAX_CACHED_MODES:
+                self._propagations.clear()
+            self._propagations[how.active] = found
+        return found
+
+    def rate_slopes(self) -> np.ndarray:
+        """(f + g)_x (n, n) at order 0."""
+        point = [self.t[0], *[row[0] for row in self.x], *[row[0] for row in self.push]]
+        return np.array(self._rate_slopes(point))
+
+    @cached_property
+    def _rate_slopes(self) -> ca.Function:
+        p = self.problem
+        return ca.Function("A", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(derivatives(p.f + p.g, p.x))])
+
     @cached_property
     def _slope_evaluator(self) -> SlopesAtPoint:
         return SlopesAtPoint(self._slopes)
@@ -197,6 +262,11 @@ class ModeSystem(ModeSeries):
 
         ``l`` at order 0 is the first guess of what is not linear in it.
         """
+        self.how = self._solved = None
+        self.how = how = self._expand_mode(t, x, codes, tau, orders)
+        return how
+
+    def _expand_mode(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> MultiplierSolver | None:
         self.t[0], self.t[1] = t, tau
         for row, start in zip(self.x, x, strict=True):
             row[0] = start
@@ -285,11 +355,18 @@ class ModeSystem(ModeSeries):
         if how.through is None or not any(self.y[i][0] for i in how.active):
             return []
         motion = np.abs(self.slopes()[2]) @ [abs(row[1]) for row in self.x]
-        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.size_y(i), motion[i])]
+        x, l = ([row[0] for row in rows] for rows in (self.x, self.l))
+        off = [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.size_y(i), motion[i], self.terms(i, x, l))]
+        if not off or self.blocks.all:
+            return off
+        known = self.rounding(0)[2][:, 0]
+        return [i for i in off if abs(self.y[i][0]) > known[i]]
 
     def size_y(self, i: int) -> float:
-        """What y_i is measured beside: the largest so far, what it is the sum of, and a part of what l pushes it by."""
-        return max(self.sizes.y[i], self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i))
+        """What y_i is measured beside: the largest so far, a part of the largest of all, what it is the sum of, rounding of l."""
+        terms = self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i)
+        own = max(self.sizes.y[i], LITTLE * max(self.sizes.y, default=0.0), terms)
+        return max(own, sum(a * self._solved_terms(j) for j, a in self._feedthrough_terms[i])) if self.feedthrough[i] else own
 
     def _push_scale(self, i: int) -> float:
         """|C_i| |B| |l|, with what l moves by in the unit of time."""
@@ -302,9 +379,33 @@ class ModeSystem(ModeSeries):
         of_x = self.cached_from_slopes("push of x", lambda B, _, __: nonzero_terms(np.abs(B), self.n), "B")
         return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
 
+    @property
+    def _feedthrough_terms(self) -> list[list[tuple[int, float]]]:
+        """|D|, of each row what is not 0."""
+        return self.cached_from_slopes("y of l", lambda _, D, __: nonzero_terms(np.abs(D), self.m), "D")
+
     def size_l(self, i: int) -> float:
-        """What l_i is measured beside: the largest so far, and a part of the largest of all."""
-        return max(self.sizes.l[i], LITTLE * max(self.sizes.l))
+        """What l_i is measured beside: the largest so far, a part of the largest of all, and what rounding leaves of it."""
+        return max(self.sizes.l[i], LITTLE * max(self.sizes.l), self._solved_terms(i))
+
+    def _solved_terms(self, i: int) -> float:
+        """What l_i is the sum of, the rounding of its solve taken for TIE of it."""
+        how = self.how
+        if how is None or i not in how.active:
+            return 0.0
+        if self._solved is None:
+            self._solved = self._all_solved_terms(how)
+        return self._solved[how.active.index(i)]
+
+    def _all_solved_terms(self, how: MultiplierSolver) -> list[float]:
+        a, (B, D, C) = list(how.active), map(np.abs, self.slopes())
+        x, l, y = (np.abs(_first_orders(rows, 2)) for rows in (self.x, self.l, self.y))
+        h, total, (direct, through) = y + D @ l, np.zeros(len(a)), how.sizes
+        if direct is not None:
+            total += direct @ (h[:, 0] + C @ x[:, 0])[a]
+        if through is not None:
+            total += through @ ((h[:, 1] + C @ x[:, 1]) / abs(self.t[1]) + C @ (B @ l[:, 0]))[a]
+        return (SOLVED * np.where(np.isfinite(total), total, 0.0)).tolist()
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
@@ -316,8 +417,7 @@ class ModeSystem(ModeSeries):
     def sum_y_terms(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
         """|C_i| x + |D_i| l."""
         by_x = self.cached_from_slopes("y of x", lambda _, __, C: nonzero_terms(np.abs(C), self.m), "C")
-        by_l = self.cached_from_slopes("y of l", lambda _, D, __: nonzero_terms(np.abs(D), self.m), "D")
-        return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in by_l[i]])
+        return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in self._feedthrough_terms[i]])
 
     @cached_property
     def is_monotone(self) -> bool:

@@ -21,6 +21,7 @@ from nsmodel.event_driven.piece import Piece
 from nsmodel.event_driven.problem import SAME_TIME, ContinuousProblem
 from nsmodel.event_driven.recurrence_code import TaylorExpansion
 from nsmodel.event_driven.recurrences import is_switched, taylor_decompose
+from nsmodel.event_driven.step_size import SMALL
 from nsmodel.modeling import laws
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.simulation.piece_sources import PieceBuffer, PieceLayout
@@ -342,8 +343,12 @@ class PieceRows:
         own, of_law = self._facts, np.zeros(len(number))
         if own.direct.any():
             codes = block.codes[number]
-            off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(block.size_y[number], 1e-300)
-            out = np.maximum(np.maximum(own.lower - l, l - own.upper), 0) / np.maximum(block.size_l[number], 1e-300)
+            size_y, size_l = (
+                np.maximum(size, SMALL * (size * own.direct).max(axis=1, keepdims=True) + 1e-300)[number]
+                for size in (block.size_y, block.size_l)
+            )
+            off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / size_y
+            out = np.maximum(np.maximum(own.lower - l, l - own.upper), 0) / size_l
             of_law = (np.maximum(off, out) * own.direct).max(axis=1)
         for at, part in self._curved:
             of_law = np.maximum(of_law, _curved_law_residual(part, l[:, at], y[:, at], block.size_y[number][:, at]))

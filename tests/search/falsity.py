@@ -720,7 +720,8 @@ def velocity(model: Any, statement: Any, sampler: Sampler) -> str:
 def start(model: Any, statement: Any, sampler: Sampler) -> str:
     point = dict(zip(model["f"].inputs, map(sampler.real, ["0", *model["q0"]]), strict=True))
     low = [g.values([point[name] for name in g.inputs])[0].v for g, _ in gaps_of(model, sampler)]
-    return "g < 0" if any(x < 0 for x in low) else ""
+    rounding = sampler.bare * max(map(abs, point.values()))  # Of q_0 = p, put in as 50 digits in one place and as p in another.
+    return "g < 0" if any(x < -rounding for x in low) else ""
 
 
 # -- oscillators

@@ -589,6 +589,8 @@ def _along(id: str, own: Inclusion, way: Sequence[Array], rng: Any) -> bool | No
             return bool(parts[2] > 1.05 * parts[0]) or not np.isfinite(parts).all()
         if id == "M-A3":
             parts = [float(x @ own.velocity(x, rng, True) / (x @ x)) for x in way]
+            if not np.isfinite(parts).all():  # exp has overflown: nothing is said.
+                return None
             return bool(parts[2] > -1e-3 * (1 + abs(parts[0])) or parts[2] > 0.5 * parts[0])
     return None
 
