@@ -243,8 +243,10 @@ class StepSpec:
 
     @cached_property
     def uses_working_set(self) -> bool:
-        """Whether only the rows that act enter a step's affine problem."""
-        return self.path == NEWTON and uses_working_set(self.structure, self.law) and not self.law_of_parameters
+        """Whether only the rows that act enter a step's affine problem; not where y depends on l directly."""
+        if self.path != NEWTON or self.law_of_parameters or self.jacobians[3].nnz():
+            return False
+        return uses_working_set(self.structure, self.law)
 
 
 def make_step_spec(

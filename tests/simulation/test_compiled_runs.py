@@ -882,3 +882,16 @@ def test_a_signal_on_the_command_line(tmp_path, number, status):
     assert process.returncode == status
     assert time.monotonic() - sent < 3  # interpreter, pictures and all
     assert "go on with --resume" in errors
+
+
+@pytest.mark.parametrize("rows", [24, 30])
+def test_many_rows_that_depend_on_l_directly_compile(rows):
+    """Diodes behind one resistor: more rows than those of which a working set is kept, and h_l is not 0."""
+    x, t = ca.SX.sym("x", rows), ca.SX.sym("t")
+    model = nsmodel.LureSystem(
+        t=t, x=x, A=-x - x**3, B=np.eye(rows), C=np.eye(rows), D=0.1 * np.ones((rows, rows)),
+        f=ca.sin(t + ca.DM(np.arange(rows))), law=nsmodel.complementarity(rows), x0=np.zeros(rows), t_end=1.0, step=0.02,
+    )  # fmt: skip
+    compiled, interpreted = (simulate(model, compiled=how, method="time-stepping") for how in (True, False))
+    assert not [text for text in compiled.metadata["warnings"] if "not compiled" in text]
+    np.testing.assert_allclose(compiled.x, interpreted.x, atol=1e-10)
