@@ -12,8 +12,9 @@ piece; they decide nothing else. Pieces by collocation are made in C up to 32 st
 complex pairs are real blocks of twice the size, inverted once a length; those of lengths that are powers of two are kept while
 the slopes stay the same bits. One library serves every rtol, and work is bounded a piece and a call.
 
-What C leaves out returns a status and the place as it was: a start that jumps, Lemke's guesses where no mode of a few switches
-settles, modes that go apart, accumulation, and every error with its words. Friction blocks are refused: they are interpreted.
+What C leaves out returns a status and the place as it was: a start that jumps, guesses by Laplace transforms where no mode of a
+few switches settles, modes that go apart, accumulation, and every error with its words. Germs are judged without the running
+error analysis of `ModeSystem.rounding`. Friction blocks are refused: they are interpreted.
 
 Whether a model with values switches as the code of all values does: C and the integrator take over from each other.
 """
