@@ -37,16 +37,8 @@ def circuit(elements: Sequence[Element], **given: Any) -> LureSystem:
             if node != 0:
                 matrix[i, column[node]] += sign
 
-    def leave(matrix: np.ndarray, j: int, a: Any, b: Any) -> None:
-        """A current that leaves the first node and enters the second, into the laws of both."""
-        for node, sign in ((a, -1.0), (b, 1.0)):
-            if node != 0:
-                matrix[column[node], j] += sign
-
     for k, (_, a, b, *_) in enumerate(of["D"]):
         put(D, k, b, a)
-        leave(D, k, b, a)
-    D[d:, :d] *= -1
     D[d:, :d] = -D[:d, d:].T
     for _, a, b, R in of["R"]:
         for node, sign in ((a, 1.0), (b, -1.0)):
@@ -54,7 +46,6 @@ def circuit(elements: Sequence[Element], **given: Any) -> LureSystem:
                 put(D, column[node], a, b, sign / R)
     for k, (_, a, b, L, *_) in enumerate(coils):
         put(B, k, a, b, 1 / L)
-        leave(C, k, b, a)
         C[:, k] = L * B[k]
     for k, (_, a, b, capacity, *_) in enumerate(capacitors):
         state, own = len(coils) + k, d + len(nodes) + k

@@ -64,10 +64,22 @@ class MultiplierSolver:
 
 
 def _with_rounding(matrix: np.ndarray, condition: float) -> np.ndarray:
+    """|A|, and the rounding that each entry of a block has of the largest of its row and column."""
     A = np.abs(matrix)
-    largest = float(A.max(initial=0.0))
-    rounding = np.outer(A.max(axis=1), A.max(axis=0)) * (ENTRY_ROUNDING * condition / largest) if largest > 0 else 0.0
-    return A + rounding
+    out = A.copy()
+    for rows, columns in _blocks(A):
+        own = A[np.ix_(rows, columns)]
+        if largest := float(own.max(initial=0.0)):
+            out[np.ix_(rows, columns)] += np.outer(own.max(axis=1), own.max(axis=0)) * (ENTRY_ROUNDING * condition / largest)
+    return out
+
+
+def _blocks(A: np.ndarray) -> list[tuple[list[int], list[int]]]:
+    """Rows and columns of the blocks that a square matrix falls into."""
+    m = len(A)
+    nonzero = np.zeros((2 * m, 2 * m), bool)
+    nonzero[:m, m:], nonzero[m:, :m] = A != 0, A.T != 0
+    return [([i for i in group if i < m], [i - m for i in group if i >= m]) for group in connected_components(nonzero)]
 
 
 class ErrorPropagation(NamedTuple):
@@ -147,11 +159,8 @@ def generalised_inverse(A: np.ndarray) -> GeneralisedInverse:
         return GeneralisedInverse(np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0)))
     if not np.isfinite(A).all():
         return GeneralisedInverse(np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0)))
-    nonzero = np.zeros((2 * m, 2 * m), bool)
-    nonzero[:m, m:], nonzero[m:, :m] = A != 0, A.T != 0
     plus, left, right, condition = np.zeros((m, m)), [np.zeros((m, 0))], [np.zeros((m, 0))], 1.0
-    for group in connected_components(nonzero):
-        rows, columns = [i for i in group if i < m], [i - m for i in group if i >= m]
+    for rows, columns in _blocks(A):
         own = _block_inverse(A[np.ix_(rows, columns)])
         plus[np.ix_(columns, rows)], condition = own.plus, max(condition, own.condition)
         for bases, at, basis in ((left, rows, own.left), (right, columns, own.right)):

@@ -37,7 +37,7 @@ from nsmodel.modeling.signals.function import Expression
 from nsmodel.modeling.signals.pwm import Pwm
 from nsmodel.modeling.signals.schedule import merge_near_times
 from nsmodel.modeling.variants import block_input_entries, initial_inputs
-from nsmodel.proof.verdict import not_none
+from nsmodel.proof.verdict import connected_components, not_none
 
 TINY_SPEED = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
 
@@ -130,6 +130,13 @@ class ContinuousProblem:
         if self.held:
             C = ca.horzcat(C[:, :free], ca.SX(C.shape[0], self.held))
         return derivatives(self.g, self.l), derivatives(self.h, self.l), C
+
+    @cached_property
+    def row_groups(self) -> list[list[int]]:
+        """Of each row those that it is tied to: by l in y, or in y', of one or the other, or through further rows."""
+        B, D, C = (ca.DM(matrix.sparsity(), 1) for matrix in self.slopes)
+        tied = np.array(ca.densify(D + C @ B)).reshape(D.shape) != 0
+        return [group for _, group in sorted((i, group) for group in connected_components(tied | tied.T) for i in group)]
 
     @property
     def coupled(self) -> np.ndarray:

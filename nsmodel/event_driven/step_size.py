@@ -210,9 +210,8 @@ def estimate_local_error(
         missed = _max_residual_ratio(
             system, off, most, at, tau, of, (np.abs(velocity) + _multiplier_contribution(system, l)).tolist()
         )
-        little = LITTLE * max(map(abs, l), default=0.0)
         for i, d in of_l:
-            if size := max(system.size_l(i), abs(l[i]), little):
+            if size := max(system.size_l(i), LITTLE * max(abs(l[j]) for j in system.problem.row_groups[i]), abs(l[i])):
                 worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
     worst = max(worst, missed / LOCAL)
     for i in held:
@@ -222,7 +221,7 @@ def estimate_local_error(
             if beyond > goal / LOCAL:
                 moved = tau * at * np.abs(system.slopes()[2][i])
                 size = max(size, float(moved @ _multiplier_contribution(system, l)))
-                size = max(size, system.size_y(i), LITTLE * max(system.terms(k, x, l) for k in held))
+                size = max(size, system.size_y(i), LITTLE * max(system.terms(k, x, l) for k in system.problem.row_groups[i]))
                 beyond = abs(y[i]) - SEEN_ROW * size - float(moved @ of.rounding())
                 goal = MULTIPLIERS * rtol * size
             worst = max(worst, beyond / (goal + NOTHING))

@@ -87,7 +87,7 @@ NEWTON_CONVERGED = 1e-14
 MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 SOLVED = ROUNDING / TIE  # Of what l of a held row is the sum of: what stands for the rounding of its solve, where TIE of it is.
-LITTLE = 1e-6  # Of the largest multiplier, or y: a smaller one is measured beside that.
+LITTLE = 1e-6  # Of the largest multiplier, or y, of rows that are tied: a smaller one is measured beside that.
 RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
@@ -363,9 +363,9 @@ class ModeSystem(ModeSeries):
         return [i for i in off if abs(self.y[i][0]) > known[i]]
 
     def size_y(self, i: int) -> float:
-        """What y_i is measured beside: the largest so far, a part of the largest of all, what it is the sum of, rounding of l."""
+        """What y_i is measured beside: the largest so far, a part of those it is tied to, its terms, rounding of l."""
         terms = self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i)
-        own = max(self.sizes.y[i], LITTLE * max(self.sizes.y, default=0.0), terms)
+        own = max(self.sizes.y[i], LITTLE * max(self.sizes.y[j] for j in self.problem.row_groups[i]), terms)
         return max(own, sum(a * self._solved_terms(j) for j, a in self._feedthrough_terms[i])) if self.feedthrough[i] else own
 
     def _push_scale(self, i: int) -> float:
@@ -385,8 +385,8 @@ class ModeSystem(ModeSeries):
         return self.cached_from_slopes("y of l", lambda _, D, __: nonzero_terms(np.abs(D), self.m), "D")
 
     def size_l(self, i: int) -> float:
-        """What l_i is measured beside: the largest so far, a part of the largest of all, and what rounding leaves of it."""
-        return max(self.sizes.l[i], LITTLE * max(self.sizes.l), self._solved_terms(i))
+        """What l_i is measured beside: the largest so far, a part of those it is tied to, and what rounding leaves of it."""
+        return max(self.sizes.l[i], LITTLE * max(self.sizes.l[j] for j in self.problem.row_groups[i]), self._solved_terms(i))
 
     def _solved_terms(self, i: int) -> float:
         """What l_i is the sum of, the rounding of its solve taken for TIE of it."""

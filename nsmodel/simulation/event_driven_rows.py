@@ -343,16 +343,19 @@ class PieceRows:
         own, of_law = self._facts, np.zeros(len(number))
         if own.direct.any():
             codes = block.codes[number]
-            size_y, size_l = (
-                np.maximum(size, SMALL * (size * own.direct).max(axis=1, keepdims=True) + 1e-300)[number]
-                for size in (block.size_y, block.size_l)
-            )
+            size_y, size_l = (self._sizes_of_tied_rows(size)[number] for size in (block.size_y, block.size_l))
             off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / size_y
             out = np.maximum(np.maximum(own.lower - l, l - own.upper), 0) / size_l
             of_law = (np.maximum(off, out) * own.direct).max(axis=1)
         for at, part in self._curved:
             of_law = np.maximum(of_law, _curved_law_residual(part, l[:, at], y[:, at], block.size_y[number][:, at]))
         return np.where(block.stepped[number], block.residual[number], of_law)
+
+    def _sizes_of_tied_rows(self, sizes: np.ndarray) -> np.ndarray:
+        """Sizes (k, m), of each row SMALL of the largest of those that it is tied to, at least."""
+        direct = sizes * self._facts.direct
+        largest = np.stack([direct[:, group].max(axis=1) for group in self.problem.row_groups], axis=1)
+        return np.maximum(sizes, SMALL * largest + 1e-300)
 
     def _evaluate_records(self, t: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Rows of h, and the columns that are expressions of t, x and l: y, and those of the class; ``both``: x and l."""
