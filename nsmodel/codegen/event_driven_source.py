@@ -131,6 +131,8 @@ def law_tables(spec: PieceSpec) -> PieceTables:
         made.add(name, ends if isinstance(ends, ca.SX) else ends.ravel(), "M", "ends of the law" if name == "lower" else "")
     feeds = set(spec.slopes[1].sparsity().row())
     made.text += c_table("feeds", [i in feeds for i in range(m)], "M", "whether y_i depends on l directly", "int")
+    groups = [min(group) for group in spec.problem.row_groups]
+    made.text += c_table("row_group", groups, "M", "the first of the rows that this one is tied to", "int")
     if "LINEAR" not in flags:
         made.text += c_table("coupled", spec.problem.coupled.ravel(), "M*M", "whether g or h has a product of l_i and l_j", "int")
     if B is not None:

@@ -19,7 +19,7 @@ from tests.circuit_models import Element, T, bridge, circuit, multiplier
 
 
 def pieces(model: LureSystem, rtol: float = 1e-8, **given: Any) -> Any:
-    return simulate(model, rtol=rtol, method="event-driven", compiled=False, **given)
+    return simulate(model, rtol=rtol, method="event-driven", **{"compiled": False} | given)
 
 
 def stepped_end(elements: list[Element], t_end: float, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -129,8 +129,8 @@ def test_a_nearly_ideal_diode_is_the_ideal_one(D):
 
 
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (1e6, 1e-9), (1e9, 1e-9), (1e-9, 1e9)])
-@pytest.mark.parametrize("D", [0.0, 0.1])
-def test_rows_that_do_not_touch_do_not_hide_each_other(scales, D):
+@pytest.mark.parametrize(("D", "compiled"), [(0.0, False), (0.1, False), (0.1, True)])
+def test_rows_that_do_not_touch_do_not_hide_each_other(scales, D, compiled):
     """Two circuits in one model: each goes as the one alone, whatever the other's units are."""
     t, at = ca.SX.sym("t"), np.linspace(0.1, 20, 200)
     pushes, decays = [ca.cos(t), ca.cos(3 * t + 0.4)], [-0.3, -0.7]
@@ -143,6 +143,6 @@ def test_rows_that_do_not_touch_do_not_hide_each_other(scales, D):
             t_end=20, step=1e-2,
         )  # fmt: skip
 
-    both = pieces(model([0, 1]), 1e-6).at(at).x / np.array(scales)
+    both = pieces(model([0, 1]), 1e-6, compiled=compiled).at(at).x / np.array(scales)
     for k in (0, 1):
         assert np.abs(both[:, k] - pieces(model([k]), 1e-10).at(at).x[:, 0]).max() <= 1e-5

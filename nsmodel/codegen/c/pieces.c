@@ -840,13 +840,10 @@ static void record_piece(model_pieces *s, double length, double error)
 static void record_sizes(model_pieces *s)
 {
 #if LAW
-#if FEED
-    const double little = little_l(s);
-#endif
     for (int i = 0; i < M; i++) {
 #if FEED
         s->piece[AT_SIZE_Y + i] = feeds[i] ? size_y(s, i) : 1;
-        s->piece[AT_SIZE_L + i] = feeds[i] ? max_of(s->at.size_l[i], little) : 1;
+        s->piece[AT_SIZE_L + i] = feeds[i] ? size_l(s, i) : 1;
 #else
         s->piece[AT_SIZE_Y + i] = s->piece[AT_SIZE_L + i] = 1;
 #endif

@@ -553,15 +553,16 @@ static double size_y(const model_pieces *s, int i)
     return max_of(s->at.size_y[i], terms_of(s, i, s->at.size_x, s->at.size_l) + RESTS*(s->c[1][T]*pushed));
 }
 
-/* A part of the largest of all l. */
-static double little_l(const model_pieces *s)
+/* A part of the largest l of the rows that row i is tied to. */
+static double little_l(const model_pieces *s, int i)
 {
     double largest = 0;
     for (int j = 0; j < M; j++)
-        largest = max_of(largest, s->at.size_l[j]);
+        if (row_group[j] == row_group[i])
+            largest = max_of(largest, s->at.size_l[j]);
     return LITTLE*largest;
 }
 
 /* What l_i is measured beside. */
-static double size_l(const model_pieces *s, int i) { return max_of(s->at.size_l[i], little_l(s)); }
+static double size_l(const model_pieces *s, int i) { return max_of(s->at.size_l[i], little_l(s, i)); }
 #endif
