@@ -511,8 +511,8 @@ def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierS
 
 
 def germ_rounding(system: ModeSystem, orders: int = ORDERS) -> GermRounding:
-    """What the coefficients of x, l and y are known to, a row each; of curved blocks nothing."""
-    if not (system.is_linear and system.m) or system.how is None:
+    """What the coefficients of x, l and y are known to, a row each, of linear models; of others nothing."""
+    if not (system.is_linear and system.analyses_rounding) or system.how is None:
         return {}
     return {acts: part.tolist() for acts, part in zip("xly", system.rounding(orders), strict=True)}
 

@@ -137,6 +137,8 @@ class ModeSystem(ModeSeries):
             of: self._point_cache if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")
         }
         self._propagations: dict[tuple[int, ...], ErrorPropagation] = {}
+        # Else no l is what rounding leaves: neither of other rows nor of a small D.
+        self.analyses_rounding = bool(self.m and (self.feedthrough.any() or any(len(group) > 1 for group in p.row_groups)))
         self.is_linear = (
             self.constant is not None and not self.blocks.all and not ca.depends_on(derivatives(p.f, p.x), ca.veccat(*inputs))
         )
@@ -196,16 +198,19 @@ class ModeSystem(ModeSeries):
         x, l, y = (np.abs(_first_orders(rows, orders + 3)) for rows in (self.x, self.l, self.y))
         f, h = (x[:, 1:] * np.arange(1, orders + 3)) / tau + B @ l[:, :-1], y + D @ l
         f, h = (part[:, :-1] + early * part[:, 1:] * np.arange(1, part.shape[1]) for part in (f, h))  # At t, rounded.
-        of_x, of_l, of_y = np.zeros((self.n, orders + 2)), np.zeros((self.m, orders + 1)), np.zeros((self.m, orders + 1))
+        part, f, after = np.arange(1, orders + 2) / tau, f[:, : orders + 1], h[:, 1 : orders + 2]
+        x, l, h = (given[:, : orders + 1] for given in (x, l, h))
+        terms, first = C @ x + h, l.copy()
+        first[a] += of.l[1] @ terms[a]  # What l is by y alone, before y' moves it.
+        rate = f + B @ first
+        given = terms[a], rate, (C @ rate + part * after)[a]
+        own_l, own_x = (np.hstack(matrices[1:]) @ np.vstack(given) for matrices in (of.l, of.x))
+        of_x, of_l = np.zeros((self.n, orders + 2)), np.zeros((self.m, orders + 1))
         of_x[:, 0] = x[:, 0]
         for k in range(orders + 1):
-            part, terms, first = (k + 1) / tau, C @ x[:, k] + h[:, k], l[:, k].copy()
-            first[a] += of.l[1] @ terms[a]  # What l is by y alone, before y' moves it.
-            rate = f[:, k] + B @ first
-            given = (of_x[:, k], terms[a], rate, (C @ rate + part * h[:, k + 1])[a])
-            of_l[a, k] = sum((matrix @ v for matrix, v in zip(of.l, given, strict=True)), l[a, k])
-            of_y[:, k] = terms + C @ of_x[:, k] + D @ of_l[:, k]
-            of_x[:, k + 1] = sum((matrix @ v for matrix, v in zip(of.x, given, strict=True)), rate) / part
+            of_l[a, k] = of.l[0] @ of_x[:, k] + own_l[:, k] + l[a, k]
+            of_x[:, k + 1] = (of.x[0] @ of_x[:, k] + own_x[:, k] + rate[:, k]) / part[k]
+        of_y = terms + C @ of_x[:, :-1] + D @ of_l
         u = ROUNDING * (1 + (self.n + self.m) / 4)  # Of sums of so many terms.
         return u * of_x[:, :-1], u * of_l, u * of_y
 
@@ -391,7 +396,7 @@ class ModeSystem(ModeSeries):
     def _solved_terms(self, i: int) -> float:
         """What l_i is the sum of, the rounding of its solve taken for TIE of it."""
         how = self.how
-        if how is None or i not in how.active:
+        if not self.analyses_rounding or how is None or i not in how.active:
             return 0.0
         if self._solved is None:
             self._solved = self._all_solved_terms(how)

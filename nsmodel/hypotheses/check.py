@@ -127,6 +127,7 @@ def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
     return HYPOTHESIS_CHECKS.of(kind).hypotheses
 
 
+@np.errstate(all="ignore")  # A model is looked at where it overflows and where it has no value, too.
 def check(
     model: Model,
     runs: Sequence[Trajectory] | None = None,

@@ -207,6 +207,13 @@ def substitute_in_model(model: T, symbols: ca.SX, values: ca.SX) -> T:
     return map_expressions(model, lambda expression: ca.substitute(expression, symbols, values))
 
 
+def time_as_parameter(model: Any) -> Any:
+    """The model that stands still at t, the last of its parameters without value."""
+    frozen, parameters = copy(model), MappingProxyType({**model.parameters, str(model.t): None})
+    frozen._set(p=ca.vertcat(model.p, model.t), t=ca.SX.sym("t"), parameters=parameters)
+    return frozen
+
+
 def map_expressions(model: T, change: Callable[[ca.SX], ca.SX]) -> T:
     """A copy of the model with each of its expressions changed."""
 

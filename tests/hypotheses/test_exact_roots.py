@@ -4,7 +4,7 @@ import casadi as ca
 import mpmath
 import pytest
 
-from nsmodel import LureSystem, MonotoneInclusion, check, relay
+from nsmodel import LureSystem, MonotoneInclusion, SweepingProcess, check, relay
 from nsmodel.hypotheses.exact_roots import models_at_roots
 
 P, T, X = ca.SX.sym("p"), ca.SX.sym("t"), ca.SX.sym("x")
@@ -55,8 +55,8 @@ def test_an_operator_that_is_monotone_but_near_one_value():
     for less, verdict in ((1e-20, "violated"), (-1e-20, "holds")):
         S = ((P**2 - 2) ** 2 - less) * X
         model = MonotoneInclusion(x=X, field=[0 * X], operator=[S], x0=[0.5], parameters={P: 1.5}, **TIMES)
-        part = check(model, parameters={"p": (1, 2)}, quick=True)["M-T"]
-        assert part.verdict == verdict
+        report = check(model, parameters={"p": (1, 2)}, quick=True)
+        assert (report["M-T"].verdict, report["M-A3"].verdict) == (verdict, verdict)
 
 
 def test_sets_and_laws_that_touch_at_one_time():
@@ -70,3 +70,20 @@ def test_sets_and_laws_that_touch_at_one_time():
     law = relay(1, -((T - 0.3) ** 2), (T - 0.3) ** 2)
     report = check(LureSystem(x=X, t=T, A=[[-1]], B=[1], C=[1], law=law, x0=[1], **TIMES), quick=True)
     assert (report["3.1"].verdict, report["3.1"].witness["t of the law"]) == ("violated", 0.3)
+    assert report["7.1"].verdict == "holds"
+
+
+@pytest.mark.parametrize("k", [0, 1, 2, 5])
+def test_constraints_that_oppose_each_other_at_one_time(k):
+    u, root = UNITS[k]
+    q = ca.SX.sym("q", 2)
+    for gap, verdict in ((0.0, "violated"), (1e-9, "holds")):
+        width = u(T) ** 2 + gap
+        strip = {"floor": q[0] - q[1] / 3, "ceiling": width - q[0] + q[1] / 3}
+        discs = {"disc": ca.norm_2(q) - 1, "other": ca.norm_2(q - ca.vertcat(3 + width, 0)) - 2}
+        for constraints, start in ((strip, [0, 0]), (discs, [0, 5])):
+            model = SweepingProcess(q=q, f=[0 * X, 0], constraints=constraints, q0=start, t=T, **TIMES)
+            for part in (check(model, quick=True)[which] for which in ("A5", "A5'")):
+                assert part.verdict == (verdict if constraints is strip or not gap else part.verdict)
+                assert part.verdict != "violated" or abs(part.witness["t"] - float(root)) < 1e-15
+                assert gap == 0 or part.verdict != "violated"

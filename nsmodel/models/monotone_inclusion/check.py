@@ -16,7 +16,6 @@ x' is the element of F - S - N_C of least length, not longer than F - S; project
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -50,6 +49,7 @@ from nsmodel.hypotheses.inputs import (
 )
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.staying import ROUNDED_DOWN, StayTime, stay_in_ball
+from nsmodel.modeling.parameters import time_as_parameter
 from nsmodel.models.monotone_inclusion import autonomous
 from nsmodel.models.monotone_inclusion import parameters as for_all
 from nsmodel.models.monotone_inclusion.along_run import scheme_convergence
@@ -125,13 +125,6 @@ def check_moving(
     findings = [finding_in_time(finding, str(model.t), time) for finding in uniform.join_findings(box, seen, proved)]
     findings.append(set_motion_finding(model, region, NO_INPUT_BOUNDS, quick))
     return findings, moving_consequences(model, findings, runs)
-
-
-def time_as_parameter(model: MonotoneInclusion) -> MonotoneInclusion:
-    """The inclusion that stands still at t, the last of its parameters without value."""
-    frozen, parameters = copy(model), MappingProxyType({**model.parameters, str(model.t): None})
-    frozen._set(p=ca.vertcat(model.p, model.t), t=ca.SX.sym("t"), parameters=parameters, tolerances=None)
-    return frozen
 
 
 def finding_in_time(finding: Finding, t: str, time: tuple[float, float]) -> Finding:

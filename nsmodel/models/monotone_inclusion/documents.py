@@ -38,7 +38,7 @@ from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.hypotheses.latex import SymbolNames
 from nsmodel.hypotheses.region import potential_without_domain
 from nsmodel.modeling.convex_split import ConvexSplit
-from nsmodel.models.monotone_inclusion.check import time_as_parameter
+from nsmodel.modeling.parameters import time_as_parameter
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints
 from nsmodel.proof.expression_graph import stack_column

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from itertools import chain
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import NsmodelError
+from nsmodel.hypotheses.exact_roots import models_at_roots
 from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED, Consequence, Finding, IntervalBox, Scope, make_finding
 from nsmodel.hypotheses.region import (
     ParameterValues,
@@ -218,14 +220,15 @@ def uniform_consequences(model: MonotoneInclusion, region: Region, own: Sequence
 
 
 def _nondissipative_value(model: MonotoneInclusion, region: Region) -> Finding:
-    """A value at the middle or an end of the box at which (A3) fails."""
-    for at in sample_values(region.parameters)[: 1 + 2 ** len(region.parameters)]:
-        bound = model.bind(at)
+    """A value at the middle or an end of the box at which (A3) fails, or at a root of what the model is made of."""
+    ends = ((at, "", model.bind(at)) for at in sample_values(region.parameters)[: 1 + 2 ** len(region.parameters)])
+    roots = ((at, f"exactly where {text}: ", exact) for at, text, exact in models_at_roots(model, region.parameters))
+    for at, exactly, bound in chain(ends, roots):
         C = constraint_set(bound)
         field = decompose_field(bound, C)
         part = dissipativity(field, linear_growth(field, C.part(region.lower, region.upper), quick=True), quick=True)
         if part.verdict == VIOLATED:
-            how = f"at {', '.join(f'{name} = {value:.6g}' for name, value in at.items())}: {part.how}"
+            how = f"at {', '.join(f'{name} = {value:.6g}' for name, value in at.items())}: {exactly}{part.how}"
             where = Scope(parameters={name: (value, value) for name, value in at.items()})
             return make_finding(M_A3, VIOLATED, how, part.value, {**at, **part.witness}, where)
     return make_finding(M_A3, UNKNOWN, "not proved for all values, and no value was found at which it fails")

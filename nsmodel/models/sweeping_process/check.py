@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.along_run import QUALIFICATION_HYPOTHESIS, constraint_findings, inputs_at_rows
+from nsmodel.hypotheses.exact_roots import models_at_roots
 from nsmodel.hypotheses.findings import (
     HOLDS,
     SAMPLED,
@@ -32,6 +33,7 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.hypotheses.region import Region
 from nsmodel.modeling.base import Model
+from nsmodel.modeling.parameters import time_as_parameter
 from nsmodel.models.sweeping_process.admissible_points import (
     PartialSweepingProcess,
     admissible_points,
@@ -318,6 +320,8 @@ def check(
         points = _admissible_sample(process, len(model.names) > MANY_STATES, quick or searches_are_quick())
         near, active = _mfcq_of_constraints(constraints, each, process, points, model, quick or searches_are_quick())
         timed = any(constraint.shape.time for constraint in constraints)
+        if timed and active.verdict in (SAMPLED, UNKNOWN):
+            near, active = _opposition_at_root(model, region, runs) or (near, active)
         findings += [gamma_finding(A5, near, region, timed), gamma_finding(A5_ACTIVE, active, region, timed)]
         findings.append(_velocity_finding(model, process, region, points, quick))
         findings.append(_decide_start_signs(model, constraints))
@@ -423,6 +427,28 @@ def _mfcq_of_constraints(
     # A bound of |grad g_i| on U_i that was only sampled is none.
     proved = np.array([item["A1"].verdict == HOLDS for item in each], bool)
     return decide_mfcq(constraints, process, np.where(proved, slope, np.inf), reach, points, model.names, quick)
+
+
+def _opposition_at_root(
+    model: SweepingProcess, region: Region, runs: Sequence[Trajectory]
+) -> tuple[QualificationResult, QualificationResult] | None:
+    """The violation of A5 and A5' at one time that no double may be, a root of what the constraints are made of."""
+    t = str(model.t)
+    for values, text, at_rest in models_at_roots(time_as_parameter(model), {t: (region.t0, region.t1)}):
+        instant = replace(region, t0=values[t], t1=values[t])
+        constraints = _constraints_on_region(at_rest, instant)
+        process = _process_with_points(at_rest, constraints, instant, runs)
+        points = _admissible_sample(process, len(model.names) > MANY_STATES, True)
+        near, active = _mfcq_of_constraints(
+            constraints, _answers_of_constraints(constraints, True), process, points, at_rest, True
+        )
+        if near.verdict == VIOLATED:
+            near, active = (
+                part._replace(how=f"exactly where {text}: {part.how}", witness={**part.witness, "t": values[t]})
+                for part in (near, active)
+            )
+            return near, active
+    return None
 
 
 def gamma_finding(hypothesis: Hypothesis, result: QualificationResult, region: Region, timed: bool) -> Finding:
