@@ -104,6 +104,30 @@ def cached_per_object(function: T) -> T:
     return cached  # pyright: ignore[reportReturnType]
 
 
+def cached_per_object_and_key(most: int) -> Callable[[T], T]:
+    """As `cached_per_object`, of an object and a key that can be hashed: the last ``most`` keys are kept for each object."""
+
+    def decorate(function: T) -> T:
+        @cached_per_object
+        def known(made: Any) -> dict[Any, Any]:
+            del made
+            return {}
+
+        @wraps(function)
+        def cached(made: Any, key: Any) -> Any:
+            own = known(made)
+            if key not in own:
+                value = function(made, key)
+                while len(own) >= most:
+                    own.pop(next(iter(own)), None)
+                own[key] = value
+            return own[key]
+
+        return cached  # pyright: ignore[reportReturnType]
+
+    return decorate
+
+
 def import_extra(package: str) -> Any:
     """Return the package, which has an extra of its name; MissingExtraError where it is not installed."""
     try:

@@ -24,7 +24,7 @@ from nsmodel.codegen.structs import BAD_PARAMETER, NO_MODE, PIECE_BATCH_CELLS
 from nsmodel.errors import CodegenError, UsageError
 from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
-from nsmodel.event_driven.problem import switch_times_of
+from nsmodel.event_driven.problem import switch_table, switch_times_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
@@ -92,7 +92,7 @@ class PieceBatch:
         fixed = () if problem.held else known.times
         compiled = PieceLibrary.of(problem, symbolic_problem_hash(problem), fixed)
         self.way = f"{compiled.way}, one library for all values"
-        self._request = RunRequest.made(rtol, atol, known.table, residuals=False)
+        self._request = RunRequest.made(rtol, atol, switch_table(model, self._T), residuals=False)
         library, pointer = compiled.library, ctypes.c_void_p
         self._size = library.function("size", ctypes.c_long)() // 8 + 1
         self._width = library.function("row_width", ctypes.c_long)()

@@ -14,7 +14,7 @@ import numpy as np
 from nsmodel._utils import cached_per_object
 from nsmodel.codegen import event_driven_source
 from nsmodel.codegen import library as cache
-from nsmodel.codegen.event_driven_spec import EVENT_TIMES, is_state_unique, make_piece_spec
+from nsmodel.codegen.event_driven_spec import EVENT_TIMES, PieceSpec, is_state_unique, make_piece_spec
 from nsmodel.codegen.library import (
     COMPILER_FLAGS,
     STEP_NAME,
@@ -63,11 +63,36 @@ class UnsupportedValuesError(CodegenError):
     """The library of all values of the parameters is not for some: a matrix has no inverse."""
 
 
+class PieceCalls(NamedTuple):
+    """What a library of pieces is called for, see `c/pieces_rollout.c`; the numbers of a solver, and its place (a dtype)."""
+
+    begin: Any
+    many: Any
+    columns: Any
+    width: Any
+    takes: Any
+    size: int
+    place: np.dtype
+
+    @staticmethod
+    def of(library: Library, spec: PieceSpec) -> PieceCalls:
+        """Those of a library."""
+        return PieceCalls(
+            library.function("begin", ctypes.c_int, _POINTER, _POINTER, _POINTER, ctypes.c_int),
+            library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER),
+            library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER),
+            library.function("width", _WHOLE, ctypes.c_int),
+            library.function("takes", ctypes.c_int, _POINTER, _POINTER) if "PARAMETERS" in spec.flags else None,
+            library.function("size", _WHOLE)() // 8 + 1,
+            _piece_start_dtype(spec.sizes),
+        )
+
+
 class PieceLibrary(NamedTuple):
     """A library of pieces; the constants of its header, which choices belong to f, g and h, by what it is compiled."""
 
     library: Library
-    sizes: dict[str, int]
+    calls: PieceCalls
     branches: dict[str, slice]
     judged: bool  # Whether parameters decide if x is the only one.
     way: str
@@ -127,25 +152,21 @@ class CompiledPieceIntegrator:
         held: tuple[np.ndarray, np.ndarray], values: Sequence[float] = (), *, residuals: bool,
     ) -> None:  # fmt: skip
         compiled = PieceLibrary.of(problem, mark, known)
-        library, self.sizes, self.branches, _, self.way = compiled
+        _, self._calls, self.branches, _, self.way = compiled
         self.order, self._request = taylor_order(rtol), RunRequest.made(rtol, atol, held, residuals=residuals)
-        self._memory = np.zeros(library.function("size", _WHOLE)() // 8 + 1)
+        self._memory = np.zeros(self._calls.size)
         self._solver = self._memory.ctypes.data
-        layout = _piece_start_dtype(self.sizes)
-        places = 2 * layout.itemsize
-        self.at, self.before = self._memory.view(np.uint8)[:places].view(layout)
+        places = 2 * self._calls.place.itemsize
+        self.at, self.before = self._memory.view(np.uint8)[:places].view(self._calls.place)
         self.times = self._memory[places // 8 :][:EVENT_TIMES]
         self._t = self._memory[:1]
-        self._begin = library.function("begin", ctypes.c_int, _POINTER, _POINTER, _POINTER, ctypes.c_int)
-        self._advance = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)
-        self._evaluate_columns = library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER)
-        self.width = library.function("width", _WHOLE, ctypes.c_int)(self.order)
+        self.width = self._calls.width(self.order)
         self._status, self._values, self._unique = ctypes.c_int(), np.array(values, float), False
         if self._values.size:
-            status = library.function("takes", ctypes.c_int, _POINTER, _POINTER)(self._solver, self._values.ctypes.data)
+            status = self._calls.takes(self._solver, self._values.ctypes.data)
             if status:
                 raise UnsupportedValuesError(f"the library of all values is not for these: {STATUSES[status].meaning}")
-            self._unique = compiled.judged and is_state_unique(problem, self._values)
+            self._unique = compiled.judged and is_state_unique(problem, self._values.tobytes())
 
     @property
     def t(self) -> float:
@@ -154,7 +175,7 @@ class CompiledPieceIntegrator:
 
     def begin(self) -> bool:
         """Choose the mode at the start; whether there is one that C finds."""
-        status = self._begin(self._solver, ctypes.byref(self._request.of), self._values.ctypes.data, self._unique)
+        status = self._calls.begin(self._solver, ctypes.byref(self._request.of), self._values.ctypes.data, self._unique)
         if status == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[status].text}")
         return status == 0
@@ -162,13 +183,13 @@ class CompiledPieceIntegrator:
     def advance(self, until: float, room: int) -> tuple[np.ndarray, bool]:
         """Pieces up to a time, ``room`` at most, as records (K, width), see `c/pieces.c`; whether C cannot make the next."""
         out = np.empty((room, self.width))
-        count = self._advance(self._solver, until, room, out.ctypes.data, ctypes.byref(self._status))
-        return (out if count == room else out[:count].copy()), self._status.value != 0
+        count = self._calls.many(self._solver, until, room, out.ctypes.data, ctypes.byref(self._status))
+        return (out[:count] if 4 * count >= room else out[:count].copy()), self._status.value != 0
 
     def columns(self, given: np.ndarray, count: int) -> np.ndarray:
         """The columns of a trajectory that are expressions of t, x and l; ``given``: these, a row each."""
         given, out = np.ascontiguousarray(given), np.empty((len(given), count))
-        self._evaluate_columns(self._solver, len(given), given.ctypes.data, out.ctypes.data)
+        self._calls.columns(self._solver, len(given), given.ctypes.data, out.ctypes.data)
         return out
 
 
@@ -189,7 +210,7 @@ def _load_piece_library(problem: ContinuousProblem, known: Sequence[float], key:
         }
 
     library = Library(cached_library(key, files, PIECE_FLAGS), {"name": STEP_NAME})
-    return PieceLibrary(library, spec.sizes, spec.branches, "JUDGED" in spec.flags, backend)
+    return PieceLibrary(library, PieceCalls.of(library, spec), spec.branches, "JUDGED" in spec.flags, backend)
 
 
 def _piece_start_dtype(sizes: dict[str, int]) -> np.dtype:

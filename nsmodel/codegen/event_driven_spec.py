@@ -24,7 +24,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import cached_per_object, cached_per_object_and_key
 from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.recurrences import ANY_DEGREE, DiscTable, RecurrencePrinter, SeriesColumns, constant_factor_index
 from nsmodel.errors import CodegenError
@@ -314,9 +314,10 @@ def _slip_series_message(problem: ContinuousProblem) -> str:
     return f"while '{problem.sliding_law_names[0]}' slips, its l is a series of y, which only interpreted pieces have"
 
 
-def is_state_unique(problem: ContinuousProblem, values: np.ndarray) -> bool:
+@cached_per_object_and_key(most=64)
+def is_state_unique(problem: ContinuousProblem, values: bytes) -> bool:
     """Whether g_l, h_l and h_x at these values of the parameters, which do not move, let x be the only one in all modes."""
-    matrices = _slopes_function(problem)(values)
+    matrices = _slopes_function(problem)(np.frombuffer(values))
     return _is_unique_in_all_modes(*(np.array(A).reshape(A.shape) for A in matrices))
 
 

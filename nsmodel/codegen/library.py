@@ -251,11 +251,16 @@ TIMEOUT = 600.0  # Seconds that a compiler may take.
 
 def compiler() -> str | None:
     """The C compiler: the one that CC names, else cc, gcc or clang, whichever is there; None where there is none."""
-    named = os.environ.get("CC", "").strip()
-    for name in [named] if named else COMPILERS:
-        if shutil.which(name.split()[0]):
-            return name
-    return None
+    at = named, _ = os.environ.get("CC", "").strip(), os.environ.get("PATH")
+    if at not in _FOUND_COMPILERS:
+        found = next((name for name in ([named] if named else COMPILERS) if shutil.which(name.split()[0])), None)
+        if found is None:
+            return None
+        _FOUND_COMPILERS[at] = found
+    return _FOUND_COMPILERS[at]
+
+
+_FOUND_COMPILERS: dict[tuple[str, str | None], str] = {}  # Where CC and PATH are these.
 
 
 def no_compiler_error() -> CodegenError:

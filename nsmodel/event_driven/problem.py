@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import cached_per_object, cached_per_object_and_key
 from nsmodel.errors import EmptyLawError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import model_ticks
@@ -358,12 +358,6 @@ class SwitchTimes:
         held = self.data(t, x)
         return [*x[: len(x) - len(held)], *held]
 
-    @property
-    def table(self) -> tuple[np.ndarray, np.ndarray]:
-        """0 and the times after it (K,), and what is held after each (K, held)."""
-        times = [0.0, *(t for t in self.times if t > 0)]
-        return np.array(times), np.array([[] if self.data is None else self.data(t, None) for t in times])
-
 
 def reaches_time(t: float, known: float) -> bool:
     """Whether t is at a known time, to rounding, or beyond."""
@@ -377,9 +371,21 @@ def switch_times_of(model: Model, t_end: float) -> SwitchTimes:
     """The known times of a model, and of the signals of a run also those beyond its end: pieces go beyond it."""
     if not model.inputs:
         return SwitchTimes(model.switch_times)
-    ahead = AHEAD * t_end
+    moves = any(signal.moving for signal in model.inputs.values())
+    data, moving = partial(input_states, model), partial(next_moving_edge, model) if moves else None
+    return SwitchTimes(_times_of_signals(model, AHEAD * t_end), data, moving)
+
+
+@cached_per_object_and_key(most=4)
+def _times_of_signals(model: Model, ahead: float) -> tuple[float, ...]:
     joints = [signal.joints(ahead) for signal in model.inputs.values() if isinstance(signal, Signal)]
     ticks = [block.ticks(ahead) for block in model.blocks]
-    times = merge_near_times(np.concatenate([np.array(model.switch_times, float), *joints, *ticks]))
-    moves = any(signal.moving for signal in model.inputs.values())
-    return SwitchTimes(tuple(times.tolist()), partial(input_states, model), partial(next_moving_edge, model) if moves else None)
+    return tuple(merge_near_times(np.concatenate([np.array(model.switch_times, float), *joints, *ticks])).tolist())
+
+
+@cached_per_object_and_key(most=4)
+def switch_table(model: Model, t_end: float) -> tuple[np.ndarray, np.ndarray]:
+    """0 and the known times of a model after it (K,), and what is held after each (K, held)."""
+    known = switch_times_of(model, t_end)
+    times = [0.0, *(t for t in known.times if t > 0)]
+    return np.array(times), np.array([[] if known.data is None else known.data(t, None) for t in times])

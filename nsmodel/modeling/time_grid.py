@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import MIN_TOLERANCE
+from nsmodel._utils import MIN_TOLERANCE, cached_per_object_and_key
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import step_array
@@ -140,6 +140,7 @@ def make_grid(
     return _with_schedule(TimeGrid(N, h, T - (N - 1) * h), drive)
 
 
+@cached_per_object_and_key(most=4)
 def input_schedule(model: Model, t_end: float) -> InputSchedule:
     """What drives a model up to t_end; ModelError where a signal is none up to there."""
     return InputSchedule.of(model.inputs, t_end, [block.ticks(t_end) for block in model.blocks])

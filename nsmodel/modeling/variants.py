@@ -34,6 +34,8 @@ def with_inputs(model: T, signals: Signals | None = None) -> T:
     Raises:
         UsageError: a name that is no input; an input that nothing drives; another number of values.
     """
+    if signals is None and all(signal is not None for signal in model.inputs.values()):
+        return model
     named = signals_by_name(signals, model.input_groups)
     for name in [name for name, signal in named.items() if has_held_duty(signal)]:
         raise UsageError(f"input '{name}': a pwm whose duty is an expression; declare it in the model, whose blocks it reads")

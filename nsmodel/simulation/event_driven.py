@@ -31,6 +31,7 @@ from nsmodel.event_driven.problem import (
     block_set_entries,
     inputs_between_rows,
     signal_kinds,
+    switch_table,
     switch_times_of,
     with_input_states,
 )
@@ -86,6 +87,7 @@ def choose_piece_backend(
     mark: str,
     known: SwitchTimes,
     symbolic_model: Model | None,
+    t_end: float,
 ) -> PieceBackend:
     """In C where that is asked for, or pays, or the run that is resumed had it.
 
@@ -105,7 +107,7 @@ def choose_piece_backend(
 
         if model.blocks:
             raise CodegenError("pieces that blocks end have no C counterpart")
-        fixed, held = () if problem.held else known.times, known.table
+        fixed, held = () if problem.held else known.times, switch_table(model, t_end)
         if of_all is not None:
             with suppress(UnsupportedValuesError):
                 return CompiledPieceIntegrator(*of_all[:2], *tolerances, fixed, held, of_all[2], residuals=options.certified)
@@ -258,14 +260,16 @@ class EventDrivenPropagator:
         own = [*signal_kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
         mark = content_digest([same["model"], *own]) if model.inputs else same["model"]
         self._drive = input_schedule(model, self.T) if model.inputs else None
-        chosen = choose_piece_backend(problem, options, resumed_backend(), (rtol, atol), model, mark, known, symbolic_model)
+        chosen = choose_piece_backend(
+            problem, options, resumed_backend(), (rtol, atol), model, mark, known, symbolic_model, self.T
+        )
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record = PieceRows(problem, self.maker.order, options.save_every, self.T, self.times, chosen.columns)
         self._in_chunks = options.folder is not None and not options.certified
+        self.defers_reading = not options.certified
         self.k = self._made = 0  # Rows, and pieces.
         self._new: list[PieceBuffer] = []  # Pieces that are not counted yet.
-        self._outputs = OutputColumns.of(model, problem.rows if problem.multipliers is None else problem.declared)
-        self._outputs(self._sample_columns())  # An unknown name is refused before the first piece.
+        self._outputs = _checked_output_columns(model)
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
         self.certified: CertifiedRun | None = None
         self.warnings = [*found, *chosen.warnings]
@@ -392,19 +396,6 @@ class EventDrivenPropagator:
         arrays |= self._outputs(arrays)
         return arrays if self.certified is None else arrays | self.certified.arrays(self.record.numbers, arrays["t"], arrays["x"])
 
-    def _sample_columns(self) -> dict[str, np.ndarray]:
-        """Columns as runs have them, of one row."""
-        sizes = {
-            **row_properties(self.problem).columns,
-            "multipliers": row_properties(self.problem).visible_multipliers,
-            "x": self.problem.states,
-        }
-        sizes |= {"inputs": self.model.u.numel()} if self.model.inputs else {}
-        sizes |= {"reactions": sizes["multipliers"]} if self.problem.impulses else {}
-        return {name: np.zeros(1) for name in ("t", "step", "residual", "energy") if name != "energy" or name in sizes} | {
-            name: np.zeros((1, size)) for name, size in sizes.items() if name != "energy"
-        }
-
     def _fill_block_inputs(self, arrays: dict[str, np.ndarray]) -> None:
         """What blocks hold, in the columns of the inputs: as in the piece that ends at a row, and in that which begins before."""
         entries, places = block_set_entries(self.model)
@@ -500,6 +491,20 @@ def _check_provable(problem: ContinuousProblem, options: Options) -> None:
         raise NotEventDriven(
             f"certify='interval' proves boxes alone; while '{problem.sliding_law_names[0]}' slips, its l is a series of y"
         )
+
+
+@cached_per_object
+def _checked_output_columns(model: Model) -> OutputColumns:
+    """The outputs of a model; UsageError for a name in them that its runs do not have."""
+    problem = event_driven_problem(model)
+    found = OutputColumns.of(model, problem.rows if problem.multipliers is None else problem.declared)
+    own = row_properties(problem)
+    sizes = {**own.columns, "multipliers": own.visible_multipliers, "x": problem.states}
+    sizes |= {"inputs": model.u.numel()} if model.inputs else {}
+    sizes |= {"reactions": own.visible_multipliers} if problem.impulses else {}
+    lists = {name: np.zeros(1) for name in ("t", "step", "residual", "energy") if name != "energy" or name in sizes}
+    found(lists | {name: np.zeros((1, size)) for name, size in sizes.items() if name != "energy"})
+    return found
 
 
 @cached_per_object

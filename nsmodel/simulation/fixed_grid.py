@@ -73,6 +73,7 @@ class SchemePropagator:
 
     record: RowRecord
     rows_lost: bool = False
+    defers_reading: bool = False
 
     def __init__(
         self, model: Model, options: Options, grid: TimeGrid, compiled_grid: TimeGrid, resumed_backend: ResumedBackend,

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,6 +26,7 @@ from nsmodel.modeling.fingerprint import BACKEND_SETTING, settings_difference
 from nsmodel.simulation import propagator as told
 from nsmodel.simulation.options import Options
 from nsmodel.simulation.propagator import CHUNK_SECONDS, Propagator, is_numerical_error, unsolvable_step_error
+from nsmodel.simulation.run_data import Contents, deferred_run
 from nsmodel.simulation.run_folder import JOINED_FILE, ChunkStore, unfinished_manifest
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.version import VERSION
@@ -226,8 +228,9 @@ class RunLoop:
         """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""
         propagator, store, folder = self.propagator, self.store, self.options.folder
         if store is None:
-            propagator.note()
-            run = Trajectory(propagator.columns(), self._metadata(status, message))
+            if propagator.defers_reading and folder is None and status == "done":
+                return deferred_run(Trajectory, partial(self._contents, status, message))
+            run = Trajectory(*self._contents(status, message))
             if folder is not None:
                 _save_trajectory(run, folder / JOINED_FILE)
             return run
@@ -243,6 +246,12 @@ class RunLoop:
             error.trajectory = self._partial_trajectory(status, message)
             raise
         return Trajectory.load(store.directory / JOINED_FILE)
+
+    def _contents(self, status: str, message: str) -> Contents:
+        """What is told of a run that is whole in memory."""
+        with np.errstate(all="ignore"):
+            self.propagator.note()
+            return self.propagator.columns(), self._metadata(status, message)
 
     def _partial_trajectory(self, status: str, message: str) -> Trajectory | None:
         """The run so far without writing: what is in the folder, if it can be read, and the rows not yet written."""

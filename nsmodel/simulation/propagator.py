@@ -57,10 +57,11 @@ class Propagator(Protocol):
         settings: all that the numbers depend on (see `identity`).
         N: steps in all, as far as that is known; k: steps taken; record: the rows not yet written.
         counts: steps by solver; totals: what is known of all steps; warnings: about the run as a whole.
-        bar: options of a progress bar; passed: how far the run is, in its unit.
-        ended: whether nothing is left to do; time, h: where the next step starts, and its length.
+        bar: options of a progress bar; progress: how far the run is, in its unit.
+        finished: whether nothing is left to do; time, h: where the next step starts, and its length.
         runaway: name and value of the largest state, where that has left the range of numbers to compute with.
-        torn: whether it stands behind rows that it has not: no place to go on from.
+        rows_lost: whether it stands behind rows that it has not: no place to go on from.
+        defers_reading: whether ``note`` and ``columns`` may wait until somebody looks at the run.
     """
 
     model: Any
@@ -69,6 +70,7 @@ class Propagator(Protocol):
     N: int
     k: int
     rows_lost: bool
+    defers_reading: bool
     record: Any  # Rows
     counts: Counter[str]
     totals: dict[str, Any]
@@ -128,6 +130,7 @@ class GridProgress:
     """Where a walk over a grid stands: at row k of N."""
 
     rows_lost: bool = False
+    defers_reading: bool = False
     grid: TimeGrid
     N: int
     k: int

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +16,22 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.parts import Part
 from nsmodel.solvers.contacts import Contacts
 
+Contents = tuple[dict[str, np.ndarray], dict[str, Any]]  # The arrays and the metadata of a run.
+
+
+class _Unread:
+    """What is read into a run when it is first asked for, by whichever thread comes first."""
+
+    def __init__(self, read: Callable[[], Contents]) -> None:
+        self._read, self._lock = read, Lock()
+
+    def put_into(self, attributes: dict[str, Any]) -> None:
+        with self._lock:
+            if "arrays" not in attributes:
+                arrays, metadata = self._read()
+                attributes |= {"metadata": metadata, "arrays": arrays}
+                del attributes["_unread"]
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class RunData:
@@ -22,6 +39,10 @@ class RunData:
 
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The arrays and the metadata, made where they were not asked for yet."""
+        return {"arrays": self.arrays, "metadata": self.metadata}
 
     @property
     def t(self) -> np.ndarray:
@@ -127,8 +148,12 @@ class RunData:
 
     def __getattr__(self, name: str) -> np.ndarray:
         """Find a state by its symbol or name, an array by its own, or a multiplier."""
-        # copy and pickle ask an empty instance for dunder names before it has arrays.
-        if name.startswith("__") or name in ("arrays", "metadata"):
+        if name in ("arrays", "metadata"):
+            if (unread := vars(self).get("_unread")) is not None:
+                unread.put_into(vars(self))
+            if name in vars(self):
+                return vars(self)[name]
+        if name.startswith("_") or name in ("arrays", "metadata"):  # copy and pickle ask an instance before it has arrays.
             raise AttributeError(name)
         stems, names = self.metadata.get("stems", {}), self.metadata.get("state_names", ())
         if name in stems:
@@ -150,6 +175,16 @@ class RunData:
     def __len__(self) -> int:
         """Return the number of steps."""
         return len(self.t) - 1
+
+
+R = TypeVar("R", bound=RunData)
+
+
+def deferred_run(kind: type[R], read: Callable[[], Contents]) -> R:
+    """A run whose arrays and metadata are made by ``read`` when one of them is first asked for."""
+    run = kind.__new__(kind)
+    vars(run)["_unread"] = _Unread(read)
+    return run
 
 
 MODEL_TYPE = Part[type[Model]]("model_type")

@@ -7,11 +7,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Unpack
 
+import numpy as np
+
+from nsmodel._utils import cached_per_object_and_key
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import BACKEND_SETTING
-from nsmodel.modeling.parameters import describe_argument
+from nsmodel.modeling.parameters import Values, describe_argument
 from nsmodel.modeling.time_grid import TimeGrid, make_grid
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.proof.expression_graph import OpaqueExpression
@@ -196,7 +199,20 @@ def _driven_and_bound(model: Any, options: Options) -> tuple[Model, Model]:
             f"expected a model such as LureSystem(...), not {describe_argument(model)}; a file is read with nsmodel.load(path)"
         )
     driven = with_inputs(model, options.inputs)
-    return driven, driven.bind(options.parameters)
+    return driven, bound_model(driven, options.parameters)
+
+
+def bound_model(model: Model, parameters: Values | None) -> Model:
+    """The model with numbers for its parameters, the same object for the same numbers: what is made of it is made once."""
+    numbers = {**model.parameters, **model.values_of(parameters)}
+    if not numbers or None in numbers.values():
+        return model.bind(parameters)  # Which says what is missing.
+    return _model_bound_to(model, np.array(list(numbers.values()), float).tobytes())
+
+
+@cached_per_object_and_key(most=4)
+def _model_bound_to(model: Model, numbers: bytes) -> Model:
+    return model.bind(dict(zip(model.parameters, np.frombuffer(numbers).tolist(), strict=True)))
 
 
 def _make_run_grid(model: Model, options: Options) -> TimeGrid:
