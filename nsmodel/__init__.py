@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
     from nsmodel.models.sweeping_process.model import SweepingProcess
     from nsmodel.simulation.loop import RunInterrupted
+    from nsmodel.simulation.prepared import PreparedRun, prepare
     from nsmodel.simulation.simulate import explain, simulate
     from nsmodel.simulation.stepper import ModelStepper, stepper
     from nsmodel.simulation.trajectory import Trajectory
@@ -73,6 +74,7 @@ __all__ = [
     "MonotoneInclusion",
     "NsmodelError",
     "PlotError",
+    "PreparedRun",
     "Report",
     "RunInterrupted",
     "Signal",
@@ -104,6 +106,7 @@ __all__ = [
     "neighbours",
     "pid",
     "polyhedron",
+    "prepare",
     "product",
     "pwm",
     "relay",
@@ -139,6 +142,7 @@ _later(
         "nsmodel.models.friction_oscillator.model": ["FrictionOscillator"],
         "nsmodel.models.sweeping_process.model": ["SweepingProcess"],
         "nsmodel.simulation.loop": ["RunInterrupted"],
+        "nsmodel.simulation.prepared": ["PreparedRun", "prepare"],
         "nsmodel.simulation.simulate": ["explain", "simulate"],
         "nsmodel.simulation.stepper": ["ModelStepper", "stepper"],
         "nsmodel.study.stress": ["Stress", "stress"],

@@ -19,7 +19,7 @@ from page import put, save
 import nsmodel
 from nsmodel import LureSystem, relay
 from nsmodel.plot.style import LINES, blank, dress
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.study import Line, Point
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -175,7 +175,7 @@ def timed(model: Any, **options: Any) -> tuple[Any, float]:
     """A run and the CPU seconds of its steps: the least of several after a warm-up."""
     found: list[float] = []
     while len(found) < 2 or (len(found) <= REPEATS and sum(found) < ENOUGH):
-        prepared = prepare(model, **options)
+        prepared = prepared_loop(model, **options)
         run = prepared.go()
         found.append(prepared.cpu_seconds)
     return run, min(found[1:])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -78,7 +79,7 @@ class PieceCalls(NamedTuple):
     def of(library: Library, spec: PieceSpec) -> PieceCalls:
         """Those of a library."""
         return PieceCalls(
-            library.function("begin", ctypes.c_int, _POINTER, _POINTER, _POINTER, ctypes.c_int),
+            library.function("begin", ctypes.c_int, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER),
             library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER),
             library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER),
             library.function("width", _WHOLE, ctypes.c_int),
@@ -121,7 +122,9 @@ class RunRequest:
     residuals: bool
 
     @classmethod
-    def made(cls, rtol: float, atol: Sequence[float], held: tuple[np.ndarray, np.ndarray], *, residuals: bool) -> Self:
+    def made(
+        cls, rtol: float, atol: Sequence[float] | np.ndarray, held: tuple[np.ndarray, np.ndarray], *, residuals: bool
+    ) -> Self:
         """Of lists."""
         times, data = (np.ascontiguousarray(part) for part in held)
         return cls(rtol, np.array(atol, float), times, data, residuals)
@@ -152,30 +155,50 @@ class CompiledPieceIntegrator:
         held: tuple[np.ndarray, np.ndarray], values: Sequence[float] = (), *, residuals: bool,
     ) -> None:  # fmt: skip
         compiled = PieceLibrary.of(problem, mark, known)
-        _, self._calls, self.branches, _, self.way = compiled
+        _, self._calls, self.branches, self._judged, self.way = compiled
+        self._problem = problem
         self.order, self._request = taylor_order(rtol), RunRequest.made(rtol, atol, held, residuals=residuals)
+        self.width = self._calls.width(self.order)
+        self._allocate(np.array(values, float))
+        if self.values.size and (status := self._calls.takes(self._solver, self.values.ctypes.data)):
+            raise UnsupportedValuesError(f"the library of all values is not for these: {STATUSES[status].meaning}")
+
+    def _allocate(self, values: np.ndarray) -> None:
+        """Memory of a solver of its own, and the values of the parameters."""
         self._memory = np.zeros(self._calls.size)
         self._solver = self._memory.ctypes.data
         places = 2 * self._calls.place.itemsize
         self.at, self.before = self._memory.view(np.uint8)[:places].view(self._calls.place)
         self.times = self._memory[places // 8 :][:EVENT_TIMES]
-        self._t = self._memory[:1]
-        self.width = self._calls.width(self.order)
-        self._status, self._values, self._unique = ctypes.c_int(), np.array(values, float), False
-        if self._values.size:
-            status = self._calls.takes(self._solver, self._values.ctypes.data)
-            if status:
-                raise UnsupportedValuesError(f"the library of all values is not for these: {STATUSES[status].meaning}")
-            self._unique = compiled.judged and is_state_unique(problem, self._values.tobytes())
+        self._t, self._status, self.values = self._memory[:1], ctypes.c_int(), values
+
+    def again(self, values: np.ndarray, held: tuple[np.ndarray, np.ndarray] | None) -> CompiledPieceIntegrator:
+        """The pieces of the same library for other values, as many, and other known times where these are ``held``."""
+        other = copy(self)
+        other._allocate(values)
+        if held is not None:
+            other._request = RunRequest.made(self._request.rtol, self._request.atol, held, residuals=self._request.residuals)
+        return other
 
     @property
     def t(self) -> float:
         """Where the next piece starts, ``at["t"]``."""
         return self._t.item()
 
-    def begin(self) -> bool:
-        """Choose the mode at the start; whether there is one that C finds."""
-        status = self._calls.begin(self._solver, ctypes.byref(self._request.of), self._values.ctypes.data, self._unique)
+    @property
+    def is_unique(self) -> bool:
+        """Whether parameters that are symbols in C are known to let x be the only one in all modes."""
+        return self.values.size > 0 and self._judged and is_state_unique(self._problem, self.values.tobytes())
+
+    @property
+    def proved_unique(self) -> bool:
+        """Whether C proved of the mode after each event so far that x is the only one."""
+        return not self.at["unique"][1:].any()
+
+    def begin(self, x0: np.ndarray | None = None, *, unique: bool | None = None) -> bool:
+        """Choose the mode at the start (n,), left out that of the model; whether C finds one. ``unique``: see ``is_unique``."""
+        unique, start = self.is_unique if unique is None else unique, None if x0 is None else x0.ctypes.data
+        status = self._calls.begin(self._solver, ctypes.byref(self._request.of), self.values.ctypes.data, unique, start)
         if status == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[status].text}")
         return status == 0

@@ -151,18 +151,28 @@ def with_start_parameters(model: M, states: Sequence[str]) -> M:
     """
     if not states:
         return model
+    symbols = {state: ca.SX.sym(start_name(state)) for state in states}
+    other = with_start(model, symbols)
+    names = dict.fromkeys(start_name(state) for state in states)
+    other._set(p=ca.vertcat(model.p, *symbols.values()), parameters=MappingProxyType({**model.parameters, **names}))
+    return other
+
+
+def with_start(model: M, starts: Mapping[str, Any]) -> M:
+    """The model with other starts, numbers or symbols, of these states.
+
+    Raises:
+        UsageError: what the model does not start from.
+    """
     known = start_entries(model)
     fields: dict[str, ca.SX] = {}
-    symbols = []
-    for state in states:
+    for state, value in starts.items():
         if state not in known:
             hint = difflib.get_close_matches(state, list(known), 1)
             available = f"there are {', '.join(known)}" if known else f"{type(model).__name__} has its start in its own arguments"
             raise UsageError(f"start: '{state}' is no state; {available}" + (f". Did you mean '{hint[0]}'?" if hint else ""))
         field, entry = known[state]
-        symbols.append(ca.SX.sym(start_name(state)))
-        fields.setdefault(field, ca.SX(getattr(model, field)))[entry] = symbols[-1]
+        fields.setdefault(field, ca.SX(getattr(model, field)))[entry] = value
     other = model.__copy__()
-    names = dict.fromkeys(start_name(state) for state in states)
-    other._set(**fields, p=ca.vertcat(model.p, *symbols), parameters=MappingProxyType({**model.parameters, **names}))
+    other._set(**fields)
     return other

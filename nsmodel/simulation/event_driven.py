@@ -344,6 +344,12 @@ class EventDrivenPropagator:
                 self._cut["cut"]["rows"] = self.record.filled - self._cut["cut"]["rows"]
             self.rows_lost = False
 
+    def take_over(self, steps: Any, block: PieceBuffer) -> None:
+        """Take pieces from the start on that ``steps`` in C of the same run have made, and what they counted."""
+        maker: Any = self.maker
+        maker.take_over(steps)
+        self._take_pieces(block)
+
     def _take_pieces(self, block: PieceBuffer) -> None:
         self.record.take(block)
         self._new.append(block)

@@ -229,8 +229,8 @@ class RunLoop:
         propagator, store, folder = self.propagator, self.store, self.options.folder
         if store is None:
             if propagator.defers_reading and folder is None and status == "done":
-                return deferred_run(Trajectory, partial(self._contents, status, message))
-            run = Trajectory(*self._contents(status, message))
+                return deferred_run(Trajectory, partial(self.contents, status, message))
+            run = Trajectory(*self.contents(status, message))
             if folder is not None:
                 _save_trajectory(run, folder / JOINED_FILE)
             return run
@@ -247,7 +247,7 @@ class RunLoop:
             raise
         return Trajectory.load(store.directory / JOINED_FILE)
 
-    def _contents(self, status: str, message: str) -> Contents:
+    def contents(self, status: str, message: str) -> Contents:
         """What is told of a run that is whole in memory."""
         with np.errstate(all="ignore"):
             self.propagator.note()

@@ -324,16 +324,21 @@ class ExplainKeywords(StepperKeywords, total=False):
     certify: str
 
 
-class OptionKeywords(ExplainKeywords, total=False):
-    """The options of `simulate`: all."""
+class PrepareKeywords(ExplainKeywords, total=False):
+    """The options of `prepare`: all but those of a folder and of a bar."""
 
     steps: Sequence[float] | None
     save_every: int
+    atol: float | Sequence[float] | None
+    times: Sequence[float] | None
+
+
+class OptionKeywords(PrepareKeywords, total=False):
+    """The options of `simulate`: all."""
+
     out: str | Path | None
     resume: bool
     progress: bool
-    atol: float | Sequence[float] | None
-    times: Sequence[float] | None
 
 
 class SweepKeywords(TypedDict, total=False):

@@ -310,13 +310,17 @@ class CompiledPieces:
 
     def __init__(self, problem: ContinuousProblem, build_hybrid: Callable[[], HybridIntegrator], steps: Any) -> None:
         """``steps``: `codegen.event_driven_runs.CompiledPieceIntegrator`."""
-        self.problem, self._build_hybrid, self._c = problem, build_hybrid, steps
+        self.problem, self._build_hybrid, self.steps = problem, build_hybrid, steps
         self._layout = PieceLayout(problem.x.numel(), problem.l.numel(), steps.order + 1)
         self._stopped: str | None = None  # Of the integrator.
         self._fallback_state = INITIAL_CHECKPOINT  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
         if not steps.begin():
             self.restore(self._interpreted_pieces.checkpoint())
+
+    def take_over(self, steps: Any) -> None:
+        """Go on from where other steps in C of the same problem stand."""
+        self.steps, self._stopped, self._fallback_state, self._behind = steps, None, INITIAL_CHECKPOINT, None
 
     @cached_property
     def _interpreted_pieces(self) -> InterpretedPieces:
@@ -331,17 +335,17 @@ class CompiledPieces:
     @property
     def t(self) -> float:
         """Where the next piece starts."""
-        return self._c.t if self._fallback_step is None else float(self._fallback_step["t"])
+        return self.steps.t if self._fallback_step is None else float(self._fallback_step["t"])
 
     @property
     def tau(self) -> float:
         """Its unit of time."""
-        return float(self._c.at["tau"])
+        return float(self.steps.at["tau"])
 
     @property
     def x(self) -> np.ndarray:
         """Its state."""
-        return self._c.at["x"].copy() if self._fallback_step is None else np.array(self._fallback_step["x"])
+        return self.steps.at["x"].copy() if self._fallback_step is None else np.array(self._fallback_step["x"])
 
     @property
     def _fallback_step(self) -> dict[str, Any] | None:
@@ -352,14 +356,14 @@ class CompiledPieces:
     @property
     def order(self) -> int:
         """Of the series."""
-        return self._c.order
+        return self.steps.order
 
     def make_pieces(self, until: float, room: int) -> PieceBuffer:
         """As many pieces as there is room for; what C cannot make is interpreted, and all from a stop until pieces go on."""
         self.behind, self._behind = 1, None
         if self._stopped is None and self._fallback_step is None:
-            rows, stuck = self._c.advance(
-                until, max(1, min(PIECES_PER_REQUEST * room, MAX_PIECES_PER_CALL, MAX_CALL_BYTES // (8 * self._c.width)))
+            rows, stuck = self.steps.advance(
+                until, max(1, min(PIECES_PER_REQUEST * room, MAX_PIECES_PER_CALL, MAX_CALL_BYTES // (8 * self.steps.width)))
             )
             if len(rows) or not stuck:
                 return PieceBuffer(rows, self._layout)
@@ -374,7 +378,7 @@ class CompiledPieces:
         """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""
         if before and self._behind is not None:
             return self._behind[1]
-        place = self._c.before if before else self._c.at
+        place = self.steps.before if before else self.steps.at
         unique = {verdict: int(count) for verdict, count in zip(UNIQUENESS_VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
         past = [dict(one) for one in self._fallback_state["past"]]
@@ -388,7 +392,7 @@ class CompiledPieces:
         """As the course's."""
         if before and self._behind is not None:
             return self._behind[0]
-        place, m = self._c.before if before else self._c.at, self.problem.l.numel()
+        place, m = self.steps.before if before else self.steps.at, self.problem.l.numel()
         choices = [place["choice"][:-1][self._branch_slice(part)].tolist() for part in self._branch_parts]
         n = int(place["events"]).bit_length()
         counts = self.counts(before=before)
@@ -401,7 +405,7 @@ class CompiledPieces:
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
             },
             "begun": [place["impulse"][:m].tolist(), float(place["event_width"])] if place["begun"] else None,
-            "accumulation": {"events": int(place["events"]), "times": self._c.times[:n].tolist(), "tiny": int(place["tiny"])},
+            "accumulation": {"events": int(place["events"]), "times": self.steps.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
             "undecided": place["undecided"].tolist(), "still": int(place["still"]),
             "stiff": dict(zip(STIFF_FIELDS, place["stiff"].tolist(), strict=True)),
@@ -412,7 +416,7 @@ class CompiledPieces:
         """Take up what ``standing`` gave."""
         self._fallback_state = {name: deepcopy(saved[name]) for name in INITIAL_CHECKPOINT}
         saved = saved["integrator"]
-        place, m = self._c.at, self.problem.l.numel()
+        place, m = self.steps.at, self.problem.l.numel()
         place["t"], place["tau"], place["x"], place["begun"] = saved["t"], saved["tau"], saved["x"], saved["begun"] is not None
         place["codes"][:m], place["l"][:m] = saved["codes"], saved["l"]
         place["impulse"][:m], place["event_width"] = saved["begun"] or (0.0, 0.0)
@@ -424,7 +428,7 @@ class CompiledPieces:
         for kind, i in saved["open"]:
             place["open"][i if kind == "row" else m + self._branch_slice(kind).start + i] = 1
         counted = saved["accumulation"]
-        self._c.times[: len(counted["times"])] = counted["times"]
+        self.steps.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
         place["stiff"] = [saved["stiff"][name] for name in STIFF_FIELDS]
         self._stopped, place["undecided"], place["still"] = saved["stopped"], saved["undecided"], saved["still"]
@@ -434,10 +438,10 @@ class CompiledPieces:
 
     @property
     def _branch_parts(self) -> list[str]:
-        return list(self._c.branches)
+        return list(self.steps.branches)
 
     def _branch_slice(self, part: str) -> slice:
-        return self._c.branches[part]
+        return self.steps.branches[part]
 
     def _open_switches(self, opened: np.ndarray) -> list[tuple[str, int]]:
         m = self.problem.l.numel()

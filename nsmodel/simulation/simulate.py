@@ -50,7 +50,7 @@ def simulate(model: Model, **options: Unpack[OptionKeywords]) -> Trajectory:
         return make_run(model, requested).go()
 
 
-def prepare(model: Model, **options: Any) -> RunLoop:
+def prepared_loop(model: Model, **options: Any) -> RunLoop:
     """Return a run that has all its set-up behind it: ``run.go()``, once, then ``run.cpu_seconds`` is what its steps took.
 
     The options are those of ``simulate`` but ``out``, ``resume`` and ``progress``.

@@ -12,7 +12,7 @@ import casadi as ca
 
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.mlcp import QP_SOLVERS as QP_SOLVERS
 from nsmodel.solvers.plan import STEP_SOLVERS
@@ -111,7 +111,7 @@ def time_runs(model: Model, options: Mapping[str, Any]) -> TimedRun:
     setup, wall, seconds = [], [], []
     while True:
         start = time.perf_counter()
-        prepared = prepare(model, **options)
+        prepared = prepared_loop(model, **options)
         setup.append(time.perf_counter() - start)
         start = time.perf_counter()
         run = prepared.go()

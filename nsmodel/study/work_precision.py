@@ -28,7 +28,7 @@ from nsmodel.modeling.parameters import Values, describe_argument
 from nsmodel.modeling.time_grid import format_value, input_schedule, is_number
 from nsmodel.modeling.variants import with_inputs_at_any_step
 from nsmodel.proof.verdict import not_none
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.study import methods
@@ -79,7 +79,7 @@ class ReferenceSearch:
 
     def prepare_run(self, method: Method, count: float) -> Any:
         """Return a run of so many steps, ready to go."""
-        return prepare(method.model, step=self.T / count, tolerance=self.tolerance, **method.options)
+        return prepared_loop(method.model, step=self.T / count, tolerance=self.tolerance, **method.options)
 
     def run_probe(self, method: Method, counts: Sequence[float]) -> ProbeRun:
         """Run a method with the first number of steps that tells.
@@ -151,7 +151,7 @@ class ReferenceSearch:
         for rtol in EVENT_DRIVEN_RTOLS:
             self.report_status(f"reference: event-driven, rtol = {rtol:g}")
             try:
-                run = prepare(self.model, rtol=rtol, method="event-driven")
+                run = prepared_loop(self.model, rtol=rtol, method="event-driven")
                 while not run.propagator.finished:
                     run.propagator.advance(1, ())
                     if time.perf_counter() > until:

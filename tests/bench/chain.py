@@ -19,7 +19,7 @@ from peers import programs
 import nsmodel
 from nsmodel.codegen.library import compiler
 from nsmodel.modeling.model_files import case_files
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.solvers.sparse import FactoredJacobian, SparseStepSolver
 
 CASE = case_files()["friction_chain"]
@@ -78,7 +78,7 @@ def said(met: bool) -> str:
 def run_of(n: int, steps: int, compiled: bool = False):
     """A run of so many steps with its set-up behind it; few of its rows are kept."""
     model = nsmodel.load(CASE, n=n)
-    return prepare(model, t_end=steps * model.step, compiled=compiled, save_every=max(steps // 10, 1))
+    return prepared_loop(model, t_end=steps * model.step, compiled=compiled, save_every=max(steps // 10, 1))
 
 
 def microseconds(n: int, steps: int, compiled: bool) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from peers import programs
 import nsmodel
 from nsmodel import codegen
 from nsmodel.codegen.library import compiler
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 
 FLAGS = ["-std=c99", "-O2"]
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
@@ -140,7 +140,7 @@ def edges_of_inputs() -> None:
     for name, signal in signals.items():
         times = []
         for _ in range(REPEATS + 1):
-            run = prepare(model, inputs={"u": signal}, compiled=True, save_every=1000)
+            run = prepared_loop(model, inputs={"u": signal}, compiled=True, save_every=1000)
             run.go()
             times.append(run.cpu_seconds)
         seconds[name] = min(times[1:])

@@ -36,7 +36,7 @@ from nsmodel.codegen.event_driven_runs import PIECE_FLAGS
 from nsmodel.codegen.library import MATH_LIBRARIES, SHARED_FLAGS
 from nsmodel.codegen.library import compiler as c_compiler
 from nsmodel.simulation.event_driven import event_driven_problem
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 TARGETS = (1e-4,) if SHORT else (1e-4, 1e-8, 1e-12)
@@ -127,14 +127,14 @@ class Bench:
         """nsmodel's event-driven run, as it is prepared."""
         found: list[float] = []
         while len(found) < 2 or (len(found) < 6 and sum(found) < 1):
-            run = prepare(self.scene.model, rtol=rtol, method="event-driven", times=self.times, **options)
+            run = prepared_loop(self.scene.model, rtol=rtol, method="event-driven", times=self.times, **options)
             trajectory = run.go()
             found.append(run.cpu_seconds)
         return min(found), np.hstack([trajectory.x, trajectory.v]) if "v" in trajectory.arrays else trajectory.x
 
     def stepped(self, rtol: float) -> Timed:
         """nsmodel's time stepping under error control; x linear between its rows."""
-        run = prepare(self.scene.model, rtol=rtol, method="time-stepping", compiled=c_compiler() is not None)
+        run = prepared_loop(self.scene.model, rtol=rtol, method="time-stepping", compiled=c_compiler() is not None)
         trajectory = run.go()
         x = np.column_stack([np.interp(self.times, trajectory.t, column) for column in trajectory.x.T])
         return run.cpu_seconds, x
@@ -200,7 +200,7 @@ def methods(bench: Bench) -> Iterator[tuple[str, dict[float, tuple[float, float]
 def can(bench: Bench, options: dict[str, Any]) -> bool:
     """Whether nsmodel takes the scene so, and has something to do it with."""
     try:
-        prepare(bench.scene.model, rtol=1e-3, method="event-driven", **options)
+        prepared_loop(bench.scene.model, rtol=1e-3, method="event-driven", **options)
     except UsageError:
         return False
     return not options["compiled"] or c_compiler() is not None

@@ -26,7 +26,7 @@ from peers import programs
 
 import nsmodel
 from nsmodel.modeling.model_files import case_files
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 
 CASE = case_files()["crowd"]
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
@@ -43,7 +43,7 @@ def crowd(n: int, place: Path) -> dict[str, float]:
     steps = TIMED.get(n, 100)
     model = nsmodel.load(CASE, n=n)
     start = time.perf_counter()
-    run = prepare(model, t_end=(jam + steps) * STEP, compiled=True, save_every=jam + steps)
+    run = prepared_loop(model, t_end=(jam + steps) * STEP, compiled=True, save_every=jam + steps)
     prepared = time.perf_counter() - start
     clock, take = Clock(run.propagator.step, jam, place, model.bodies.numbers["r"][:, 0], side), run.propagator.step
     run.propagator.step = clock

@@ -16,7 +16,7 @@ from peers import programs
 
 import nsmodel
 from nsmodel.modeling.model_files import case_files
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))  # Whether all of it runs, once, on a few scenes.
 FILES = [case_files()["sliding_relay"], case_files()["crowd"]] if SHORT else [*case_files().values()]
@@ -45,7 +45,7 @@ def driver_loop(name: str) -> tuple[float, int]:
     """Seconds a run's time loop takes (set-up excluded), and its number of steps."""
     model, times, steps = nsmodel.load(name), [], 0
     for _ in range(1 if SHORT else REPEATS + 1):
-        run = prepare(model, compiled=False)
+        run = prepared_loop(model, compiled=False)
         steps = run.go().metadata["steps"]
         times.append(run.cpu_seconds)
     return min(times[-REPEATS:]), steps

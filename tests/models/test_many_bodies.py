@@ -22,7 +22,7 @@ from nsmodel.modeling.time_grid import make_grid
 from nsmodel.models.many_bodies.contact_search import least_gap, near_contact_rows
 from nsmodel.models.many_bodies.contact_solver import BODIES_SOLVERS, COLD_BODIES_START, BodiesStepper
 from nsmodel.models.many_bodies.schemes import BodiesProblem
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.solvers.contacts import Contacts
 
 loop, walk = (importlib.import_module(f"nsmodel.simulation.{name}") for name in ("loop", "propagator"))
@@ -580,7 +580,7 @@ def test_a_compiled_step_that_fails_is_taken_interpreted(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "nsmodel.models.many_bodies.step_library", type(sys)("bodies"))
     sys.modules["nsmodel.models.many_bodies.step_library"].CompiledBodiesStep = Failing
-    run = prepare(model, compiled=True)
+    run = prepared_loop(model, compiled=True)
     assert run.propagator.settings["way of stepping"].startswith("compiled by")
     assert run.go().x == pytest.approx(simulate(model).x, abs=0)
 

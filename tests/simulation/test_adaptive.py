@@ -43,7 +43,7 @@ from nsmodel.event_driven import fallback_steps
 from nsmodel.modeling.time_grid import make_grid
 from nsmodel.simulation import error_control
 from nsmodel.simulation.fixed_grid import make_stepper
-from nsmodel.simulation.simulate import prepare as prepare_any
+from nsmodel.simulation.simulate import prepared_loop as prepare_any
 from nsmodel.simulation.simulate import simulate as simulate_any
 from nsmodel.study.units import in_units
 

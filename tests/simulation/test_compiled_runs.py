@@ -54,7 +54,7 @@ from nsmodel.modeling.time_grid import make_grid
 from nsmodel.models.many_bodies import step_library
 from nsmodel.models.many_bodies.step_library import solver_source
 from nsmodel.simulation.fixed_grid import SchemePropagator
-from nsmodel.simulation.simulate import explain, prepare
+from nsmodel.simulation.simulate import explain, prepared_loop
 from nsmodel.simulation.step_backend import STEPS_IN_C, STEPS_IN_C_FOR_ALL
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.plan import LOADING_SECONDS, CompilationCost, build_seconds, interpreted_step_seconds
@@ -735,7 +735,7 @@ def test_auto_builds_for_no_case_as_none_takes_seconds_and_for_a_long_one(case_f
 def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
     line, left_out = STEPS_IN_C, "building them would take longer"
     for model in (lure(), first_order(), inclusion_in_a_box(tolerances=None)):
-        cost = prepare(model, compiled=False).propagator._cost()
+        cost = prepared_loop(model, compiled=False).propagator._cost()
         least = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
         assert 1000 < least < 500_000
         few, many = (explain(model, t_end=N * model.step) for N in (least - 1, least))
@@ -748,7 +748,7 @@ def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
         assert left_out not in never
     assert line not in explain(lure(gamma=1), t_end=500_000 * 0.05, solver="lemke")
     model = first_order()
-    cost = prepare(model, compiled=False).propagator._cost()
+    cost = prepared_loop(model, compiled=False).propagator._cost()
     least = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
     run = simulate(model, t_end=least * model.step, save_every=1000)
     assert run.metadata["used"][-1] == line
@@ -759,12 +759,12 @@ def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
 def test_auto_takes_what_was_built_before(calls, monkeypatch):
     monkeypatch.setattr(cache, "has_cached_library", IS_KEPT)
     model = first_order(theta=0.8)
-    cost = prepare(model, compiled=False).propagator._cost()
+    cost = prepared_loop(model, compiled=False).propagator._cost()
     assert cost.building() > 0
     few = int(LOADING_SECONDS / cost.step) + 1
     assert STEPS_IN_C not in explain(model, t_end=few * model.step)
     simulate(model, compiled=True)
-    assert prepare(model, compiled=False).propagator._cost().building() == 0
+    assert prepared_loop(model, compiled=False).propagator._cost().building() == 0
     assert STEPS_IN_C in explain(model, t_end=few * model.step)
     assert STEPS_IN_C not in explain(model, t_end=(few - 1) * model.step)  # loading takes longer than so few steps
     monkeypatch.setenv("CC", "no-such-compiler")
@@ -772,7 +772,7 @@ def test_auto_takes_what_was_built_before(calls, monkeypatch):
 
 
 def test_costs_grow_with_what_they_stand_for():
-    structure = prepare(first_order(), compiled=False).propagator.stepper.structure
+    structure = prepared_loop(first_order(), compiled=False).propagator.stepper.structure
     sizes = [replace(structure, n=n, m=m) for n, m in ((1, 1), (4, 8), (40, 20), (200, 100))]
     problem = one_step_problem(first_order().bind(None))
     for path in ("kernel", "newton", "sparse"):
@@ -786,7 +786,7 @@ def test_costs_grow_with_what_they_stand_for():
 def test_many_bodies_share_a_solver(load_case, monkeypatch):
     model, kept = load_case("crowd", n=50), []
     monkeypatch.setattr(cache, "has_cached_library", lambda key: kept and key == kept[0])
-    cost = prepare(model, compiled=False).propagator._estimate_cost()
+    cost = prepared_loop(model, compiled=False).propagator._estimate_cost()
     alone = int((LOADING_SECONDS + cost.building()) / cost.step) + 1
     kept.append(step_library._source_key(solver_source(2), library.compiler()))
     shared = int((LOADING_SECONDS + cost.building()) / cost.step) + 1

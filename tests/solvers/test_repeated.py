@@ -8,7 +8,7 @@ import pytest
 from fuzz_models import share
 
 from nsmodel import FirstOrderSystem, SweepingProcess, complementarity, product, relay, simulate
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.solvers.time_stepper import Stepper
 
 
@@ -76,7 +76,7 @@ def test_cases_go_the_same_way(case, general, load_case):
 
 def test_most_steps_of_a_smooth_phase_are_taken_so(monkeypatch):
     """The solvers are not asked while nothing switches."""
-    run = prepare(first_order(2), compiled=False)
+    run = prepared_loop(first_order(2), compiled=False)
     newton = run.propagator.stepper._newton
     calls = []
     solve = newton.solve
@@ -87,8 +87,8 @@ def test_most_steps_of_a_smooth_phase_are_taken_so(monkeypatch):
 
 def test_many_unknowns_and_forced_solvers_go_the_general_way():
     assert isinstance(Stepper.__dict__["_last_index_set_step"], cached_property)
-    assert prepare(first_order(2), compiled=False, solver="lemke").propagator.stepper._last_index_set_step is None
+    assert prepared_loop(first_order(2), compiled=False, solver="lemke").propagator.stepper._last_index_set_step is None
     x = ca.SX.sym("x", 12)
     l = ca.SX.sym("l", 12)
     large = FirstOrderSystem(x=x, lam=l, f=-(x**3), h=x, g=l, law=relay(12), x0=np.ones(12), t_end=1, step=0.1)
-    assert prepare(large, compiled=False).propagator.stepper._last_index_set_step is None
+    assert prepared_loop(large, compiled=False).propagator.stepper._last_index_set_step is None

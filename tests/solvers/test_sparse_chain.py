@@ -9,7 +9,7 @@ from fuzz_models import COUNT, FULL
 from nsmodel import FirstOrderSystem, LureSystem, box, check, codegen, complementarity, equality, explain, relay, simulate
 from nsmodel.codegen.library import compiler
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.solvers import time_stepper
 from nsmodel.solvers.newton import NewtonSolver
 from nsmodel.solvers.one_step_problem import one_step_problem
@@ -269,7 +269,7 @@ def test_a_resumed_run_repeats_bit_for_bit(tmp_path):
 
 
 def test_a_step_depends_on_its_arguments_alone():
-    run, other = prepare(chain(50), compiled=False), prepare(chain(50), compiled=False)
+    run, other = prepared_loop(chain(50), compiled=False), prepared_loop(chain(50), compiled=False)
     first = run.propagator.stepper(0.0, 0.01, run.propagator.state, run.propagator.warm)
     again = other.propagator.stepper
     for h in (0.02, 0.013, 0.01, 0.004, *np.linspace(0.005, 0.006, 20)):

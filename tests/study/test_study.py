@@ -17,7 +17,7 @@ from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, UsageError, c
 from nsmodel.cli import main
 from nsmodel.files.storage import dumps
 from nsmodel.plot import work_precision
-from nsmodel.simulation.simulate import prepare, simulate
+from nsmodel.simulation.simulate import prepared_loop, simulate
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.study import Line, Point, Study, StudyInterrupted, methods, study
 from nsmodel.study import work_precision as measure
@@ -281,7 +281,7 @@ def general(**given):
 )  # fmt: skip
 def test_a_step_from_a_row_of_a_run_leads_to_the_next_row(model, load_case):
     model = load_case(model) if isinstance(model, str) else model
-    run = prepare(model, t_end=20 * model.step, compiled=False)
+    run = prepared_loop(model, t_end=20 * model.step, compiled=False)
     start = run.propagator.state.copy()
     made = run.go()
     step = make_row_stepper(run.propagator, start, made)

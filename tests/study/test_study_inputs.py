@@ -25,7 +25,7 @@ from nsmodel import (
 )
 from nsmodel.cli import main
 from nsmodel.modeling.signals.pwm import Pwm
-from nsmodel.simulation.simulate import prepare
+from nsmodel.simulation.simulate import prepared_loop
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.study import methods
 from nsmodel.study.reference import RunAtRows, make_row_stepper, nonuniqueness_reason
@@ -187,7 +187,7 @@ def test_the_judge_sees_what_a_step_saw_at_both_its_ends(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_step_from_a_row_leads_to_the_next_row(name):
-    run = prepare(SCENES[name][0], compiled=False)
+    run = prepared_loop(SCENES[name][0], compiled=False)
     start = run.propagator.state.copy()
     made = run.go()
     step = make_row_stepper(run.propagator, start, made)

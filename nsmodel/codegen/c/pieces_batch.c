@@ -147,7 +147,7 @@ static int begin_cell(model_pieces *s, const model_asked *of, model_piece_cells 
     at->defect = 0;
     memset(at->until, 0, M*sizeof *at->until);
     memset(at->told, 0, M*sizeof *at->told);
-    const int status = begin_run(s, of, at->values + at->cell*MODEL_PIECES_NP, 0);
+    const int status = begin_run(s, of, at->values + at->cell*MODEL_PIECES_NP, 0, NULL);
     return status == MODEL_NOT_FINITE ? MODEL_BAD_PARAMETER : status == MODEL_OK && has_diverged(s) ? MODEL_NOT_FINITE : status;
 }
 

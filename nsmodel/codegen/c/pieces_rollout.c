@@ -12,8 +12,9 @@ long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 /* What a run is asked for. */
 @ASKED@
 
-/* Begin at the start of the model with these parameters; unique: they are known to let x be the only one in all modes. */
-static int begin_run(model_pieces *s, const model_asked *of, const double *p, int unique)
+/* Begin with these parameters, at the start of the model or at the states from, where these are given;
+   unique: the parameters are known to let x be the only one in all modes. */
+static int begin_run(model_pieces *s, const model_asked *of, const double *p, int unique, const double *from)
 {
     double x[N];
     int status = clear(s, of->rtol);
@@ -31,6 +32,8 @@ static int begin_run(model_pieces *s, const model_asked *of, const double *p, in
     UNUSED(p);
 #endif
     start(s, x);
+    if (from)
+        memcpy(x, from, sizeof x);
 #if HELD
     s->known_at = of->known;
     s->data = of->data;
@@ -48,7 +51,10 @@ static int begin_run(model_pieces *s, const model_asked *of, const double *p, in
     return status == MODEL_OK ? begin_at(s, 0, x) : (s->status = status);
 }
 
-int model_begin(model_pieces *s, const model_asked *of, const double *p, int unique) { return begin_run(s, of, p, unique); }
+int model_begin(model_pieces *s, const model_asked *of, const double *p, int unique, const double *from)
+{
+    return begin_run(s, of, p, unique, from);
+}
 
 #if PARAMETERS
 /* Whether the code is for these parameters too: a status. */
