@@ -52,7 +52,7 @@ def prepare(model: Model, **options: Unpack[PrepareKeywords]) -> PreparedRun:
 
 
 class PreparedRun:
-    """A model that is ready to run; made by `prepare`."""
+    """A model that is ready to run: `prepare` makes it, of a model and of options that `simulate` has."""
 
     def __init__(self, model: Model, options: Options) -> None:
         """With all that a first run would build."""

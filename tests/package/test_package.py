@@ -70,7 +70,7 @@ def test_a_first_run_loads_what_it_uses(tmp_path):
 def test_a_function_keeps_its_name_where_a_module_has_it_too():
     code = (
         "import nsmodel, nsmodel.study.stress, nsmodel.study.lines\n"
-        "from nsmodel.simulation.simulate import prepare\n"
+        "from nsmodel.simulation.simulate import prepared_loop\n"
         "import nsmodel.simulation.simulate\n"
         "for name in ('simulate', 'study', 'stress'):\n"
         "    print(callable(getattr(nsmodel, name)), getattr(nsmodel, name).__module__)\n"
