@@ -78,8 +78,7 @@ def _entry_text(name: str, A: SlopeMatrix, number: int, place: tuple[int, int]) 
 
 
 def _solver_function(name: str, arguments: str, body: str) -> str:
-    unused = "" if "_value" in body else "    (void)s;\n"
-    return f"static void {name}(const model_pieces *s, {arguments})\n{{\n{unused}{body}}}\n\n"
+    return f"static void {name}(const model_pieces *s, {arguments})\n{{\n    (void)s;\n{body}}}\n\n"
 
 
 def _terms_or_loop(terms: list[str], loop: str) -> str:

@@ -21,7 +21,7 @@ from nsmodel.errors import BlockError, ModelError
 from nsmodel.modeling.block import Block
 from nsmodel.modeling.conversion import Converter, DeclaredSymbols, declare
 from nsmodel.modeling.pickling import Picklable
-from nsmodel.modeling.signals.base import NEAR_TOLERANCE, Signal, just_before
+from nsmodel.modeling.signals.base import NEAR_TOLERANCE, Signal, just_before, period_numbers
 from nsmodel.modeling.signals.pwm import HeldSignal, Pwm
 from nsmodel.proof.verdict import attach_buffers
 
@@ -59,7 +59,8 @@ class ModelBlock(Picklable):
         """Its ticks before t_end: products, no sums of periods."""
         if self.period is None:
             return np.zeros(0)
-        found = self.offset + np.arange(max(np.ceil((t_end - self.offset) / self.period) + 1, 0)) * self.period
+        last = max(np.ceil((t_end - self.offset) / self.period), -1.0)
+        found = self.offset + period_numbers(0.0, last, self.period) * self.period
         return found[found < t_end]
 
     def next_tick(self, t: float) -> float:

@@ -189,6 +189,8 @@ def _lemke_pivoting(M: np.ndarray, q: np.ndarray, pivots: int) -> np.ndarray | N
     if (q >= 0).all():
         return np.zeros(n)
     A = np.hstack([np.eye(n), -M, -np.ones((n, 1))])
+    if not (np.isfinite(A).all() and np.isfinite(q).all()):
+        return None
     right = np.column_stack([q, np.eye(n)])
     basis, entering = np.arange(n), 2 * n
     row = _lexicographic_min_row(right, np.arange(n))
@@ -211,6 +213,8 @@ def _lemke_pivoting(M: np.ndarray, q: np.ndarray, pivots: int) -> np.ndarray | N
         if not usable.size:
             return None
         table = (inverse @ right)[usable] / column[usable, None]
+        if not np.isfinite(table).all():
+            return None
         its_row = np.flatnonzero(basis[usable] == 2 * n)
         if its_row.size and table[its_row[0], 0] <= table[:, 0].min() + PREFERRED * np.abs(table[:, 0]).max():
             row = int(usable[its_row[0]])

@@ -957,6 +957,8 @@ static int advance_piece(model_pieces *s)
     do
         status = tried++ < TINY_PIECES ? next_piece(s) : MODEL_BAD_STEP;
     while (status == MODEL_OK && !(s->piece[AT_T] + s->piece[AT_TAU]*s->piece[AT_S] > s->piece[AT_T]));
+    if (status == MODEL_OK && !(is_finite(s->at.t) && all_finite(N, s->at.x)))
+        status = MODEL_NOT_FINITE;
     if (status != MODEL_OK)
         s->at = s->before;
     return status;

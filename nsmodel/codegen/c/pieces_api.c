@@ -104,6 +104,8 @@ static int put_numbers(model_pieces *s, int first, int count, const double *valu
         return MODEL_NOT_FINITE;
     const model_standing was = standing_of(s);
     model_pieces_get_state(s, x);
+    if (!all_finite(N, x))
+        return MODEL_NOT_FINITE;
     memcpy(old, s->p, sizeof old);
     memcpy(s->p + first, values, (size_t)count*sizeof *values);
     s->count = s->current = s->next = 0;

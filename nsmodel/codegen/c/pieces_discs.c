@@ -438,6 +438,7 @@ static void disc_pow(double *y, const double *a, const double *b, int m)
 /* The operations that the graphs here have: others are left out. */
 static void disc_of(double *y, int kind, const double *a, const double *b, double number, int m)
 {
+    UNUSED(a);
     UNUSED(b);
     UNUSED(number);
     switch (kind) {

@@ -207,6 +207,17 @@ def constant_bounds(values: np.ndarray) -> Within:
     return Within(values, values, np.zeros(values.size), values)
 
 
+MAX_PERIODS = 50_000_000  # Of a signal or a block in a run: all of its times are kept, some 8 numbers each.
+
+
+def period_numbers(first: float, last: float, period: float) -> np.ndarray:
+    """The numbers of periods from ``first`` to ``last``; UsageError where a run has too many of them."""
+    if not last - first <= MAX_PERIODS:
+        count = f"{last - first:.3g} periods of {period:g}"
+        raise UsageError(f"t_end: the run has {count}, whose times are known before it begins; at most {MAX_PERIODS:,}")
+    return np.arange(first, last + 1)
+
+
 def just_after(t: np.ndarray) -> np.ndarray:
     """Times after which what is one with t lies."""
     return t + NEAR_TOLERANCE * np.abs(t)

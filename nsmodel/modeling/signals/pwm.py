@@ -22,6 +22,7 @@ from nsmodel.modeling.signals.base import (
     constant_bounds,
     just_after,
     just_before,
+    period_numbers,
     read_numbers,
 )
 
@@ -98,7 +99,8 @@ class Pwm(Signal):
 
     def _periods(self, t_end: float) -> np.ndarray:
         """The numbers of the periods that meet [0, t_end], and of the one before."""
-        return np.arange(np.floor(-self.phase / self.period) - 1, np.floor((t_end - self.phase) / self.period) + 1)
+        first, last = np.floor(-self.phase / self.period) - 1, np.floor((t_end - self.phase) / self.period)
+        return period_numbers(first, last, self.period)
 
     def _duties(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """When periods k begin, or the run where that is later, and the duty there."""

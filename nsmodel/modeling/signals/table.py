@@ -22,6 +22,7 @@ from nsmodel.modeling.signals.base import (
     constant_bounds,
     just_after,
     just_before,
+    period_numbers,
     read_numbers,
 )
 
@@ -105,7 +106,8 @@ class Table(Signal):
 
     def _repeat_times(self, at: np.ndarray, t_end: float) -> np.ndarray:
         if self.period is not None and at.size:
-            k = np.arange(np.floor(-at[-1] / self.period), np.floor((t_end - at[0]) / self.period) + 1)
+            first, last = np.floor(-at[-1] / self.period), np.floor((t_end - at[0]) / self.period)
+            k = period_numbers(first, last, self.period)
             at = (at + self.period * k[:, None]).ravel()
         return np.unique(at[(at >= 0) & (at <= t_end)])
 
