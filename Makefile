@@ -67,6 +67,7 @@ bench-large: $(STAMP) ## crowds of up to 20 000 and chains of up to 10 000 (with
 
 bench-events: $(STAMP) ## event-driven runs beside a prototype in C++, CVODE, heyoka and SciPy (where installed); an hour and a half
 	$(BIN)/python tests/bench/event_driven.py
+	$(BIN)/python tests/bench/overhead.py
 	$(BIN)/python tests/bench/hidden.py
 
 bench-sweeps: $(STAMP) ## sweeps beside plain C, NumPy, LSODA (and diffrax, where installed), a million cells; five minutes
