@@ -24,7 +24,7 @@ from nsmodel.modeling.time_grid import is_number
 from nsmodel.modeling.variants import start_entries, with_inputs, with_start, with_start_parameters
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.simulation.event_driven import EventDrivenPropagator
-from nsmodel.simulation.options import Options, PrepareKeywords, takes_options
+from nsmodel.simulation.options import METHODS, Options, PrepareKeywords, takes_options
 from nsmodel.simulation.piece_sources import MAX_CALL_BYTES, MAX_PIECES_PER_CALL, CompiledPieces, PieceBuffer, PieceLayout
 from nsmodel.simulation.run_data import Contents, deferred_run
 from nsmodel.simulation.simulate import make_run
@@ -36,7 +36,8 @@ from nsmodel.solvers.initial_checks import admitted
 def prepare(model: Model, **options: Unpack[PrepareKeywords]) -> PreparedRun:
     """Make a model ready to run again and again: ``prepare(model, rtol=1e-8).run(parameters={"k": 2})``.
 
-    All that a first run would build is built, and all that it would refuse is refused, now.
+    All that a first run would build is built, and all that it would refuse is refused, now. With ``compiled="auto"`` event-driven
+    runs are in C wherever that is possible, however short.
 
     Args:
         model: any of the seven classes.
@@ -51,12 +52,22 @@ def prepare(model: Model, **options: Unpack[PrepareKeywords]) -> PreparedRun:
     return PreparedRun(model, Options(**options))
 
 
+def _first_run(model: Model, options: Options) -> tuple[Any, Options]:
+    """A run, and the options that all have: "auto" means pieces in C, where there are some."""
+    if options.compiled == "auto" and options.rtol is not None and options.method != METHODS[2] and options.solver == "auto":
+        in_c = replace(options, compiled=True)
+        run = make_run(model, in_c)
+        if isinstance(run.propagator, EventDrivenPropagator) and isinstance(run.propagator.maker, CompiledPieces):
+            return run, in_c
+    return make_run(model, options), options
+
+
 class PreparedRun:
     """A model that is ready to run: `prepare` makes it, of a model and of options that `simulate` has."""
 
     def __init__(self, model: Model, options: Options) -> None:
         """With all that a first run would build."""
-        first = make_run(model, options)
+        first, options = _first_run(model, options)
         first.propagator.warm_up()
         self._model, self._options = with_inputs(model, options.inputs), options
         self._values = {**model.parameters, **model.values_of(options.parameters)}

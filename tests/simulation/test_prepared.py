@@ -171,3 +171,11 @@ def test_interpreted_models_and_those_without_a_start_to_change_are_run_too():
         ready.run(x0={"q_0": 1.0})
     with pytest.raises(TypeError, match="unexpected keyword argument 'out'"):
         prepare(oscillator(), out="here")
+
+
+@needs_compiler
+def test_left_to_itself_a_prepared_model_is_in_c_where_it_can_be():
+    assert "pieces in C" in repr(prepare(oscillator(), rtol=1e-8))
+    same(prepare(oscillator(), rtol=1e-8).run(), simulate(oscillator(), rtol=1e-8, compiled=True))
+    assert "as simulate" in repr(prepare(oscillator(), rtol=1e-8, compiled=False))
+    assert "as simulate" in repr(prepare(oscillator(), step=0.1))
