@@ -30,6 +30,7 @@ from functools import wraps
 from importlib import import_module
 from math import isfinite
 from pathlib import Path
+from threading import Lock
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -113,15 +114,19 @@ def cached_per_object_and_key(most: int) -> Callable[[T], T]:
             del made
             return {}
 
+        lock, missing = Lock(), object()
+
         @wraps(function)
         def cached(made: Any, key: Any) -> Any:
             own = known(made)
-            if key not in own:
+            value = own.get(key, missing)
+            if value is missing:
                 value = function(made, key)
-                while len(own) >= most:
-                    own.pop(next(iter(own)), None)
-                own[key] = value
-            return own[key]
+                with lock:
+                    while len(own) >= most:
+                        del own[next(iter(own))]
+                    own[key] = value
+            return value
 
         return cached  # pyright: ignore[reportReturnType]
 

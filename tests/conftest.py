@@ -27,17 +27,18 @@ CASES = [*case_files().values()]
 
 
 KINDS = {  # Marks of test files, by what their names begin with; what is in none of them is fast.
-    "c": ("test_codegen", "test_compiled", "test_bodies_in_c", "test_batch", "test_lanes"),
+    "c": ("test_codegen", "test_compiled", "test_bodies_in_c", "test_batch", "test_lanes", "test_prepared"),
     "fuzz": ("test_fuzz", "test_codegen_fuzz"),
     "slow": (
-        "test_adaptive", "test_agreement", "test_blocks", "test_cases", "test_certif", "test_check", "test_cli", "test_closed",
+        "test_adaptive", "test_agreement", "test_block", "test_bounded", "test_bridges", "test_cases", "test_certif",
+        "test_check", "test_cli", "test_closed",
         "test_convex", "test_crowd", "test_docs", "test_events", "test_extreme", "test_forced", "test_input", "test_kinds",
         "test_laws", "test_lure_offset", "test_makefile", "test_many", "test_moving", "test_one_variable", "test_orders",
         "test_outputs", "test_parameters", "test_piece_batch", "test_pieces_in_c", "test_plot", "test_repeated", "test_resume",
         "test_notebooks", "test_rich", "test_rounding", "test_schemes", "test_search", "test_site", "test_solvers", "test_sparse",
         "test_stepping", "test_stress", "test_stretches", "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times",
-        "test_view", "test_recipes", "test_coulomb", "test_exact_roots", "test_further", "test_jumps", "test_mechanical",
-        "test_runs_keep",
+        "test_view", "test_recipes", "test_coulomb", "test_exact_roots", "test_exponentials", "test_further", "test_jumps",
+        "test_late", "test_mechanical", "test_runs_keep", "test_roots",
     ),
 }  # fmt: skip
 

@@ -7,17 +7,15 @@ that does not stands between where it stood and its end, and says where; and no 
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from library_fuzz import COMPILER, STRICT
 
 from nsmodel import codegen
 
-COMPILER = shutil.which("gcc") or shutil.which("cc")
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function")
 SANITIZE = ("-g", "-O1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 SECONDS = 120
 INIT, SET_STATE, SET_PARAMETERS, RESET, SET_INPUTS, SET_MOST, ADVANCE, THROUGH = range(8)
@@ -185,14 +183,12 @@ def commands(model: Any, sizes: tuple[int, int, int], rng: np.random.Generator, 
     n, own, inputs = sizes
     rows = np.zeros((count, 1 + TIMES + n + own + inputs + 1))
     values = np.resize([v for v in model.parameters.values() if v is not None] or [1.0], own)
-    start = np.resize(np.abs(np.array([1.0])), n)
     t, end = 0.0, float(model.t_end)
     kinds = [INIT, SET_STATE, SET_PARAMETERS, RESET, SET_INPUTS, SET_MOST, *[ADVANCE] * 6, *[THROUGH] * 2]
     for row in rows:
         row[0] = kind = rng.choice(kinds)
         wild = rng.random() < 0.3
         row[4:] = rng.normal(size=row.size - 4) * 10 ** rng.uniform(-2, 1)
-        row[4 : 4 + n] *= start
         row[4 + n : 4 + n + own] = values * (1 + 0.2 * rng.normal(size=own))
         if wild:
             hit = rng.random(row.size - 4) < 0.4

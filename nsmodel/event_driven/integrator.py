@@ -113,7 +113,6 @@ class Integrator:
         )
         self.accumulation = ZenoDetector()
         self._acted: list[Any] = [None] * len(system.updates)  # The sides of comparisons as blocks acted last.
-        self._ended_at_once = False  # Whether the last piece has no length: then no longer unit is tried.
         self._still = 0  # Pieces, one after the other, that hardly moved time.
         self._pending_event: StartEvent | None = None  # The event that the next piece begins with.
         self._selected_solver: MultiplierSolver | None = None  # Of the mode just chosen, whose first orders stand.
@@ -154,8 +153,8 @@ class Integrator:
                 raise
             return piece
         system, place = self.system, self.place
-        s = self._series_length(how)
-        if s > 1 and not self._ended_at_once:  # What is rounding at s = 1 is not at s^p.
+        s, unit = self._series_length(how), place.tau
+        if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._rescale_to_longer_unit(how, s)
         longest, known = s * place.tau, self.known.next(place.t, place.x)
         found = self.stiff.piece(place, how, s, known - place.t)
@@ -169,7 +168,7 @@ class Integrator:
             until = min(place.t + tau * s + longest, known)
         series, n, m = np.array([*system.x, *system.l, *system.y]), system.n, system.n + system.m
         piece = Piece(place.t, tau, s, series[:n], series[n:m], series[m:], tuple(place.codes), error, last, self._pending_event)
-        self._pending_event, self._ended_at_once = self._pending_event if s == 0 else None, s == 0
+        self._pending_event = self._pending_event if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         update_scales(system, s, min(longest, tau * s))
         self._still = self._still + 1 if 0 < tau * s <= HARDLY * abs(place.t) else 0
@@ -179,7 +178,7 @@ class Integrator:
             place.tau = place.tau if found else power_of_two_unit(ROOM * (tau * s))
             return piece
         # In a unit that is longer than a mode's own time coefficients grow.
-        place.tau = tau if s == 0 else power_of_two_unit(longest if s <= STUMP else min(longest, LONGER * (tau * s)))
+        place.tau = unit if s == 0 else power_of_two_unit(longest if s <= STUMP else min(longest, LONGER * (tau * s)))
         self.stiff.restart()
         try:
             if hit is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from threading import Lock
 from typing import Any, Unpack
 
 import casadi as ca
@@ -24,7 +25,7 @@ from nsmodel.modeling.time_grid import is_number
 from nsmodel.modeling.variants import start_entries, with_inputs, with_start, with_start_parameters
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.simulation.event_driven import EventDrivenPropagator
-from nsmodel.simulation.options import METHODS, Options, PrepareKeywords, takes_options
+from nsmodel.simulation.options import Options, PrepareKeywords, takes_options
 from nsmodel.simulation.piece_sources import MAX_CALL_BYTES, MAX_PIECES_PER_CALL, CompiledPieces, PieceBuffer, PieceLayout
 from nsmodel.simulation.run_data import Contents, deferred_run
 from nsmodel.simulation.simulate import make_run
@@ -54,12 +55,13 @@ def prepare(model: Model, **options: Unpack[PrepareKeywords]) -> PreparedRun:
 
 def _first_run(model: Model, options: Options) -> tuple[Any, Options]:
     """A run, and the options that all have: "auto" means pieces in C, where there are some."""
-    if options.compiled == "auto" and options.rtol is not None and options.method != METHODS[2] and options.solver == "auto":
+    run = make_run(model, options)
+    if options.compiled == "auto" and isinstance(run.propagator, EventDrivenPropagator):
         in_c = replace(options, compiled=True)
-        run = make_run(model, in_c)
-        if isinstance(run.propagator, EventDrivenPropagator) and isinstance(run.propagator.maker, CompiledPieces):
-            return run, in_c
-    return make_run(model, options), options
+        faster = make_run(model, in_c)
+        if isinstance(faster.propagator, EventDrivenPropagator) and isinstance(faster.propagator.maker, CompiledPieces):
+            return faster, in_c
+    return run, options
 
 
 class PreparedRun:
@@ -71,7 +73,6 @@ class PreparedRun:
         first.propagator.warm_up()
         self._model, self._options = with_inputs(model, options.inputs), options
         self._values = {**model.parameters, **model.values_of(options.parameters)}
-        self._t_end = float(model.t_end if options.t_end is None else options.t_end) if model.t_end or options.t_end else None
         self._runs_in_c = _RunsInC.of(self._model, options, first.propagator)
 
     def __repr__(self) -> str:
@@ -93,11 +94,13 @@ class PreparedRun:
 
         Raises:
             UsageError, StepError, RunInterrupted: as `simulate`; a name that is no state, a start that is no finite number.
+            KeyboardInterrupt: Ctrl-C while a run is one call of C, of which nothing is kept.
         """
         values = self._values if parameters is None else {**self._values, **self._model.values_of(parameters)}
         starts = {} if x0 is None else _read_starts(self._model, x0)
-        end = self._t_end if t_end is None else t_end
-        done = None if self._runs_in_c is None else self._runs_in_c.run(values, starts, end)
+        end = self._options.t_end if t_end is None else t_end
+        rows_are_elsewhere = self._options.times is not None and t_end is not None
+        done = None if self._runs_in_c is None or rows_are_elsewhere else self._runs_in_c.run(values, starts, end)
         if done is None:
             return self._loop(values, starts, end, self._options).go()
 
@@ -173,7 +176,11 @@ class _RunsInC:
     def run(
         self, values: Mapping[str, float | None], starts: Mapping[str, float], end: Any
     ) -> tuple[CompiledPieceIntegrator, PieceBuffer] | None:
-        """All pieces up to an end, and what made them; None where it takes more than one call, or C does not go on."""
+        """All pieces up to an end, None: the model's, and what made them.
+
+        None where it takes more than one call, or C does not go on.
+        """
+        end = self._T if end is None else end
         if not (self._is_short and is_number(end) and 0 < end < np.inf and None not in values.values()):
             return None
         p = np.array(list(values.values()), float)
@@ -211,12 +218,11 @@ class _StartConditions:
         self._places = {name: model.p.numel() + k for k, name in enumerate(own)}
         starts = ca.vertcat(ca.SX(0, 1), *(getattr(model, field)[entry] for field, entry in own.values()))
         finite, signed = _entries_of(free), admitted(free)
-        motion = problem.x0[: problem.x.numel() - problem.held]
-        self._q, self._x0 = np.zeros(free.p.numel()), np.zeros(motion.numel())
+        self._lock, self._q, self._x0 = Lock(), np.zeros(free.p.numel()), np.zeros(problem.x.numel())
         self._own, self._finite, self._signed = (np.zeros(one.numel()) for one in (starts, finite, signed))
         self._p = np.zeros(model.p.numel())
         of_p = ca.Function("starts", [model.p], [ca.densify(starts)])
-        of_q = ca.Function("conditions", [free.p], [ca.densify(one) for one in (finite, signed, motion)])
+        of_q = ca.Function("conditions", [free.p], [ca.densify(one) for one in (finite, signed, problem.x0)])
         self._buffers = (
             attach_buffers(of_p, [self._p], [self._own]),
             attach_buffers(of_q, [self._q], [self._finite, self._signed, self._x0]),
@@ -233,18 +239,19 @@ class _StartConditions:
         return cls(model, free, symbolic) if symbolic.names == problem.names and symbolic.rows == problem.rows else None
 
     def __call__(self, p: np.ndarray, starts: Mapping[str, float]) -> tuple[bool, np.ndarray | None]:
-        """Whether they are met, and the start of the motion (n,), None where it is the model's own."""
+        """Whether they are met, and the start (n,), None where it is the model's own."""
+        if not starts.keys() <= self._places.keys():
+            return False, None
         (_, evaluate_starts), (_, evaluate_conditions) = self._buffers
-        self._p[:] = p
-        evaluate_starts()
-        self._q[: p.size], self._q[p.size :] = p, self._own
-        for name, value in starts.items():
-            if name not in self._places:
-                return False, None
-            self._q[self._places[name]] = value
-        evaluate_conditions()
-        met = np.isfinite(self._finite).all() and np.isfinite(self._signed).all() and (self._signed >= 0).all()
-        return bool(met), self._x0.copy() if starts else None
+        with self._lock:
+            self._p[:] = p
+            evaluate_starts()
+            self._q[: p.size], self._q[p.size :] = p, self._own
+            for name, value in starts.items():
+                self._q[self._places[name]] = value
+            evaluate_conditions()
+            met = np.isfinite(self._finite).all() and np.isfinite(self._signed).all() and (self._signed >= 0).all()
+            return bool(met), self._x0.copy() if starts else None
 
 
 def _entries_of(model: Model) -> ca.SX:

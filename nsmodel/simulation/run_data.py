@@ -153,7 +153,7 @@ class RunData:
                 unread.put_into(vars(self))
             if name in vars(self):
                 return vars(self)[name]
-        if name.startswith("_") or name in ("arrays", "metadata"):  # copy and pickle ask an instance before it has arrays.
+        if name.startswith("__") or name in ("arrays", "metadata"):  # copy and pickle ask an instance before it has arrays.
             raise AttributeError(name)
         stems, names = self.metadata.get("stems", {}), self.metadata.get("state_names", ())
         if name in stems:

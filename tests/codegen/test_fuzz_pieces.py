@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import COUNT, FULL
-from pieces_fuzz import COMPILER, build, commands, run
+from library_fuzz import COMPILER
+from pieces_fuzz import build, commands, run
 
 import nsmodel
 from nsmodel.errors import NsmodelError
@@ -21,11 +22,12 @@ NAMES = (
 SCENES = MODELS | STIFF | {name: (lambda name=name: nsmodel.load(name)) for name in NAMES}
 SEEDS = range(20 if COUNT >= FULL else 4)
 CALLS = 300
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 PIECES = 50  # That a run may have here.
 SECONDS = 20  # That a call of a few hundred pieces does not take, whatever the machine.
 
 
-@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+@needs_compiler
 @pytest.mark.parametrize("name", SCENES)
 def test_libraries_come_back_and_lose_nothing(name, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer."""
@@ -36,9 +38,7 @@ def test_libraries_come_back_and_lose_nothing(name, tmp_path):
         assert float(said.split()[-2]) < SECONDS
 
 
-@pytest.mark.parametrize(
-    "compiled", [False, pytest.param(True, marks=pytest.mark.skipif(COMPILER is None, reason="no C compiler"))]
-)
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
 @pytest.mark.parametrize("name", SCENES)
 def test_runs_come_back_within_their_budget(name, compiled, monkeypatch):
     """Finite rows up to the end, or an error by name; what was computed before it is kept, and finite."""

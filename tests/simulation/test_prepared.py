@@ -23,6 +23,7 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.codegen.event_driven_runs import CompiledPieceIntegrator
 from nsmodel.modeling.variants import with_start
 from nsmodel.simulation import prepared
 
@@ -179,3 +180,48 @@ def test_left_to_itself_a_prepared_model_is_in_c_where_it_can_be():
     same(prepare(oscillator(), rtol=1e-8).run(), simulate(oscillator(), rtol=1e-8, compiled=True))
     assert "as simulate" in repr(prepare(oscillator(), rtol=1e-8, compiled=False))
     assert "as simulate" in repr(prepare(oscillator(), step=0.1))
+
+
+@needs_compiler
+def test_threads_share_what_is_prepared():
+    ready = prepare(oscillator(), compiled=True, **HOW)
+    given = [({"k": 1 + k / 16}, [1 + k / 8, -k / 8]) for k in range(32)]
+    expected = [ready.run(parameters=values, x0=start).x for values, start in given]
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(4):
+            found = list(pool.map(lambda one: ready.run(parameters=one[0], x0=one[1]).x, given))
+            assert all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
+
+
+@needs_compiler
+def test_grids_by_their_steps_and_times_that_another_end_does_not_fit():
+    model = oscillator()
+    for options in ({"steps": [0.05] * 40, "compiled": False}, {"times": [0.0, 0.5, 1.25], "compiled": True, **HOW}):
+        ready = prepare(model, **options)
+        for _ in range(2):
+            same(ready.run(x0=[0.5, 0.1]), simulate(oscillator((0.5, 0.1)), **options))
+    with pytest.raises(UsageError, match="t_end"):
+        ready.run(t_end=1.0)
+
+
+@needs_compiler
+def test_c_is_given_a_start_of_as_many_numbers_as_it_copies(monkeypatch):
+    begin, sizes = CompiledPieceIntegrator.begin, []
+
+    def counted(self, x0=None, **how):
+        sizes.extend([] if x0 is None else [(x0.size, self.at["x"].shape[-1])])
+        return begin(self, x0, **how)
+
+    monkeypatch.setattr(CompiledPieceIntegrator, "begin", counted)
+    held = LureSystem(A=[[0, 1], [-K, 0]], B=[0, 1], C=[0, 1], f=[0, U], law=relay(1, -W, W), x0=[1, 0],
+                      parameters={K: 2.0, W: 0.1}, inputs={U: pwm(duty=0.4, period=0.5)}, t_end=2.0, step=0.01)  # fmt: skip
+    for model in (oscillator(), held):
+        prepare(model, compiled=True, **HOW).run(x0=[0.5, 0.1])
+    assert len(sizes) == 2
+    assert all(given == taken for given, taken in sizes)
+
+
+def test_states_may_begin_with_an_underscore():
+    x = ca.SX.sym("_q")
+    model = FirstOrderSystem(x=x, lam=L, f=[-x], g=[L], h=[x], law=relay(1), x0=[1.0], t_end=0.5, step=0.1)
+    np.testing.assert_array_equal(simulate(model)._q, simulate(model).x[:, 0])

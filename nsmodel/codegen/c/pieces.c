@@ -878,8 +878,7 @@ static int next_piece(model_pieces *s)
     if ((status = expand_orders(s)))
         return status;
     length = length_of(s);
-    const int ended_at_once = s->at.tiny > 0 && s->piece[AT_S] == 0; /* the last piece: then no longer unit is tried */
-    if (length > 1 && !ended_at_once) { /* what is rounding at s = 1 is not at s^p */
+    if (length > 1) { /* what is rounding at s = 1 is not at s^p */
         const double unit = unit_of(length*s->at.tau), times = unit/s->at.tau;
         double raised = times;
         for (int k = 1; k <= s->order; k++) {
@@ -933,7 +932,7 @@ static int next_piece(model_pieces *s)
     }
     else {
         /* In a unit that is longer than a mode's own time coefficients grow. */
-        s->at.tau = unit_of(length > STUMP ? min_of(longest, LONGER*tau) : ended_at_once ? unit : longest);
+        s->at.tau = length == 0 ? s->before.tau : unit_of(length > STUMP ? min_of(longest, LONGER*tau) : longest);
         restart(s);
         if (found) {
             s->at.tiny = tau < TINY*max_of(fabs(s->at.t), s->at.tau) ? s->at.tiny + 1 : 0;

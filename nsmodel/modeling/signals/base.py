@@ -213,8 +213,10 @@ MAX_PERIODS = 50_000_000  # Of a signal or a block in a run: all of its times ar
 def period_numbers(first: float, last: float, period: float) -> np.ndarray:
     """The numbers of periods from ``first`` to ``last``; UsageError where a run has too many of them."""
     if not last - first <= MAX_PERIODS:
-        count = f"{last - first:.3g} periods of {period:g}"
-        raise UsageError(f"t_end: the run has {count}, whose times are known before it begins; at most {MAX_PERIODS:,}")
+        raise UsageError(
+            f"t_end: up to t = {last * period:.3g} there are {last - first:.3g} periods of {period:g}, whose times are made"
+            f" before the run begins (an event-driven one asks for twice its time); at most {MAX_PERIODS:,}"
+        )
     return np.arange(first, last + 1)
 
 
