@@ -12,15 +12,17 @@ piece; they decide nothing else. Pieces by collocation are made in C up to 32 st
 complex pairs are real blocks of twice the size, inverted once a length; those of lengths that are powers of two are kept while
 the slopes stay the same bits. One library serves every rtol, and work is bounded a piece and a call.
 
-What C leaves out returns a status and the place as it was: a start that jumps, guesses by Laplace transforms where no mode of a
-few switches settles, modes that go apart, accumulation, and every error with its words. Germs are judged without the running
-error analysis of `ModeSystem.rounding`. Friction blocks are refused: they are interpreted.
+What C leaves out returns a status and the place as it was: a start that jumps, modes that go apart, accumulation, and every error
+with its words. Where pivoting does not settle, modes are guessed by Laplace transforms of germs, in the units that there are, up
+to 32 states and rows. Germs are judged without the running error analysis of `ModeSystem.rounding`. Friction blocks are refused:
+they are interpreted.
 
 Whether a model with values switches as the code of all values does: C and the integrator take over from each other.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
@@ -30,13 +32,23 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.codegen import fragments, structs
+from nsmodel.codegen import fragments, laws, structs
 from nsmodel.codegen.event_driven_spec import PieceSpec, collocation_code, matrix_product, nonzero_pattern, piece_spec_of
 from nsmodel.codegen.expressions import c_function, c_table
-from nsmodel.codegen.fragments import C_FOLDER, comment_text, compiler_guard, prefix_names, prune_unused, read_fragment
+from nsmodel.codegen.fragments import (
+    BOX_CONSTANTS,
+    C_FOLDER,
+    comment_text,
+    compiler_guard,
+    define_lines,
+    prefix_names,
+    prune_unused,
+    read_fragment,
+)
 from nsmodel.codegen.recurrences import recurrence_kernels, switch_scales_code
 from nsmodel.codegen.structs import PIECE_BATCH_CELLS, RUN_REQUEST
 from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
+from nsmodel.event_driven.modes import FEW, LAPLACE_SHARES
 from nsmodel.event_driven.multipliers import state_motion
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.radau import SlopeMatrix, fixed_branches
@@ -130,6 +142,8 @@ def law_tables(spec: PieceSpec) -> PieceTables:
         made.add(name, ends if isinstance(ends, ca.SX) else ends.ravel(), "M", "ends of the law" if name == "lower" else "")
     feeds = set(spec.slopes[1].sparsity().row())
     made.text += c_table("feeds", [i in feeds for i in range(m)], "M", "whether y_i depends on l directly", "int")
+    if "GUESSED" in flags:
+        made.add("laplace_shares", LAPLACE_SHARES, str(len(LAPLACE_SHARES)), "1/s in units of time")
     groups = [min(group) for group in spec.problem.row_groups]
     made.text += c_table("row_group", groups, "M", "the first of the rows that this one is tied to", "int")
     if "LINEAR" not in flags:
@@ -179,8 +193,8 @@ def set_tables_code(settable: Mapping[str, ca.SX], p: ca.SX) -> str:
 
 
 PIECE_FRAGMENTS = (
-    "common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_discs", "pieces_schwarz", "pieces_roots", "pieces_cover",
-    "pieces_radau", "pieces_stiff", "pieces",
+    "pieces_modes", "pieces_expand", "pieces_guess", "pieces_events", "pieces_discs", "pieces_schwarz", "pieces_roots",
+    "pieces_cover", "pieces_radau", "pieces_stiff", "pieces",
 )  # fmt: skip
 
 
@@ -202,17 +216,43 @@ def piece_code(spec: PieceSpec, name: str, title: str, *, runs: bool) -> str:
     """NAME_pieces.c; ``runs``: with what whole runs need."""
     replacements = _piece_replacements(spec, name, title, None) | {"KINDS": spec.discs.kinds(), "TABLE": spec.discs.table()}
     own = prefix_names(_model_code(spec), name)
-    parts = [read_fragment(f"{part}.c", spec.flags, replacements) for part in PIECE_FRAGMENTS]
-    more = ["pieces_api", *(["pieces_rollout", "pieces_batch"] if runs else [])]
     own += prefix_names(_record_functions(spec), name) if runs else ""
-    text = "\n".join(
-        [
-            read_fragment("pieces_prelude.c", spec.flags, replacements), parts[0], own, *parts[1:4],
-            spec.discs.prune_interpreter(parts[4]), *parts[5:],
-            *(read_fragment(f"{part}.c", spec.flags, replacements) for part in more),
-        ]
-    )  # fmt: skip
-    return prune_unused(text)
+
+    def part(fragment: str) -> str:
+        text = read_fragment(f"{fragment}.c", spec.flags, replacements)
+        return spec.discs.prune_interpreter(text) if fragment == "pieces_discs" else text
+
+    boxes = [prefix_names(box_problem_code(spec), name)] if "GUESSED" in spec.flags else []
+    more = ["pieces_api", *(["pieces_rollout", "pieces_batch"] if runs else [])]
+    return prune_unused("\n".join([part("pieces_prelude"), part("common"), *boxes, own, *map(part, [*PIECE_FRAGMENTS, *more])]))
+
+
+BOX_FRAGMENTS = ("solvers", "linear", "affine", "lemke")
+BOX_FLAGS = frozenset({"BOX_PROBLEM", "PIVOTING", "INVERSE", "AFFINE_PROBLEM"})
+BOX_SIZES = {"MODEL_ROWS": "MODEL_PIECES_M", "MODEL_LEMKE": "MODEL_PIECES_LEMKE", "MODEL_LINEAR": "MODEL_PIECES_LEMKE"}
+
+
+def box_problem_code(spec: PieceSpec) -> str:
+    """``affine_solve`` of steps, on a `model_box`, with names of its own for what pieces have too."""
+    flags = _box_flags(spec)
+    given = {"SOLVERS": structs.solver_enum(), "ROW_RESIDUAL": laws.row_residual_code()}
+    text = "\n".join([define_lines(BOX_CONSTANTS), *(read_fragment(f"{part}.c", flags, given) for part in BOX_FRAGMENTS)])
+    shared = {name.rpartition(":")[2] for _, names in BOX_CONSTANTS for name in names.split()} | {"NONE", "codes"}
+    return _renamed(text, {name: f"BOX_{name}" for name in shared})
+
+
+def box_members(spec: PieceSpec) -> str:
+    """The members of a `model_box`."""
+    return _renamed(read_fragment("members_affine.h", _box_flags(spec), {}), {})
+
+
+def _box_flags(spec: PieceSpec) -> frozenset[str]:
+    return BOX_FLAGS | ({"ENUMERATION", "INDEX_SETS"} if spec.sizes["M"] <= FEW else set())
+
+
+def _renamed(text: str, names: Mapping[str, str]) -> str:
+    names = {**names, **BOX_SIZES, "model_solver": "model_box"}
+    return re.sub(r"\w+", lambda match: names.get(match[0], match[0]), text)
 
 
 def _piece_replacements(spec: PieceSpec, name: str, title: str, shared: str | None) -> dict[str, str]:
@@ -223,6 +263,7 @@ def _piece_replacements(spec: PieceSpec, name: str, title: str, shared: str | No
         "STATUSES": prefix_names(structs.status_enum(), name) if shared is None else f'#include "{shared}"',
     }  # fmt: skip
     replacements |= {"ASKED": prefix_names(RUN_REQUEST.c(), name), "PIECE_CELLS": prefix_names(PIECE_BATCH_CELLS.c(), name)}
+    replacements["BOX_MEMBERS"] = prefix_names(box_members(spec), name) if "GUESSED" in spec.flags else ""
     replacements["SET"] = struct_members(law_tables(spec).settable)
     replacements["STRUCT"] = read_fragment("pieces_struct.h", spec.flags, replacements)
     return replacements

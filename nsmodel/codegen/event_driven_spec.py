@@ -214,6 +214,7 @@ class PieceSpec:
             "HELD": p.held > 0, "IMPULSES": p.impulses, "REWRITTEN": p.multipliers is not None and p.multipliers.numel() > 0,
             "TIMED": bool(self.known or self.problem.held),
             "STIFF": 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
+            "GUESSED": law and not diagonal and 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)
 
@@ -270,6 +271,14 @@ class PieceSpec:
         return DiscTable((printer for name, printer in self.printers.items() if m or name == "f"), n, m)
 
     @property
+    def _slack_rows(self) -> int:
+        """Of a linear complementarity problem with this law: one for each row with two ends or none."""
+        lower, upper = self.ends
+        if isinstance(lower, ca.SX) or isinstance(upper, ca.SX):
+            return self.problem.l.numel()
+        return int((np.isfinite(lower) == np.isfinite(upper)).sum())
+
+    @property
     def branches(self) -> dict[str, slice]:
         """The choices of f, g and h."""
         return {name: slice(made.offset, made.offset + len(made.jets.branches)) for name, made in self.printers.items()}
@@ -286,7 +295,7 @@ class PieceSpec:
             "DISCS": self.discs.rows + n + m,
             "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept, "GERM": ORDERS + 1, "TIMES": EVENT_TIMES,
             "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
-            "H": columns.count if outputs else n + m,
+            "H": columns.count if outputs else n + m, "LEMKE": m + self._slack_rows,
         } | collocation_sizes(n + m)  # fmt: skip
 
 

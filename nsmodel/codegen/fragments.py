@@ -99,9 +99,7 @@ def _prune_definitions(text: str) -> str:
             text = text[: match.start()] + text[match.end() :]
 
 
-STEP_CONSTANTS: Sequence[tuple[str, str]] = (
-    ("modeling.time_grid", "SAME_STEP_TOLERANCE:SAME"),
-    ("modeling.signals.base", "NEAR_TOLERANCE:NEAR"),
+BOX_CONSTANTS: Sequence[tuple[str, str]] = (
     ("solvers.residuals", "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH UNSEEN CLEAR STRICTER"),
     ("solvers.rounding_errors", "PROBES FRAGILE WORTH INSIDE SUM_ERROR SPREAD MIXED STIRRED"),
     (
@@ -110,6 +108,11 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
         "REGULARISED PIVOTS_EACH PIVOTS_MORE GONE PREFERRED PIVOT_ERROR MIN_PIVOT:LEAST_PIVOT TIED "
         "RANK POLISHED",
     ),
+)
+STEP_CONSTANTS: Sequence[tuple[str, str]] = (
+    ("modeling.time_grid", "SAME_STEP_TOLERANCE:SAME"),
+    ("modeling.signals.base", "NEAR_TOLERANCE:NEAR"),
+    *BOX_CONSTANTS,
     (
         "solvers.mlcp",
         "SEMISMOOTH_ITERATIONS GAUSS_SEIDEL_SWEEPS SWEPT CONVERGED ACCEPTED ARMIJO MIN_DAMPED_STEP:LEAST_STEP REGULARISATIONS",
@@ -139,7 +142,8 @@ PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
     ("event_driven.piece", "TINY_PIECES TINY MANY FASTER SPACINGS"),
     (
         "event_driven.modes",
-        "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER MAX_NUDGES:LATER ULP MAX_NUDGE:MOST_CREEP FEW GERM_DIFFERENCE:APART",
+        "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER MAX_NUDGES:LATER ULP MAX_NUDGE:MOST_CREEP FEW GERM_DIFFERENCE:APART "
+        "GUESS_RESIDUAL",
     ),
     ("event_driven.state_updates", "PROJECTIONS"),
     ("event_driven.modes", "TIE"),

@@ -216,6 +216,7 @@ MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be anothe
 ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
+GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
 FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])
 
 
@@ -598,7 +599,7 @@ def _guess_modes(system: ModeSystem, place: PieceStart) -> Iterator[list[int]]:
         h = share * place.tau
         W = D + h * (C @ np.linalg.solve(np.eye(system.n) - h * A, B))
         q = y @ (FACTORIALS * share**orders) - W @ l
-        found = mlcp.solve_mlcp(W, q, law, l, np.array(place.codes, np.int8), chain, False, 1e-9)
+        found = mlcp.solve_mlcp(W, q, law, l, np.array(place.codes, np.int8), chain, False, GUESS_RESIDUAL)
         if np.isfinite(found.residual):
             yield [int(code) for code in found.index]
 

@@ -9,12 +9,13 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from threading import get_ident
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import cached_per_object, cached_per_object_and_key
 from nsmodel.event_driven import dense_output
 from nsmodel.event_driven.integrator import operation_count
 from nsmodel.event_driven.piece import Piece
@@ -140,7 +141,6 @@ class PieceRows:
         ``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere.
         """
         self.problem, self.orders, self.every, self.until, self.times = problem, orders, every, until, times
-        self._out = _output_expansion(problem, orders)
         self._facts = row_properties(problem)
         self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
         self._evaluate_columns = columns or row_columns_function(problem)
@@ -150,6 +150,10 @@ class PieceRows:
         self._blocks: list[PieceBuffer] = []
         self._new: list[PieceBuffer] = []  # Of which the rows are not known yet.
         self.clear()
+
+    @property
+    def _out(self) -> TaylorExpansion | None:
+        return _output_expansion(self.problem, (self.orders, get_ident()))
 
     def clear(self) -> None:
         """Forget the rows."""
@@ -415,10 +419,15 @@ def _multiplier_output_series(block: PieceBuffer) -> tuple[np.ndarray, np.ndarra
     return np.ascontiguousarray(series[:, n : n + m]), np.ascontiguousarray(series[:, n + m :])
 
 
-def _output_expansion(p: ContinuousProblem, orders: int) -> TaylorExpansion | None:
-    """The series of the user's own multipliers and outputs, where they are not those of the rows."""
+@cached_per_object_and_key(most=8)
+def _output_expansion(p: ContinuousProblem, of: tuple[int, int]) -> TaylorExpansion | None:
+    """The series of the user's own multipliers and outputs, where they are not those of the rows; ``of``: orders, and a thread.
+
+    Threads share none: each expansion of a piece writes to its rows.
+    """
     if p.multipliers is None or p.outputs is None:
         return None
+    orders, _ = of
     jets = taylor_decompose(ca.vertcat(p.multipliers, p.outputs), [p.t, p.x, p.l], "multipliers and outputs")
     return TaylorExpansion(jets, orders, None)
 

@@ -195,7 +195,7 @@ static int solve_free_rows(model_solver *s, const affine_problem *p, const signe
 /* ------------------------------------------------------------------ index sets of a box */
 
 /* Put affine.l on the index set affine.code. Return 0, or 1 where that has no solution (a bound that is infinite). */
-static int polish(model_solver *s, const affine_problem *p)
+static int solve_index_set(model_solver *s, const affine_problem *p)
 {
     for (int i = 0; i < p->m; i++)
         if (s->affine.code[i]) {
@@ -215,7 +215,7 @@ static void classify(const affine_problem *p, const double *l, signed char *code
     }
 }
 
-/* Polish and change the rows that contradict their code, from affine.code on, until none does: a set that comes back would do so
+/* Solve and change the rows that contradict their code, from affine.code on, until none does: a set that comes back would do so
    for ever, and the sweeps run out. Return whether it settled. */
 static int primal_dual(model_solver *s, const affine_problem *p)
 {
@@ -223,7 +223,7 @@ static int primal_dual(model_solver *s, const affine_problem *p)
     signed char *code = s->affine.code;
     for (int sweep = 0; sweep < PRIMAL_DUAL_SWEEPS; sweep++) {
         int settled = 1;
-        if (polish(s, p))
+        if (solve_index_set(s, p))
             return 0;
         for (int i = 0; i < p->m; i++) {
             const double *W = p->W + i*p->m;
@@ -338,7 +338,7 @@ static int solve_box(model_solver *s, const affine_problem *p, const signed char
 #if PIVOTING
     if (!lemke(s, p)) {
         classify(p, s->lemke.l, s->affine.code);
-        if (!polish(s, p) && passes(s, p, accepted))
+        if (!solve_index_set(s, p) && passes(s, p, accepted))
             return LEMKE;
         COPY(s->affine.l, s->lemke.l, p->m);
         if (passes(s, p, accepted))
@@ -349,7 +349,7 @@ static int solve_box(model_solver *s, const affine_problem *p, const signed char
     if (first_index_set(s, p->m, p->lo, p->up, last))
         do {
             this_index_set(s, p->m, s->affine.code);
-            if (!polish(s, p) && passes(s, p, accepted))
+            if (!solve_index_set(s, p) && passes(s, p, accepted))
                 return ENUMERATION;
         } while (s->spent < s->budget && next_index_set(s, p->lo, p->up));
 #endif

@@ -358,10 +358,14 @@ static int let_apart(model_pieces *s)
 
 static int has_numbers(const model_pieces *s)
 {
-    for (int k = 0; k <= ORDERS; k++)
+    for (int k = 0; k <= ORDERS; k++) {
         for (int i = 0; i < N; i++)
             if (s->c[k][i] != s->c[k][i] || (k == 1 && !is_finite(s->c[k][i])))
                 return 0;
+        for (int i = 0; i < M; i++) /* one that no x depends on yet */
+            if (s->c[k][Y + i] != s->c[k][Y + i])
+                return 0;
+    }
     return 1;
 }
 
@@ -602,13 +606,17 @@ static int is_agreed(model_pieces *s)
     return agreed;
 }
 
-/* The mode that the place goes on in, by pivoting, else of all; 0 where none is found. */
+/* The mode that the place goes on in, by pivoting from the codes that stand or from guesses, else of all; 0 where none is found. */
 static int settle_mode(model_pieces *s)
 {
     modes all;
     const model_place begun = s->at;
     if (pivot(s))
         return 1;
+#if GUESSED
+    if (pivot_from_guesses(s, &begun))
+        return 1;
+#endif
     s->at = begun;
     if (count_open(s, 0, M + CHOICES) > FEW)
         return 0;

@@ -80,6 +80,7 @@ static double raised_to(double s, int k)
     return raised;
 }
 
+#if !GUESSED
 static int all_finite(int n, const double *x)
 {
     for (int i = 0; i < n; i++)
@@ -88,6 +89,7 @@ static int all_finite(int n, const double *x)
     return 1;
 }
 
+#endif
 /* The power of two that is not below tau. */
 static double unit_of(double tau)
 {
@@ -460,6 +462,15 @@ static int extend(model_pieces *s, int known, int orders)
     return 1;
 }
 
+#if LAW
+/* The end of l_i that a code stands for, or l_i as it was where there is none. */
+static double end_or_last(const model_pieces *s, int i, int code)
+{
+    const double end = code < 0 ? lower[i] : upper[i];
+    return code && is_finite(end) ? end : s->at.l[i];
+}
+
+#endif
 /* Orders 0, ..., orders of x and y, and of l as far as its index lets; 0: the mode has no solution. */
 static int expand(model_pieces *s, int orders)
 {
@@ -472,9 +483,9 @@ static int expand(model_pieces *s, int orders)
     for (int i = 0; i < M; i++) {
         const int code = s->at.codes[i];
 #if LINEAR
-        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : 0;
+        c[L + i] = code ? end_or_last(s, i, code) : 0;
 #else
-        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : s->at.l[i];
+        c[L + i] = end_or_last(s, i, code);
 #endif
     }
     for (int k = 1; k <= orders; k++)

@@ -40,6 +40,9 @@ extern "C" {
 #define MODEL_PIECES_UNKNOWN (MODEL_PIECES_N + MODEL_PIECES_M) /* at each */
 #define MODEL_PIECES_SIDES (MODEL_PIECES_ROWS + MODEL_PIECES_CHOICES) /* x, l, y and what branches look at */
 #endif
+#if GUESSED
+#define MODEL_PIECES_LEMKE @LEMKE@ /* rows of the law, with those that a linear complementarity problem adds */
+#endif
 #define MODEL_PIECES_VERDICTS 3
 #define MODEL_PIECES_RECORD (6 + 4*MODEL_PIECES_M + MODEL_PIECES_N + (MODEL_PIECES_ORDERS + 1)*MODEL_PIECES_ROWS)
 

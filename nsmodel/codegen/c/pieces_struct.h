@@ -15,6 +15,13 @@ typedef struct {
 } model_slopes;
 
 #endif
+#if GUESSED
+/* What affine problems of the law are solved in. */
+typedef struct {
+    long spent, budget;
+@BOX_MEMBERS@} model_box;
+
+#endif
 /* Where a piece starts, and all that the next pieces depend on. */
 typedef struct {
     double t, tau; /* time; unit of time */
@@ -95,6 +102,9 @@ typedef struct {
     double nodal[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES], between[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
     double work_stages[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
     double missed[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN], moved[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN];
+#endif
+#if GUESSED
+    model_box boxes;
 #endif
     double discs[MODEL_PIECES_DISCS*(MODEL_PIECES_ORDERS + 2)]; /* the graphs on a disc: set before they are read */
 } model_pieces;
