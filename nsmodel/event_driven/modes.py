@@ -279,7 +279,7 @@ def _find_valid_mode(system: ModeSystem, place: PieceStart) -> MultiplierSolver 
             place.codes[:] = begin
         if (how := _pivot_to_valid_mode(system, place)) is not None:
             return how
-    return next((how for how, *_ in valid_modes(system, place, before)), None)
+    return next((how for how in _all_modes(system, place, before) if how is not None and _is_valid(system, place, how)), None)
 
 
 def set_initial_codes(system: ModeSystem, place: PieceStart) -> None:
@@ -290,10 +290,10 @@ def set_initial_codes(system: ModeSystem, place: PieceStart) -> None:
         place.codes[i] = int(codes[0]) if len(codes) == 1 and i not in system.blocks.of else 0
 
 
-def valid_modes(
+def _all_modes(
     system: ModeSystem, place: PieceStart, before: tuple, own: list[float] | None = None
-) -> Iterator[tuple[MultiplierSolver, list[list[float]], list[float], float]]:
-    """All modes of the open switches but ``own``, where these are few, that all germs allow: x, how l pushes it, `pace`."""
+) -> Iterator[MultiplierSolver | None]:
+    """Expand all modes of the open switches but ``own``, where these are few, one after the other; None: it has no series."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
@@ -304,10 +304,11 @@ def valid_modes(
         _restore_mode(system, place, before)
         for switch, code in zip(opened, codes, strict=True):
             set_switch(system, place, switch, code)
-        if (how := _expand_germs(system, place)) is not None and not (
-            system.rows_off_zero(how) or list(_violated_conditions(system, place, how))
-        ):
-            yield how, [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system, germ_rounding(system))
+        yield _expand_germs(system, place)
+
+
+def _is_valid(system: ModeSystem, place: PieceStart, how: MultiplierSolver) -> bool:
+    return not (system.rows_off_zero(how) or list(_violated_conditions(system, place, how)))
 
 
 def jump_impulse(system: ModeSystem, place: PieceStart) -> np.ndarray | None:
@@ -349,7 +350,8 @@ def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
     Theorem 3.3.7), of curved blocks a definite one, and g and h are affine in these multipliers together, or the model is
     monotone (`multipliers.is_monotone`), and nothing but rows is open; else all modes of the open switches are tried, where these
-    are few. Their x is known to rounding of its size so far, and of what l pushes it by: in stick f takes that back.
+    are few. Their x is known to rounding of its size so far, and of what l pushes it by: in stick f takes that back. It is not
+    decided where one of them holds coupled rows: Newton's method finds one of its l, or none, and another may be valid.
     The first orders of the mode at the place stand, before and after.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
@@ -359,20 +361,27 @@ def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]
     if len(place.open) > FEW:
         return UNDECIDED, ""
     before, codes = _mode_state(system, place), [_switch_code(system, place, switch) for switch in sorted(place.open)]
-    own, pushed, share, split = (
-        [row[: ORDERS + 1] for row in system.x],
-        system.pushed(),
-        germ_time_share(system, germ_rounding(system)),
-        "",
-    )
-    for _, x, push, its in valid_modes(system, place, before, codes):
-        rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, push, system.sizes.x, strict=True)]
-        if any(_germs_differ(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
-            split = f"{before[0]} and {place.codes}"
+    own, pushed, share = [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system, germ_rounding(system))
+    l, verdict, split = [row[0] for row in system.l], UNDECIDED if _holds_coupled_rows(system, place) else AGREE, ""
+    for how in _all_modes(system, place, before, codes):
+        if _holds_coupled_rows(system, place):
+            verdict = UNDECIDED
+        if how is None or not _is_valid(system, place, how):
+            continue
+        its = min(share, germ_time_share(system, germ_rounding(system)))
+        rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, system.pushed(), system.sizes.x, strict=True)]
+        if any(_germs_differ(a, b[: ORDERS + 1], its, least) for a, b, least in zip(own, system.x, rounding, strict=True)):
+            verdict, split = SPLIT, f"{before[0]} and {place.codes}"
             break
     _restore_mode(system, place, before)
+    for row, guess in zip(system.l, l, strict=True):
+        row[0] = guess
     _expand_germs(system, place)
-    return (SPLIT, split) if split else (AGREE, "")
+    return verdict, split
+
+
+def _holds_coupled_rows(system: ModeSystem, place: PieceStart) -> bool:
+    return system.are_coupled([i for i, code in enumerate(place.codes) if code == 0])
 
 
 def _germs_differ(a: list[float], b: list[float], share: float, least: float) -> bool:

@@ -429,6 +429,10 @@ class ModeSystem(ModeSeries):
         """Whether x is unique in all modes; see `multipliers.is_monotone`."""
         return not self.blocks.all and is_monotone(self.B, self.D, self.C)
 
+    def are_coupled(self, rows: list[int]) -> bool:
+        """Whether g or h has a product of two l of these rows: held together, their l may be several, or be missed by Newton."""
+        return not self.linear_in_l and bool(self.coupled[np.ix_(rows, rows)].any())
+
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
         """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held.
 
@@ -436,7 +440,7 @@ class ModeSystem(ModeSeries):
         that moves it is that of D alone: nothing at a point, it is something after it, and y' has l by more than W.
         """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
-        if not self.linear_in_l and any(self.coupled[i, j] for i in key[0] + key[1] for j in key[0] + key[1]):
+        if self.are_coupled([*key[0], *key[1]]):
             return False
         if key not in self._p_matrices or self.constant is None:
             B, D, C = self.slopes()

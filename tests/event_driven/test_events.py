@@ -194,6 +194,25 @@ def test_no_uniqueness_where_the_law_is_not_affine_in_its_multiplier(compiled):
 
 
 @pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(
+    ("g", "free"),
+    [
+        ([2, 2, 0, -1], 2.0),  # Newton's method for g(l) = 0 goes from 0 to -1 and back: it misses l = 1.769.
+        ([0.25, 3.75, 0, -2.67], 0.25),  # It finds l = -0.067, which is outside of the law, and misses l = 1.217.
+    ],
+)
+def test_a_mode_whose_l_newton_misses_is_not_decided(g, free, compiled):
+    """x' = g(l), x >= 0, l >= 0: x = g(0) t, and x = 0 at a root of g: two solutions, of which the modes do not agree."""
+    assert any(root.imag == 0 and root.real > 0 for root in np.roots(g[::-1]))
+    x, l = ca.SX.sym("x"), ca.SX.sym("l")
+    terms = [sum(c * l**k for k, c in enumerate(g))]
+    model = FirstOrderSystem(x=x, lam=l, f=[0 * x], g=terms, h=[x], law=complementarity(1), x0=[0], t_end=1)
+    run = simulate(model, rtol=1e-6, method="event-driven", compiled=compiled)
+    np.testing.assert_allclose(run.x[-1], free, rtol=1e-9)
+    assert run.metadata["totals"]["unique"] == {"not decided": 1}
+
+
+@pytest.mark.parametrize("compiled", [False, True])
 def test_modes_of_a_bilinear_model_are_proved_unique_where_their_rows_are_not_coupled(compiled):
     """Genes, of which l1 and l4, l2 and l3 are coupled: at (8, 8) l3 and l4 are held, which are not; at first all are open."""
     run = simulate(nsmodel.load("gene_network"), rtol=1e-6, method="event-driven", compiled=compiled)

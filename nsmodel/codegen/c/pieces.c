@@ -542,22 +542,25 @@ static int judge_uniqueness(model_pieces *s)
             return MODEL_NO_MODE;
 #if LAW
     if (!count_open(s, M, M + CHOICES) && is_p_matrix(s)) {
-        s->at.unique[0] += 1;
+        s->at.unique[THE_ONLY_ONE] += 1;
         return MODEL_OK;
     }
 #else
     if (!count_open(s, 0, CHOICES)) {
-        s->at.unique[0] += 1;
+        s->at.unique[THE_ONLY_ONE] += 1;
         return MODEL_OK;
     }
 #endif
     if (count_open(s, 0, M + CHOICES) > FEW) {
-        s->at.unique[2] += 1;
+        s->at.unique[NOT_DECIDED] += 1;
         return MODEL_OK;
     }
-    s->at.unique[1] += 1;
     s->at.known = 0;
-    return is_agreed(s) ? MODEL_OK : MODEL_NO_MODE;
+    const int verdict = compare_modes(s);
+    if (verdict == SPLIT)
+        return MODEL_NO_MODE;
+    s->at.unique[verdict] += 1;
+    return MODEL_OK;
 }
 
 /* Whether event n = 2^k comes as fast again as event n/2, to a part, four times over. */

@@ -572,28 +572,47 @@ static int count_open(const model_pieces *s, int from, int to)
     return count;
 }
 
+enum { THE_ONLY_ONE, AGREED, NOT_DECIDED, SPLIT }; /* What is known of the mode: the first three are counted. */
+
+/* Whether g or h has a product of two l that the mode holds: Newton's method finds one of its l, or none. */
+static int holds_coupled_rows(const model_pieces *s)
+{
+#if LINEAR
+    UNUSED(s);
+#else
+    for (int i = 0; i < M; i++)
+        for (int j = 0; j < M; j++)
+            if (coupled[i*M + j] && s->at.codes[i] == 0 && s->at.codes[j] == 0)
+                return 1;
+#endif
+    return 0;
+}
+
 /*
- * Whether all valid modes of the open switches have the x of the one at the place, of which the series are there; after this
- * order 0 alone.
+ * Whether all valid modes of the open switches have the x of the one at the place, of which the series are there; it is not decided
+ * where one of them holds coupled rows. After this order 0 alone.
  */
-static int is_agreed(model_pieces *s)
+static int compare_modes(model_pieces *s)
 {
     modes all;
     double now[FEW] = {0}, pushed[N], first[COLUMNS];
     const double own = pace(s);
-    int agreed = 1;
+    int verdict = holds_coupled_rows(s) ? NOT_DECIDED : AGREED;
     if (!list_modes(s, &all))
-        return 1;
+        return verdict;
     for (int i = 0; i < all.n; i++)
         now[i] = all.open[i] < M ? s->at.codes[all.open[i]] : s->at.choice[all.open[i] - M];
     memcpy(first, s->c[0], sizeof first);
     for (int k = 0; k <= ORDERS; k++)
         memcpy(s->germs[k], s->c[k], sizeof s->germs[k]);
     pushes(s, pushed);
-    do
-        if (!turn_all(s, &all, now) && is_valid(s))
-            agreed = agrees(s, s->germs, pushed, min_of(own, pace(s)));
-    while (agreed && next_mode(&all));
+    do {
+        const int same = turn_all(s, &all, now);
+        if (holds_coupled_rows(s))
+            verdict = NOT_DECIDED;
+        if (!same && is_valid(s) && !agrees(s, s->germs, pushed, min_of(own, pace(s))))
+            verdict = SPLIT;
+    } while (verdict != SPLIT && next_mode(&all));
     for (int i = 0; i < all.n; i++)
         turn(s, all.open[i], now[i]);
     memcpy(s->c[0], first, sizeof first);
@@ -603,7 +622,7 @@ static int is_agreed(model_pieces *s)
     slopes_here(s);
 #endif
 #endif
-    return agreed;
+    return verdict;
 }
 
 /* The mode that the place goes on in, by pivoting from the codes that stand or from guesses, else of all; 0 where none is found. */

@@ -369,7 +369,17 @@ static int stays(const model_pieces *s, int k)
     return 1;
 }
 
-/* Order 0 of l and order 1 of x; 0 where the mode has none. */
+#if !LINEAR
+/* Of l_i the middle of its ends, or the end that there is, or 0. */
+static double middle_of(int i)
+{
+    if (is_finite(lower[i]) && is_finite(upper[i]))
+        return (lower[i] + upper[i])/2;
+    return is_finite(lower[i]) ? lower[i] : is_finite(upper[i]) ? upper[i] : 0;
+}
+#endif
+
+/* Order 0 of l and order 1 of x, from l as it stands; 0 where the mode has none. */
 static int settle(model_pieces *s)
 {
     double d[M];
@@ -480,23 +490,34 @@ static int expand(model_pieces *s, int orders)
     memcpy(c, s->at.x, sizeof s->at.x);
     spend_on(s);
 #if LAW
-    for (int i = 0; i < M; i++) {
-        const int code = s->at.codes[i];
-#if LINEAR
-        c[L + i] = code ? end_or_last(s, i, code) : 0;
-#else
-        c[L + i] = end_or_last(s, i, code);
-#endif
-    }
+    int settled = 0;
     for (int k = 1; k <= orders; k++)
         memset(s->c[k] + L, 0, M*sizeof *c);
+#if LINEAR
+    for (int i = 0; i < M; i++) {
+        const int code = s->at.codes[i];
+        c[L + i] = code ? end_or_last(s, i, code) : 0;
+    }
     outputs(s, 0);
     solve_mode(s);
-    const int settled = settle(s);
+    settled = settle(s);
     memcpy(s->at.l, c + L, M*sizeof *c);
     if (!settled)
         return 0;
-#if !LINEAR
+#else
+    for (int from = 0; from < 2 && !settled; from++) { /* from the guess that l is, then from the middle of its ends */
+        for (int i = 0; i < M; i++) {
+            const int code = s->at.codes[i];
+            s->at.l[i] = end_or_last(s, i, code);
+            c[L + i] = code == 0 && from ? middle_of(i) : s->at.l[i];
+        }
+        outputs(s, 0);
+        solve_mode(s);
+        settled = settle(s);
+    }
+    if (!settled)
+        return 0;
+    memcpy(s->at.l, c + L, M*sizeof *c);
     solve_mode(s);
 #endif
 #else
