@@ -34,6 +34,7 @@ from nsmodel.event_driven.modes import (
     all_switches,
     condition_scale,
     extrapolate_start,
+    is_germ_zero,
     is_same_condition,
     jump_impulse,
     list_switch_names,
@@ -184,7 +185,7 @@ class Integrator:
             if hit is None:
                 self._pass_switch_time(known)
             elif self.accumulation.pieces_vanish(tau * s, place.t, place.tau):
-                raise self._accumulation_error(hit)
+                raise self._accumulation_error(hit, parts_late=s == 0 and is_germ_zero(system, place, how, hit))
             else:
                 self._handle_event(hit, known, until)
         except StepError as why:
@@ -548,8 +549,12 @@ class Integrator:
         check_what_blocks_set(system, place.t)
         return False
 
-    def _accumulation_error(self, hit: SwitchCondition) -> StepError:
-        reason = f"the switches of {switch_name(hit.of, self.problem.rows)} accumulate; time steps go over them"
+    def _accumulation_error(self, hit: SwitchCondition, *, parts_late: bool = False) -> StepError:
+        name = switch_name(hit.of, self.problem.rows)
+        reason = f"the switches of {name} accumulate; time steps go over them"
+        if parts_late:
+            orders = f"orders 0 to {ORDERS} of the series"
+            reason = f"the mode of {name} cannot be decided: its modes part beyond {orders}; time steps go over that"
         return StepError(f"t = {self.place.t:.10g}: {reason}: method='auto' or 'time-stepping' (--method auto)")
 
     def _correct_drift(self, how: MultiplierSolver) -> None:

@@ -520,6 +520,12 @@ def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierS
             yield condition
 
 
+def is_germ_zero(system: ModeSystem, place: PieceStart, how: MultiplierSolver, condition: SwitchCondition) -> bool:
+    """Whether the orders that decide a condition are rounding, all of them: it holds in the germ, whatever comes later."""
+    germs = (one for one in mode_conditions(system, place.codes, how, ORDERS) if is_same_condition(one, condition))
+    return all(leading_order(one.coefficients(), TIE * condition_scale(system, one), 1.0) is None for one in germs)
+
+
 def germ_rounding(system: ModeSystem, orders: int = ORDERS) -> GermRounding:
     """What the coefficients of x, l and y are known to, a row each, of linear models; of others nothing."""
     if not (system.is_linear and system.analyses_rounding) or system.how is None:
