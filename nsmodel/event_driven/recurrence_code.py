@@ -50,7 +50,7 @@ PYTHON_DIALECT = Dialect(
     choose="if choice[{i}] != choice[{i}]: choice[{i}] = {value}",
     choices={
         "side": "-1.0 if {0} < 0 else 1.0",
-        "equal": "float(({0} > 0) - ({0} < 0))",
+        "equal": "float({0} > 0) - float({0} < 0)",
         "floor": "floor({0})",
         "ceil": "ceil({0})",
         "toward zero": "trunc({0})",
