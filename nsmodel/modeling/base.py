@@ -20,7 +20,7 @@ from nsmodel._utils import html_repr, one_line
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.modeling.conversion import Converter, declare
 from nsmodel.modeling.description import describe_model
-from nsmodel.modeling.expressions import check_finite
+from nsmodel.modeling.expressions import check_defined, check_finite
 from nsmodel.modeling.inputs import DeclaredInputs, Signals
 from nsmodel.modeling.laws import StateNames
 from nsmodel.modeling.outputs import SampledExactState, declare_outputs
@@ -30,6 +30,7 @@ from nsmodel.modeling.parameters import (
     check_grid_arguments,
     check_switch_times,
     declare_parameters,
+    named_expressions,
     numbered_row_names,
     read_units,
     scalar_values,
@@ -363,7 +364,10 @@ class Model(Picklable):
         whole = {name: names for name, names in self.vectors.items() if set(names.ravel()) <= set(missing)}
         bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), vectors=MappingProxyType(whole))
         bound._set(bound_parameters=MappingProxyType({**self.bound_parameters, **checked}))
-        bound._check_defined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
+        text = ", ".join(f"{name} = {value:g}" for name, value in checked.items())
+        bound._check_defined(text)
+        for name, expression in named_expressions(self):
+            check_defined(expression, self.p[given], ca.DM(list(checked.values())), f"with {text}, {name}")
         if isinstance(bound.exact, ca.SX) and not missing:
             bound._set(exact=SampledExactState(bound.t, bound.exact))
         return bound

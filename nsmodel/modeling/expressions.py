@@ -13,8 +13,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import ModelError, NsmodelError
-from nsmodel.proof.expression_graph import apply_operation, operation_codes, stack_column, stored_entries, symbol_hashes
+from nsmodel.errors import ModelError, NsmodelError, UsageError
+from nsmodel.proof.expression_graph import (
+    apply_operation,
+    fold_graph,
+    operation_codes,
+    stack_column,
+    stored_entries,
+    symbol_hashes,
+)
 
 
 def derivatives(expr: ca.SX, symbols: ca.SX) -> ca.SX:
@@ -81,6 +88,47 @@ def check_finite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelErr
         if entry.is_constant():
             index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
             raise error(f"{label}{index} = {float(entry)}; expected a finite number")
+
+
+def check_defined(expr: ca.SX, p: ca.SX, values: ca.DM, label: str) -> None:
+    """Refuse an entry that is finite nowhere with these values of p, as a part of p alone is not finite: -x/k, x log(k) at k = 0.
+
+    The numbers are put into the graph of the expression: CasADi makes 0 of inf - inf, and inf x is no constant.
+    """
+    if not ca.depends_on(expr, p):
+        return
+    own = symbol_hashes(p)
+    others = stack_column(symbol for symbol in ca.symvar(expr) if symbol.element_hash() not in own)
+    of = ca.Function("values", [p, others], [expr])
+    if np.isfinite(of(values, np.full(others.numel(), 0.7)).nonzeros()).all():
+        return
+    finite = np.any([np.isfinite(of(values, point).nonzeros()) for point in sample_points(others.numel(), 12)], axis=0)
+    stored = stored_entries(expr)
+    where = np.column_stack(expr.sparsity().get_triplet())
+    for k in np.flatnonzero(~finite):
+        if _has_undefined_part(stored[int(k)], p, values):
+            (i, j), text = where[k], str(stored[int(k)])
+            index = "" if expr.numel() == 1 else f"[{i}]" if expr.shape[1] == 1 else f"[{i}, {j}]"
+            raise UsageError(f"{label}{index} = {text:.60} is finite nowhere; expected a finite number")
+
+
+def _has_undefined_part(entry: ca.SX, p: ca.SX, values: ca.DM) -> bool:
+    """Whether a part of an entry that depends on p alone is not finite, or divides by 0."""
+    known = {symbol.element_hash(): float(value) for symbol, value in zip(ca.vertsplit(p), ca.vertsplit(values), strict=True)}
+    undefined: list[int] = []
+
+    def apply(op: int, args: list[float | None]) -> float | None:
+        if op == ca.OP_DIV and args[1] == 0:
+            undefined.append(op)
+        numbers = [ca.SX(arg) for arg in args if arg is not None]
+        if op == ca.OP_CALL or len(numbers) < len(args):
+            return None
+        found = float(apply_operation(op, numbers))
+        undefined.extend([] if np.isfinite(found) else [op])
+        return found
+
+    fold_graph(entry, lambda symbol: known.get(symbol.element_hash()), float, apply)
+    return bool(undefined)
 
 
 MAX_TABLE_POINTS = 400

@@ -8,7 +8,7 @@ Arguments that all classes share: units, names of the states, the steps.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass, replace
 from types import MappingProxyType
@@ -234,6 +234,25 @@ def map_expressions(model: T, change: Callable[[ca.SX], ca.SX]) -> T:
         if name not in UNCHANGED_FIELDS:
             object.__setattr__(other, name, put(value))
     return other
+
+
+def named_expressions(model: Any) -> Iterator[tuple[str, ca.SX]]:
+    """The expressions of a model that are to be finite, with their places: bounds and ends of laws may be infinite."""
+
+    def within(label: str, value: Any) -> Iterator[tuple[str, ca.SX]]:
+        if isinstance(value, ca.SX):
+            yield from [(label, value)] if value.numel() else []
+        elif is_dataclass(value) and not isinstance(value, type):
+            yield from (one for f in fields(value) for one in within(f"{label}.{f.name}", getattr(value, f.name)))
+        elif isinstance(value, tuple):
+            names = getattr(value, "_fields", range(len(value)))
+            yield from (one for name, item in zip(names, value, strict=True) for one in within(f"{label}.{name}", item))
+        elif isinstance(value, Mapping):
+            yield from (one for key, item in value.items() for one in within(f"{label}['{key}']", item))
+
+    for name, value in vars(model).items():
+        if name not in UNCHANGED_FIELDS and name not in ("lower", "upper", "law", "exact"):
+            yield from within(name, value)
 
 
 # Attributes of every Trajectory: a state may not take these names.

@@ -30,5 +30,5 @@ def test_modes_that_part_beyond_the_germs_are_told(k, compiled):
     t, x, l = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("l")
     leaving = FirstOrderSystem(t=t, x=x, lam=l, f=[t**k], g=[l], h=[x], law=complementarity(1), x0=[0], t_end=1.0)
     for model in (parting(k), leaving):
-        with pytest.raises(StepError, match="mode of l.* part beyond orders 0 to 6 .* method='auto'"):
+        with pytest.raises(StepError, match=r"mode of l.* part beyond orders 0 to 6 .* method='auto'"):
             simulate(model, rtol=1e-8, method="event-driven", compiled=compiled)
