@@ -228,9 +228,12 @@ class RadauMethod:
             share = np.abs(step) / np.hstack([np.maximum(size, np.abs(Z)), np.abs(L[:, held]) + NOTHING])
             before, moved = moved, np.array([share[:, :n].max(initial=0.0), share[:, n:].max(initial=0.0)])
             foretold = moved * np.minimum(moved / (before + NOTHING), 1.0) if iteration else moved
-            if min(moved[0], foretold.max()) <= STAGE_CONVERGED:
+            l_comes_nearer = not iteration or bool(moved[1] < SLOW * before[1])  # x = -D l may be rounding of its size before.
+            if foretold.max() <= STAGE_CONVERGED or (moved[0] <= STAGE_CONVERGED and not l_comes_nearer):
                 break
-            if iteration > 1 and not moved[0] <= SLOW * before[0]:  # The second mends what is rounding of the inverse.
+            if iteration > 1 and not (
+                moved[0] <= SLOW * before[0] or l_comes_nearer
+            ):  # The second mends rounding of the inverse.
                 if moved[0] <= max(STAGE_NEAR * rtol, STAGE_ROUNDING):
                     break
                 return None

@@ -355,9 +355,10 @@ static double fit(model_pieces *s, double h, double *estimate)
         iterate(s, &of, h, inverses + q*q, moved);
         for (int i = 0; i < 2; i++)
             foretold = worse_of(foretold, moved[i]*(iteration && moved[i] < before[i] ? moved[i]/before[i] : 1));
-        if (min_of(moved[0], foretold) <= STAGE_SETTLED)
+        const int l_comes_nearer = iteration == 0 || moved[1] < SLOW*before[1]; /* x = -D l may be rounding of its size before */
+        if (foretold <= STAGE_SETTLED || (moved[0] <= STAGE_SETTLED && !l_comes_nearer))
             break;
-        if (iteration > 1 && !(moved[0] <= SLOW*before[0])) { /* the second mends what is rounding of the inverse */
+        if (iteration > 1 && !(moved[0] <= SLOW*before[0] || l_comes_nearer)) { /* the second mends rounding of the inverse */
             if (moved[0] <= max_of(STAGE_NEAR*rtol, STAGE_ROUNDING))
                 break;
             return NAN;
