@@ -52,6 +52,7 @@ from nsmodel.event_driven.modes import FEW, LAPLACE_SHARES
 from nsmodel.event_driven.multipliers import state_motion
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.radau import SlopeMatrix, fixed_branches
+from nsmodel.event_driven.recurrences import independent_branches
 from nsmodel.modeling.base import Model
 from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.rounding_errors import rounding_error_bound
@@ -136,6 +137,9 @@ def law_tables(spec: PieceSpec) -> PieceTables:
         _, columns, kinds = zip(*spec.columns.branches, strict=True)
         made.text += c_table("branch_column", columns, "CHOICES", kind="int")
         made.text += c_table("branch_kind", [CHOICE_KINDS.index(kind) for kind in kinds], "CHOICES", kind="int")
+        printers = sorted(spec.printers.values(), key=lambda made: made.offset)
+        nested = [not own for one in printers for own in independent_branches(one.jets)]
+        made.text += c_table("branch_nested", nested, "CHOICES", "whether it looks at what others choose, or an l", "int")
     if not m:
         return made
     for name, ends in zip(("lower", "upper"), spec.ends, strict=True):

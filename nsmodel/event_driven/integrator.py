@@ -55,7 +55,6 @@ from nsmodel.event_driven.radau import StiffIntegrator
 from nsmodel.event_driven.state_updates import (
     AROUND,
     check_what_blocks_set,
-    choose_nested_comparisons,
     coast_to_stop,
     project_to_held_rows,
     reinitialise,
@@ -542,7 +541,6 @@ class Integrator:
         All read what was held before. What they set may change comparisons: these act once more, at the same time.
         """
         system, place = self.system, self.place
-        choose_nested_comparisons(system, place)
         sides = [list(part.choice) for part in system.updates]
         acting = [k for k, (now, before) in enumerate(zip(sides, self._acted, strict=True)) if now != before]
         self._acted = sides

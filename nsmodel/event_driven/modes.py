@@ -495,7 +495,33 @@ def _pivot_to_valid_mode(system: ModeSystem, place: PieceStart) -> MultiplierSol
 
 def _expand_germs(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:
     how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
+    for _ in system.nested:
+        if how is None or not _follow_other_switches(system):
+            break
+        how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
     return None if how is None or any(any(map(math.isnan, row[: ORDERS + 1])) for row in (*system.x, *system.y)) else how
+
+
+def _follow_other_switches(system: ModeSystem) -> bool:
+    """Leave open the switches whose argument jumps with what others choose, and does not move, where their side is not its own.
+
+    So it is with a comparison of comparisons, was == (command > 0); whether there is one.
+    """
+    stale = [
+        (part, i)
+        for name, i in system.nested
+        if not any((row := (part := system.parts[name]).rows[part.jets.branches[i].row])[1 : ORDERS + 1])
+        and not _is_chosen(part.jets.branches[i].kind, part.choice[i], row[0])
+    ]
+    for part, i in stale:
+        part.choice[i] = math.nan
+    return bool(stale)
+
+
+def _is_chosen(kind: str, choice: float, argument: float) -> bool:
+    """Whether a comparison has the side of its argument; a whole number is left as it is."""
+    side = float(argument > 0) - float(argument < 0)
+    return kind not in ("side", "equal") or choice == (side or (0.0 if kind == "equal" else 1.0))
 
 
 def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierSolver) -> Iterator[SwitchCondition]:

@@ -96,34 +96,6 @@ def reinitialise(system: ModeSystem, place: PieceStart) -> None:
         place.open = {c.of for c in mode_conditions(system, place.codes, how, AROUND) if is_condition_zero(system, c)}
 
 
-def choose_nested_comparisons(system: ModeSystem, place: PieceStart) -> None:
-    """Let blocks' comparisons of what other comparisons choose, which does not move, follow from it: was == (command > 0).
-
-    Such an argument jumps with the others' sides, which germs have decided: its own side at order 0 may have been another.
-    """
-    names = list(system.problem.block_parts)
-    for _ in range(sum(len(part.choice) for part in system.updates)):
-        stale = [
-            (part, i)
-            for name, part in zip(names, system.updates, strict=True)
-            for i, branch in enumerate(part.jets.branches)
-            if not system.plain[name, i]
-            and not any((row := part.rows[branch.row])[1 : ORDERS + 1])
-            and not _is_chosen(branch.kind, part.choice[i], row[0])
-        ]
-        if not stale:
-            return
-        for part, i in stale:
-            part.choice[i] = math.nan
-        system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
-
-
-def _is_chosen(kind: str, choice: float, argument: float) -> bool:
-    """Whether a comparison has the side of its argument; a whole number is left as it is."""
-    side = float(argument > 0) - float(argument < 0)
-    return kind not in ("side", "equal") or choice == (side or (0.0 if kind == "equal" else 1.0))
-
-
 def update_blocks(system: ModeSystem, place: PieceStart, acting: Sequence[int]) -> bool:
     """Set what some blocks hold to what they set it to in the mode just chosen, from the old values; whether that is another."""
     p, before = system.problem, list(place.x)

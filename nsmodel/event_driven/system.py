@@ -169,6 +169,11 @@ class ModeSystem(ModeSeries):
         }
 
     @cached_property
+    def nested(self) -> list[tuple[str, int]]:
+        """The switches, in blocks too, that look at what others choose, or a multiplier."""
+        return [switch for switch, own in self.plain.items() if not own]
+
+    @cached_property
     def feedthrough(self) -> np.ndarray:
         """Whether each y (m,) depends on l directly."""
         rows = set(ca.jacobian_sparsity(self.problem.h, self.problem.l).row()) if self.m else set()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -78,3 +80,35 @@ def test_rows_of_a_law_that_a_jump_of_time_moves(compiled):
     assert simulate(saw, rtol=1e-8, method="event-driven", compiled=compiled).x[-1] == pytest.approx(
         simulate(saw).x[-1], abs=1e-4
     )
+
+
+LEVELS = (0.5, 1.25)
+
+
+def comparisons(x):
+    """{name: (rate of x, rates below, between and above the levels)}: comparisons of what comparisons choose."""
+    one, two = (ca.if_else(x > level, 1, 0) for level in LEVELS)
+    return {
+        "equal": (ca.if_else(one == 1, 2, 1), (1, 2, 2)),
+        "truth": (ca.if_else(one, 2, 1), (1, 2, 2)),
+        "sum": (ca.if_else(one + two == 1, 3, 1), (1, 3, 1)),
+        "not": (ca.if_else(ca.logic_not(one == 0), 0.5, 2), (2, 0.5, 0.5)),
+        "and": (ca.if_else(ca.logic_and(one == 1, two == 0), 4, 1), (1, 4, 1)),
+        "product": (1 + ca.if_else((2 * one - 1) * (2 * two - 1) > 0, 0, 2), (1, 3, 1)),
+        "nested twice": (ca.if_else(ca.if_else(one == 1, 1, 0) + two == 2, 0.25, 1), (1, 1, 0.25)),
+    }
+
+
+@pytest.mark.parametrize("compiled", WAYS)
+@pytest.mark.parametrize("name", comparisons(ca.SX.sym("x")))
+def test_comparisons_of_comparisons(name, compiled):
+    x, end = ca.SX.sym("x"), 2.0
+    rate, rates = comparisons(x)[name]
+    model = FirstOrderSystem(x=x, f=[rate], x0=[0.0], t_end=end, step=0.1)
+    run = simulate(model, rtol=1e-9, method="event-driven", compiled=compiled)
+    t, at = 0.0, 0.0
+    for level, own in zip((*LEVELS, math.inf), rates, strict=True):
+        moved = min((level - at) / own, end - t)
+        t, at = t + moved, at + own * moved
+    assert run.x[-1, 0] == pytest.approx(at, abs=1e-9)
+    assert len(run.events) <= 3

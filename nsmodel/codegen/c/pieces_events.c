@@ -401,6 +401,37 @@ static int is_wrong(model_pieces *s, const condition *of, double share)
     return first >= 0 && c[first] < 0;
 }
 
+#if SWITCHED
+/* Leave open the switches whose argument jumps with what others choose, and does not move, where their side is not its own. */
+static int follow_others(model_pieces *s)
+{
+    int any = 0;
+    for (int b = 0; b < CHOICES; b++) {
+        const int column = branch_column[b], kind = branch_kind[b];
+        const double argument = s->c[0][column], side = (argument > 0) - (argument < 0);
+        int still = branch_nested[b] && (kind == SIDE || kind == EQUAL);
+        for (int k = 1; still && k <= ORDERS; k++)
+            still = s->c[k][column] == 0;
+        if (!still || s->at.choice[b] == (side == 0 && kind == SIDE ? 1 : side))
+            continue;
+        s->at.choice[b] = NAN;
+        any = 1;
+    }
+    return any;
+}
+
+#endif
+/* The germs of the mode at the place, whose comparisons of comparisons follow these; 0 where it has none. */
+static int expand_germs(model_pieces *s)
+{
+    int found = expand(s, ORDERS);
+#if SWITCHED
+    for (int tried = 0; tried < CHOICES && found && follow_others(s); tried++)
+        found = expand(s, ORDERS);
+#endif
+    return found && has_numbers(s);
+}
+
 /* The mode in which all germs are valid, by principal pivoting; 0 where it does not settle. */
 static int pivot(model_pieces *s)
 {
@@ -409,7 +440,7 @@ static int pivot(model_pieces *s)
     condition all[2];
     for (int iteration = 0; iteration < PIVOTS; iteration++) {
         int any = 0;
-        if (!expand(s, ORDERS) || !has_numbers(s)) {
+        if (!expand_germs(s)) {
 #if LAW
             if (let_go(s))
                 continue;
@@ -453,7 +484,7 @@ static int pivot(model_pieces *s)
 static int is_valid(model_pieces *s)
 {
     condition all[2];
-    if (!expand(s, ORDERS) || !has_numbers(s))
+    if (!expand_germs(s))
         return 0;
 #if LAW
     for (int a = 0; HOW.through && a < HOW.n; a++)
@@ -684,12 +715,12 @@ static int choose_mode(model_pieces *s)
             if (t == begun.t)
                 return 1;
             creep_along(s, begun.t, begun.x);
-            return expand(s, ORDERS) && has_numbers(s);
+            return expand_germs(s);
         }
         s->at = begun;
         s->at.t = t;
         memcpy(s->at.x, x, sizeof x);
-        if (expand(s, ORDERS) && has_numbers(s))
+        if (expand_germs(s))
             break;
         creep(s, ldexp(1, i));
         t = s->at.t;
