@@ -35,6 +35,8 @@ from nsmodel.version import VERSION
 __version__ = VERSION
 
 if TYPE_CHECKING:
+    from nsmodel.derivatives.result import Sensitivity
+    from nsmodel.derivatives.sensitivity import sensitivity
     from nsmodel.hypotheses.check import check
     from nsmodel.hypotheses.findings import Finding
     from nsmodel.hypotheses.report import Report
@@ -77,6 +79,7 @@ __all__ = [
     "PreparedRun",
     "Report",
     "RunInterrupted",
+    "Sensitivity",
     "Signal",
     "StepError",
     "StorageError",
@@ -112,6 +115,7 @@ __all__ = [
     "relay",
     "sampled",
     "second_order_cone",
+    "sensitivity",
     "share",
     "signal",
     "simulate",
@@ -130,6 +134,8 @@ former_names.install()
 _later(
     __name__,
     {
+        "nsmodel.derivatives.result": ["Sensitivity"],
+        "nsmodel.derivatives.sensitivity": ["sensitivity"],
         "nsmodel.hypotheses.check": ["check"],
         "nsmodel.hypotheses.findings": ["Finding"],
         "nsmodel.hypotheses.report": ["Report"],

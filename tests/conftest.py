@@ -37,8 +37,9 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
         "test_outputs", "test_parameters", "test_piece_batch", "test_pieces_in_c", "test_plot", "test_repeated", "test_resume",
         "test_notebooks", "test_rich", "test_rounding", "test_schemes", "test_search", "test_site", "test_solvers", "test_sparse",
         "test_stepping", "test_stress", "test_stretches", "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times",
-        "test_view", "test_recipes", "test_coulomb", "test_exact_roots", "test_exponentials", "test_further", "test_jumps",
-        "test_late", "test_mechanical", "test_runs_keep", "test_roots",
+        "test_view", "test_recipes", "test_coulomb", "test_exact_roots", "test_exact_scenes", "test_random_derivatives",
+        "test_sensitivity", "test_exponentials", "test_further", "test_jumps", "test_late", "test_mechanical",
+        "test_runs_keep", "test_roots",
     ),
 }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The command line: ``nsmodel run FILE``, and ``view``, ``check``, ``study``, ``stress``, ``codegen``; ``cases``, ``new``."""
+"""The command line: ``nsmodel run FILE``, and ``view``, ``check``, ``sensitivity``, ``study``, ``stress``, ``cases``, ... ."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from nsmodel.cli.common import (
 from nsmodel.cli.completion import add_completion_command
 from nsmodel.cli.export import add_codegen_command, add_view_command
 from nsmodel.cli.run import add_run_command
+from nsmodel.cli.sensitivity import add_sensitivity_command
 from nsmodel.cli.study import add_stress_command, add_study_command
 from nsmodel.cli.sweep import add_sweep_command
 from nsmodel.errors import NsmodelError
@@ -34,6 +35,7 @@ ADD_COMMANDS = (
     add_view_command,
     add_sweep_command,
     add_check_command,
+    add_sensitivity_command,
     add_study_command,
     add_stress_command,
     add_codegen_command,

@@ -180,8 +180,10 @@ class ContinuousProblem:
 CONTINUOUS_PROBLEM = Part[Callable[[Any], ContinuousProblem]]("continuous_problem")
 
 
-def with_input_states(problem: ContinuousProblem, model: Model) -> ContinuousProblem:
+def with_input_states(problem: ContinuousProblem, model: Model, start: Sequence[float] | None = None) -> ContinuousProblem:
     """The problem with the inputs of its model as states, or as what they are as expressions of time.
+
+    ``start``: what these states are at t = 0; left out it is computed, of a model with blocks one with numbers for parameters.
 
     Raises:
         NotEventDriven: a signal that is no polynomial between known times, by name.
@@ -211,11 +213,12 @@ def with_input_states(problem: ContinuousProblem, model: Model) -> ContinuousPro
         if (part := getattr(problem, name)) is not None and part.numel()
     }
     first = {str(symbol): problem.x.numel() + i for i, symbol in enumerate(chain)}
-    start = input_states(model, 0.0, None)
-    if updates:  # Their first action is that of the mode at the start.
-        before = not_none(model_ticks(model)).before(np.array(ca.DM(model.start)).ravel(), initial_inputs(model))
-        for place in (place for block in updates for place in block.at):
-            start[first[model.input_names[place]] - problem.x.numel()] = float(before[place])
+    if start is None:
+        start = input_states(model, 0.0, None)
+        if updates:  # Their first action is that of the mode at the start.
+            before = not_none(model_ticks(model)).before(np.array(ca.DM(model.start)).ravel(), initial_inputs(model))
+            for place in (place for block in updates for place in block.at):
+                start[first[model.input_names[place]] - problem.x.numel()] = float(before[place])
     for block in updates:
         if ca.depends_on(block.next, getattr(model, "lam", ca.SX(0, 1))):
             raise NotEventDriven(f"block '{block.name}' reads multipliers after each step")

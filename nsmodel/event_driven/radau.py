@@ -93,7 +93,7 @@ def fixed_branches(
         given |= {(which, i): symbol for i, symbol in enumerate(ca.vertsplit(ca.vec(symbols)))}
     for name, of in recurrences.items():
         own = [ca.SX.sym(f"side_{name}_{i}") for i in range(len(of.branches))]
-        outputs[name], looked = _replay_recurrences(of, given, own)
+        outputs[name], looked = replay_recurrences(of, given, own)
         choices += own
         watched += looked
     rate = outputs["f"] + (outputs["g"] if B is None else ca.mtimes(ca.SX(B), p.l))
@@ -112,7 +112,7 @@ def fixed_branch_functions(system: ModeSystem) -> tuple[ca.Function, ca.Function
     )
 
 
-def _replay_recurrences(
+def replay_recurrences(
     recurrences: TaylorRecurrences, given: dict[tuple[int, int], ca.SX], choices: list[ca.SX]
 ) -> tuple[ca.SX, list[ca.SX]]:
     """The outputs, and the rows that branches look at."""

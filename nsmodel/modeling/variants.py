@@ -158,6 +158,13 @@ def with_start_parameters(model: M, states: Sequence[str]) -> M:
     return other
 
 
+def with_symbols(model: M, values: Mapping[str, float], kept: Sequence[str]) -> M:
+    """The model with these values of its parameters, but for those that are ``kept``, which stay symbols."""
+    other = model.__copy__()
+    other._set(parameters=MappingProxyType(dict.fromkeys(model.parameters)))
+    return other.bind({name: values[name] for name in model.parameters if name not in kept}, partly=True)
+
+
 def with_start(model: M, starts: Mapping[str, Any]) -> M:
     """The model with other starts, numbers or symbols, of these states.
 

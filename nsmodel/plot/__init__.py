@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nsmodel.plot.figures import overview, save, save_all, window
     from nsmodel.plot.film import animate
     from nsmodel.plot.plane import phase
+    from nsmodel.plot.sensitivity import sensitivity
     from nsmodel.plot.strips import index_map, index_strip, space_time
     from nsmodel.plot.study import stress, work_precision
     from nsmodel.plot.sweep import sweep_histogram, sweep_line, sweep_map, sweep_overview
@@ -33,6 +34,7 @@ __all__ = [
     "residual",
     "save",
     "save_all",
+    "sensitivity",
     "space_time",
     "states",
     "stress",
@@ -51,6 +53,7 @@ _later(
         "nsmodel.plot.film": ["animate"],
         "nsmodel.plot.class_pictures": ["configuration"],
         "nsmodel.plot.plane": ["phase"],
+        "nsmodel.plot.sensitivity": ["sensitivity"],
         "nsmodel.plot.strips": ["index_map", "index_strip", "space_time"],
         "nsmodel.plot.study": ["stress", "work_precision"],
         "nsmodel.plot.sweep": ["sweep_histogram", "sweep_line", "sweep_map", "sweep_overview"],

@@ -8,12 +8,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsmodel.plot.html.notebook import model_html, report_html, run_html, statistics_html, stress_html, study_html, sweep_html
+from nsmodel.plot.html.notebook import (
+    model_html,
+    report_html,
+    run_html,
+    sensitivity_html,
+    statistics_html,
+    stress_html,
+    study_html,
+    sweep_html,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from nsmodel.derivatives.result import Sensitivity
     from nsmodel.hypotheses.report import Report
     from nsmodel.simulation.trajectory import Trajectory
     from nsmodel.study.result import Study
@@ -22,12 +32,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "model_html",
+    "plot_sensitivity",
     "plot_stress",
     "plot_study",
     "plot_sweep",
     "plot_trajectory",
     "report_html",
     "run_html",
+    "sensitivity_html",
     "statistics_html",
     "stress_html",
     "study_html",
@@ -50,6 +62,13 @@ def plot_study(study: Study, ax: Axes | None) -> Axes:
     from nsmodel.plot.study import work_precision
 
     return work_precision(study, ax=ax)
+
+
+def plot_sensitivity(found: Sensitivity, ax: Axes | None) -> Axes:
+    """Draw what `Sensitivity.plot` draws."""
+    from nsmodel.plot.sensitivity import sensitivity
+
+    return sensitivity(found, ax=ax)
 
 
 def plot_stress(result: Stress, ax: Axes | None) -> Axes:

@@ -222,10 +222,19 @@ def event_driven_problem(model: Model) -> ContinuousProblem:
     Raises:
         NotEventDriven: what it cannot take, by name.
     """
+    return _event_driven_problem(model)
+
+
+def symbolic_event_driven_problem(model: Model, bound: ContinuousProblem) -> ContinuousProblem:
+    """The same of a model with symbols for parameters, whose inputs start as those of ``bound``, of it at some values."""
+    return _event_driven_problem(model, row_properties(bound).x0[bound.x.numel() - bound.held :].tolist())
+
+
+def _event_driven_problem(model: Model, start: Sequence[float] | None = None) -> ContinuousProblem:
     continuous_problem = CONTINUOUS_PROBLEM.optional(model)
     if continuous_problem is None:
         raise NotEventDriven("many bodies change their contacts at nearly every step; they are for time stepping")
-    return with_stick_slip_modes(without_overflow(with_input_states(continuous_problem(model), model)))
+    return with_stick_slip_modes(without_overflow(with_input_states(continuous_problem(model), model, start)))
 
 
 class EventDrivenPropagator:

@@ -188,6 +188,12 @@ class PieceRows:
         return [piece for block in self._blocks for piece in block.pieces()]
 
     @property
+    def buffer(self) -> PieceBuffer:
+        """The pieces in memory as they were recorded."""
+        self._process_new_pieces()
+        return PieceBuffer.concatenate(self._blocks)
+
+    @property
     def filled(self) -> int:
         """Rows in memory."""
         self._process_new_pieces()

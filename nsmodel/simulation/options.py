@@ -134,7 +134,11 @@ class Options:
         GRID_DOC,
         flag=flag(
             "--t-end",
-            {"run": "end of the run (default: the model's)", "sweep study": "end of the runs (default: the model's)"},
+            {
+                "run": "end of the run (default: the model's)",
+                "sweep study": "end of the runs (default: the model's)",
+                "sensitivity": "end of the run (default: the model's)",
+            },
             type=float,
             metavar="T",
         ),
@@ -145,8 +149,8 @@ class Options:
         flag=flag(
             "--set",
             {
-                "run check sweep study stress codegen": "value of a parameter or of an argument of model(): a number, V1,V2,... "
-                "or rows with ; between; repeatable"
+                "run check sweep study stress sensitivity codegen": "value of a parameter or of an argument of model(): a "
+                "number, V1,V2,... or rows with ; between; repeatable"
             },
             action="append",
             default=[],
@@ -159,8 +163,8 @@ class Options:
         flag=flag(
             "--input",
             {
-                "run sweep study stress": "signal of an input: a number, or a table of rows t, value, ...; behind commas "
-                "kind=hold|linear|cubic, after=hold|error|periodic, period=T; repeatable"
+                "run sweep study stress sensitivity": "signal of an input: a number, or a table of rows t, value, ...; behind "
+                "commas kind=hold|linear|cubic, after=hold|error|periodic, period=T; repeatable"
             },
             action="append",
             default=[],
@@ -224,12 +228,20 @@ class Options:
         "the error allowed of each state, beside its largest value so far, >= 1e-14. The run is event-driven where that applies: "
         "one smooth piece after another, switches found exactly (see `docs/events.md`); rows are the ends of pieces, "
         "``run.at(t)`` gives any time, ``run.events`` the switches.",
-        flag=flag("--rtol", {"run sweep": "error allowed, relative: event-driven where that applies"}, type=float, metavar="R"),
+        flag=flag(
+            "--rtol",
+            {
+                "run sweep": "error allowed, relative: event-driven where that applies",
+                "sensitivity": "error allowed of the run, relative (default 1e-8)",
+            },
+            type=float,
+            metavar="R",
+        ),
     )
     atol: float | Sequence[float] | None = option(
         None,
         "an absolute error allowed besides, one for all states or one for each; 0 if left out.",
-        flag=flag("--atol", {"run sweep": "error allowed besides, absolute (default 0)"}, type=float, metavar="A"),
+        flag=flag("--atol", {"run sweep sensitivity": "error allowed besides, absolute (default 0)"}, type=float, metavar="A"),
     )
     method: str = option(
         "auto",

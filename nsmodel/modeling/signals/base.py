@@ -8,7 +8,7 @@ Bounds of signals as a user gives them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -142,6 +142,24 @@ class Signal(Picklable):
         """(degree + 1, size): u, u', ... just after t."""
         return self.after(np.array([t]))
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What runs can be differentiated by, as it is written behind the name of the input: ``.duty``, ``[3]``, ``.t[3]``."""
+        return {}
+
+    def with_number(self, number: str, value: float) -> Signal:
+        """The signal with ``value`` for the one of these that ``number`` names."""
+        raise NotImplementedError
+
+    def joint_slopes(self, t: float) -> dict[str, float]:
+        """The derivatives of the time of the joint at t by those of these that move it."""
+        del t
+        return {}
+
+    def derivative_slopes(self, t: float) -> dict[str, np.ndarray]:
+        """Those of `derivatives` at t by those of these that act then, (degree + 1, size) each, of the polynomial after t."""
+        raise NotImplementedError
+
     def within(self, t_end: float) -> Within | None:
         """Bounds of its values up to ``t_end``, with a rate where it has no jump there; None where they are not known."""
         del t_end
@@ -195,6 +213,22 @@ class ConstantSignal(Signal):
         return np.tile(self.values, (t.size, 1))
 
     before = after
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Its values."""
+        return {"": self.values[0]} if self.size == 1 else {f"[{i}]": v for i, v in enumerate(self.values.tolist())}
+
+    def with_number(self, number: str, value: float) -> ConstantSignal:
+        """With another value."""
+        values = self.values.copy()
+        values[[*self.numbers].index(number)] = value
+        return replace(self, values=values)
+
+    def derivative_slopes(self, t: float) -> dict[str, np.ndarray]:
+        """1 for each value."""
+        del t
+        return {number: row[None] for number, row in zip(self.numbers, np.eye(self.size), strict=True)}
 
     def within(self, t_end: float) -> Within | None:
         """Its values."""

@@ -15,6 +15,7 @@ import numpy as np
 from nsmodel._utils import short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
+    NEAR_TOLERANCE,
     ConstantSignal,
     Signal,
     Within,
@@ -148,9 +149,52 @@ class Pwm(Signal):
             return constant_bounds(first)
         return Within(np.full(1, low), np.full(1, high), None, first)
 
-    def _value(self, t: np.ndarray) -> np.ndarray:
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Low and high; where the duty is a number it too, the period and the phase."""
+        found = {".low": self.low, ".high": self.high}
+        if isinstance(self.duty, HeldSignal) or not isinstance(self.duty, ConstantSignal):
+            return found
+        return {".duty": float(self.duty.values[0]), ".period": self.period, ".phase": self.phase, **found}
+
+    def with_number(self, number: str, value: float) -> Pwm:
+        """With another value of that."""
+        duty = ConstantSignal(np.array([value]))
+        return replace(self, duty=duty) if number == ".duty" else replace(self, **{number[1:]: value})
+
+    def joint_slopes(self, t: float) -> dict[str, float]:
+        """Of phase + (k + part) period, part moving with the duty."""
+        found = self._pulse_edge(t)
+        if found is None:
+            return {}
+        k, part, by_duty = found
+        return {".duty": by_duty * self.period, ".period": k + part, ".phase": 1.0}
+
+    def held_duty_slope(self, t: float) -> float:
+        """That of an edge that is no begin of a period by the duty, which a block holds."""
+        found = self._pulse_edge(t)
+        return 0.0 if found is None else found[2] * self.period
+
+    def _pulse_edge(self, t: float) -> tuple[float, float, float] | None:
+        """The period k, the part of it, and that part's derivative by the duty, of the edge at t."""
+        by_duty = {"trailing": (0.0, 1.0), "leading": (-1.0, 0.0), "centre": (-0.5, 0.5)}[self.kind]
+        middle = np.floor((t - self.phase) / self.period)
+        for k in (middle, middle - 1, middle + 1):
+            for edges, slope in zip(self._pulses(np.array([k])), by_duty, strict=True):
+                if abs(edges[0] - t) <= 4 * NEAR_TOLERANCE * abs(t):
+                    return float(k), float((edges[0] - self.phase) / self.period - k), slope
+        return None
+
+    def derivative_slopes(self, t: float) -> dict[str, np.ndarray]:
+        """1 by the value that it has."""
+        return {".high" if self._is_high(just_after(np.array([t])))[0] else ".low": np.ones((1, 1))}
+
+    def _is_high(self, t: np.ndarray) -> np.ndarray:
         begin, end = self._pulses(np.floor((t - self.phase) / self.period))
-        return np.where((t >= begin) & (t < end), self.high, self.low)[:, None]
+        return (t >= begin) & (t < end)
+
+    def _value(self, t: np.ndarray) -> np.ndarray:
+        return np.where(self._is_high(t), self.high, self.low)[:, None]
 
 
 def _is_expression(value: Any) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from nsmodel._utils import cached_per_object, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
+    NEAR_TOLERANCE,
     ROUND_UP_FACTOR,
     Signal,
     SignalJump,
@@ -122,6 +123,56 @@ class Table(Signal):
         seen = just_before(t)
         start = self._period_start(lambda share: np.ceil(share) - 1, seen)
         return self._values_on_part(np.searchsorted(self.t, seen - start, side="left") - 1, t - start)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Its values; but of a spline, the times of its rows that stand once, but the first; of a held one its period."""
+        columns = [""] if self.size == 1 else [f",{j}" for j in range(self.size)]
+        found = {f"[{i}{c}]": v for i, row in enumerate(self.values.tolist()) for c, v in zip(columns, row, strict=True)}
+        if self.kind != "cubic":
+            once = [i for i in range(1, self.t.size) if self.t[i] not in (self.t[i - 1], *self.t[i + 1 : i + 2])]
+            found |= {f".t[{i}]": float(self.t[i]) for i in once}
+        return found if self.period is None or self.kind != "hold" else {**found, ".period": self.period}
+
+    def with_number(self, number: str, value: float) -> Table:
+        """With another entry, time of a row, or period."""
+        if number == ".period":
+            return replace(self, period=value)
+        name, array = ("t", self.t.copy()) if number.startswith(".t") else ("values", self.values.copy())
+        place = tuple(int(part) for part in number[number.index("[") + 1 : -1].split(","))
+        array[place if name == "t" or len(place) == 2 else (place[0], 0)] = value
+        return replace(self, **{name: array})
+
+    def joint_slopes(self, t: float) -> dict[str, float]:
+        """Of t_i + k period."""
+        start = self._period_start(np.floor, just_after(np.array([t])))[0]
+        near = np.flatnonzero(np.abs(self.t + start - t) <= 4 * NEAR_TOLERANCE * max(abs(t), abs(start)))
+        found = {f".t[{i}]": 1.0 for i in near.tolist()}
+        return found if self.period is None or not near.size else {**found, ".period": start / self.period}
+
+    def derivative_slopes(self, t: float) -> dict[str, np.ndarray]:
+        """Those of the part that begins at t, or that t lies in."""
+        start = float(self._period_start(np.floor, just_after(np.array([t])))[0])
+        row = int(np.searchsorted(self.t, just_after(np.array([t - start])), side="right")[0]) - 1
+        rows = range(self.t.size) if self.kind == "cubic" else [max(row, 0)]
+        if self.kind != "linear" or not 0 <= row < self.t.size - 1:
+            return self._entry_slopes({i: self._unit_slopes(i, t) for i in rows})
+        length, rise = self.t[row + 1] - self.t[row], self.values[row + 1] - self.values[row]
+        share = (t - start - self.t[row]) / length
+        both = {row: np.array([1 - share, -1 / length]), row + 1: np.array([share, 1 / length])}
+        by_time = {f".t[{i}]": np.outer(slopes, -rise / length) for i, slopes in both.items()}
+        return self._entry_slopes(both) | by_time
+
+    def _unit_slopes(self, row: int, t: float) -> np.ndarray:
+        """`derivatives` of the table that is 1 in one row, and 0 elsewhere (degree + 1,)."""
+        unit = np.zeros((self.t.size, 1))
+        unit[row] = 1.0
+        return replace(self, values=unit).derivatives(t)[:, 0]
+
+    def _entry_slopes(self, of_rows: dict[int, np.ndarray]) -> dict[str, np.ndarray]:
+        columns = [("", 0)] if self.size == 1 else [(f",{j}", j) for j in range(self.size)]
+        unit = np.eye(self.size)
+        return {f"[{i}{name}]": np.outer(slopes, unit[j]) for i, slopes in of_rows.items() for name, j in columns}
 
     def within(self, t_end: float) -> Within:
         """Between the least and the largest value of the whole table; the steepest slope."""

@@ -22,6 +22,7 @@ from nsmodel.proof.verdict import HOLDS, VERDICTS
 from nsmodel.simulation import summary
 
 if TYPE_CHECKING:
+    from nsmodel.derivatives.result import Sensitivity
     from nsmodel.hypotheses.findings import Consequence, Finding
     from nsmodel.modeling.base import Model
     from nsmodel.simulation.trajectory import Trajectory
@@ -191,6 +192,21 @@ def _cell_row(cell: Cell) -> list[str]:
 STUDY_HEADER = ("method", "points done", "order", "largest errors", "seconds")
 STUDY_ROWS = 12  # More are folded.
 STUDY_DPI = 75
+
+
+def sensitivity_html(found: Sensitivity) -> str:
+    """Derivatives at the last time, and of the times of switches, as HTML."""
+    rows = [
+        [name, f"{value:.8g}", *(f"{v:.8g}" for v in own)]
+        for name, value, own in zip(found.outputs, found.value[-1].tolist(), found.jacobian[-1].tolist(), strict=True)
+    ]
+    moved = [[one.name, f"{one.t:.8g}", *(f"{v:.6g}" for v in one.dt.tolist())] for one in found.switches]
+    facts = [("t", f"{found.t[-1]:.8g}"), ("method", found.method), ("warnings", list(found.warnings))]
+    parts = [elements.facts_table(facts), elements.html_table(["", "value", *(f"by {name}" for name in found.by)], rows)]
+    if moved:
+        header = ["switch", "t", *(f"dt/d {name}" for name in found.by)]
+        parts.append(elements.folded_section(f"{len(moved)} switches", elements.html_table(header, moved)))
+    return elements.result_page(found.run.title, "derivatives of a run", *parts)
 
 
 def study_html(study: Study) -> str:

@@ -1,0 +1,1 @@
+"""Derivatives of runs by parameters, starts and the numbers of signals."""

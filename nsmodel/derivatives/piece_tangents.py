@@ -1,0 +1,159 @@
+"""The tangents of recorded pieces: on each part of one, S at its end as an affine function of S at its begin.
+
+S' = 𝒜 S + β on a piece, with 𝒜 = F_x + F_l Λ and β = F_p + F_l λ along its polynomials. Each part of a piece is one step of
+Radau IIA, 8 stages, of order 15, and two of half the length: where these differ by more than is allowed of the largest entry of a
+column the part is halved. The accuracy of S so is that of S: where x rests its piece says nothing of how fast S moves. All parts
+are taken at once, as arrays.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.derivatives.tangent_equations import LinearisedEquations, ModeRows, TangentEquations, multiplier_slopes
+from nsmodel.event_driven.collocation import radau_collocation
+from nsmodel.event_driven.dense_output import evaluate_polynomials
+from nsmodel.simulation.piece_sources import PieceBuffer
+
+STAGES = 8
+JUST_AFTER = 1e-9  # Of a piece.
+POINTS_AT_ONCE = 4096  # Points at which matrices are in memory together.
+
+
+class TangentMaps(NamedTuple):
+    """S -> by_start S + own, of J parts: (J, n, n) and (J, n, q)."""
+
+    by_start: np.ndarray
+    own: np.ndarray
+
+    def after(self, first: TangentMaps) -> TangentMaps:
+        """These after the ``first``, one by one."""
+        return TangentMaps(self.by_start @ first.by_start, self.by_start @ first.own + self.own)
+
+    def __getitem__(self, which: np.ndarray) -> TangentMaps:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return TangentMaps(self.by_start[which], self.own[which])
+
+
+class TangentParts(NamedTuple):
+    """Parts of pieces: the number of each one's piece, and where it begins and ends in the unit of that (J,)."""
+
+    piece: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+
+    @property
+    def halves(self) -> tuple[TangentParts, TangentParts]:
+        """The first and the second half of each."""
+        middle = (self.begin + self.end) / 2
+        return TangentParts(self.piece, self.begin, middle), TangentParts(self.piece, middle, self.end)
+
+    def __getitem__(self, which: np.ndarray) -> TangentParts:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return TangentParts(self.piece[which], self.begin[which], self.end[which])
+
+
+class PieceTangents:
+    """Recorded pieces with their linearised equations.
+
+    Attributes:
+        sizes: of the states (n,), by which what S is measured beside has one unit.
+    """
+
+    def __init__(self, equations: TangentEquations, pieces: PieceBuffer, ends: np.ndarray) -> None:
+        """``ends``: of the pieces, in the unit of each (K,); further states of the equations stand behind those of the pieces."""
+        self.equations, self.pieces, self.ends = equations, pieces, ends
+        n, m, _ = pieces.layout
+        self._n, self._m, self.codes = n, m, pieces.codes
+        self._series = pieces.series
+        every = np.arange(pieces.count)
+        middle = self.values(every, ends / 2)
+        self.choices = equations.choices(*middle)
+        y_by_l = self._at(every, middle).y.by_l
+        self.mode_rows = ModeRows(*map(np.array, zip(*self._all_mode_rows(y_by_l), strict=True)))
+        moved = (np.abs(self._series[:, :n]) * np.abs(ends)[:, None, None] ** np.arange(self._series.shape[2])).sum(axis=2)
+        self.stops = self._ends_in_stops()
+        self.sizes = np.ones(equations.n)
+        largest = moved.max(axis=0)
+        self.sizes[:n] = np.where(largest > 0, largest, 1.0)
+
+    def _ends_in_stops(self) -> np.ndarray:
+        """Of which pieces (K,) the end is the stop of a block: across its direction S is drawn to 0 ever faster up to it."""
+        firsts = list(self.equations.curved)
+        found = np.zeros(len(self.codes), bool)
+        found[:-1] = ((self.codes[:-1, firsts] != 0) & (self.codes[1:, firsts] == 0)).any(axis=1)
+        return found
+
+    @cached_property
+    def onsets(self) -> np.ndarray:
+        """Where pieces are looked at as they begin (K,): just after it where a block begins to slip, as its direction is 0/0."""
+        firsts = list(self.equations.curved)
+        found = np.zeros(len(self.codes))
+        slips = (self.codes[1:, firsts] != 0) & (self.codes[:-1, firsts] == 0)
+        found[1:] = np.where(slips.any(axis=1), JUST_AFTER * self.ends[1:], 0.0)
+        return found
+
+    def _all_mode_rows(self, y_by_l: np.ndarray) -> list[ModeRows]:
+        known: dict[bytes, ModeRows] = {}
+        found = []
+        for codes, D in zip(self.codes, y_by_l, strict=True):
+            key = codes.tobytes() + D.tobytes()
+            if key not in known:
+                known[key] = self.equations.mode_rows(codes, D)
+            found.append(known[key])
+        return found
+
+    def values(self, piece: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """T, x and l of pieces of these numbers at s (K,) in their units."""
+        both = evaluate_polynomials(self._series[:, : self._n + self._m], piece, s)
+        more = np.zeros((len(s), self.equations.n - self._n))
+        t = self.pieces.t[piece] + self.pieces.tau[piece] * s
+        return t, np.hstack([both[:, : self._n], more]), both[:, self._n :]
+
+    def rates(self, piece: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """X', l' and y' of the polynomials."""
+        slopes = self._series[:, :, 1:] * np.arange(1, self._series.shape[2])
+        both = evaluate_polynomials(slopes, piece, s) / self.pieces.tau[piece, None]
+        n, m = self._n, self._m
+        return both[:, :n], both[:, n : n + m], both[:, n + m :]
+
+    def _at(self, piece: np.ndarray, values: tuple[np.ndarray, np.ndarray, np.ndarray]) -> LinearisedEquations:
+        return self.equations(*values, self.choices[piece])
+
+    def linearised(self, piece: np.ndarray, s: np.ndarray) -> tuple[LinearisedEquations, np.ndarray, np.ndarray]:
+        """The equations of pieces at s, and L = Λ S + λ there."""
+        at = self._at(piece, self.values(piece, s))
+        rows = ModeRows(*(part[piece] for part in self.mode_rows))
+        return at, *multiplier_slopes(at, rows, self.equations.end_slopes)
+
+    def flow(self, piece: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """𝒜 and β (K, n, n), (K, n, q) of pieces at s."""
+        at, of_state, own = self.linearised(piece, s)
+        return at.rate.by_x + at.rate.by_l @ of_state, at.rate.by_p + at.rate.by_l @ own
+
+    def maps(self, parts: TangentParts) -> TangentMaps:
+        """One step of Radau IIA over each part."""
+        n, q, count = self.equations.n, self.equations.q, len(parts.piece)
+        out = TangentMaps(np.zeros((count, n, n)), np.zeros((count, n, q)))
+        at_once = max(1, POINTS_AT_ONCE // STAGES)
+        for first in range(0, count, at_once):
+            chosen = np.arange(first, min(first + at_once, count))
+            out.by_start[chosen], out.own[chosen] = self._radau_steps(parts[chosen])
+        return out
+
+    def _radau_steps(self, parts: TangentParts) -> TangentMaps:
+        table, n, q, count = radau_collocation(STAGES), self.equations.n, self.equations.q, len(parts.piece)
+        s = parts.begin[:, None] + (parts.end - parts.begin)[:, None] * table.nodes
+        A, b = self.flow(np.repeat(parts.piece, STAGES), s.ravel())
+        h = ((parts.end - parts.begin) * self.pieces.tau[parts.piece])[:, None, None, None]
+        A = h * (A * (self.sizes / self.sizes[:, None])).reshape(count, STAGES, n, n)
+        b = h * (b / self.sizes[:, None]).reshape(count, STAGES, n, q)
+        system = np.broadcast_to(np.kron(table.inverse, np.eye(n)), (count, STAGES * n, STAGES * n)).copy()
+        for j in range(STAGES):
+            own = slice(j * n, (j + 1) * n)
+            system[:, own, own] -= A[:, j]
+        right = np.concatenate([A, b], axis=3).reshape(count, STAGES * n, n + q)
+        moved = np.linalg.solve(system, right)[:, -n:]
+        by_start = (np.eye(n) + moved[:, :, :n]) * (self.sizes[:, None] / self.sizes)
+        return TangentMaps(by_start, moved[:, :, n:] * self.sizes[:, None])

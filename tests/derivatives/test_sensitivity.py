@@ -1,0 +1,204 @@
+"""What a user asks of derivatives: names, times, sides, gradients, functions for optimisers, files, what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import casadi as ca
+import numpy as np
+import pytest
+from derivative_models import extrapolated
+from event_scenes import relay_of_degree_2
+
+import nsmodel
+from nsmodel import FirstOrderSystem, LureSystem, StepError, UsageError, pwm, relay, sensitivity, table
+from nsmodel.modeling.variants import start_entries
+
+HAS_COMPILER = shutil.which("gcc") is not None
+A, K, U, T = (ca.SX.sym(name) for name in ("a", "k", "u", "t"))
+
+
+def oscillator(signal=1.0, t_end=5.0, **more):
+    given = {
+        "A": ca.blockcat([[0, 1], [-K, -0.1]]),
+        "B": [0, 1],
+        "C": [0, 1],
+        "f": [0, U],
+        "law": relay(1, -A, A),
+        "x0": [0.3, 0.2],
+    }
+    return LureSystem(names=["z", "v"], **given | more, parameters={A: 0.3, K: 2.0}, inputs={U: signal}, t_end=t_end, step=0.01)
+
+
+SIGNALS = {
+    "pwm": (pwm(1.3, 0.4, phase=0.2, low=-1, high=1.5), ["u.duty", "u.period", "u.phase", "u.low", "u.high"]),
+    "leading": (pwm(1.3, 0.4, phase=0.2, kind="leading"), ["u.duty", "u.period", "u.phase"]),
+    "centre": (pwm(1.3, 0.4, phase=0.2, kind="centre"), ["u.duty", "u.period", "u.phase"]),
+    "constant": (1.2, ["u"]),
+    "held": (table([0, 1, 2.5, 4], [1, -1, 0.5, 2.0]), ["u[0]", "u[1]", "u[3]", "u.t[1]", "u.t[3]"]),
+    "lines": (table([0, 1, 2.5, 4], [1, -1, 0.5, 2.0], "linear"), ["u[0]", "u[1]", "u[3]", "u.t[1]", "u.t[3]"]),
+    "spline": (table([0, 1, 2.5, 4], [1, -1, 0.5, 2.0], "cubic"), ["u[0]", "u[1]", "u[3]"]),
+    "repeated": (table([0.1, 1, 1.6], [1, -1, 0.5], after="periodic", period=2.0), ["u[0]", "u[2]", "u.t[1]", "u.period"]),
+    "repeated lines": (table([0.1, 1, 1.6], [1, -1, 1], "linear", after="periodic"), ["u[1]", "u.t[1]"]),
+}
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_by_the_numbers_of_signals(name):
+    signal, by = SIGNALS[name]
+    found = sensitivity(oscillator(signal), by=[*by, "a"], at=[1.7, 4.9], rtol=1e-11, compiled=False)
+    np.testing.assert_allclose(found.jacobian, extrapolated(oscillator(signal), [*by, "a"], at=[1.7, 4.9]), rtol=1e-7, atol=1e-9)
+
+
+def test_a_table_of_a_thousand_entries():
+    rng = np.random.default_rng(1)
+    t, values = np.linspace(0, 5, 1000, endpoint=False), rng.normal(size=1000)
+    model = oscillator(table(t, values))
+    by = [f"u[{i}]" for i in range(1000)]
+    found = sensitivity(model, by=by, rtol=1e-9)
+    differences = extrapolated(model, [by[17], by[500]], compiled=HAS_COMPILER)
+    np.testing.assert_allclose(found.of("z")[0, [17, 500]], differences[0, 0], rtol=1e-6, atol=1e-10)
+    w = rng.normal(size=2)
+    np.testing.assert_allclose(found.gradient(w), w @ found.jacobian[0])
+
+
+def test_both_sides_of_an_event():
+    """At an edge whose time moves x is what it was before, or what it is after."""
+    model = oscillator(pwm(1.0, 0.5, low=-1.0), law=relay(1, -0.001, 0.001))
+    found = sensitivity(model, by="u.duty", at=[1.5, 1.7], compiled=False, rtol=1e-10)
+    assert np.abs(found.before[0] - found.jacobian[0]).max() > 1
+    np.testing.assert_array_equal(found.before[1], found.jacobian[1])
+    for side, sign in ((found.before[0], 1), (found.jacobian[0], -1)):
+        near = sensitivity(model, by="u.duty", at=1.5 - sign * 1e-7, compiled=False, rtol=1e-10).jacobian[0]
+        np.testing.assert_allclose(side, near, atol=1e-5)
+
+
+def test_what_is_one_sided_is_said_with_numbers():
+    on_surface = LureSystem(A=[[-1]], B=[1], C=[1], f=[2], law=relay(1), x0=[0.0], t_end=1.0, step=0.1)
+    assert any("starts on the switch of 'l_0'" in text for text in sensitivity(on_surface, by="x(0)", compiled=False).warnings)
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
+    both = FirstOrderSystem(x=x, lam=l, f=[1, 1.5], g=ca.vertcat(l[0] + l[1], -l[0]), h=[x[0], 2 * x[1] / 3],
+                            law=relay(2, -0.4, 0.4), x0=[-1.0, -1.5], t_end=2.0, step=0.1)  # fmt: skip
+    found = sensitivity(both, by=["x_0(0)", "x_1(0)"], compiled=False)
+    assert not found.warnings or "switch at once" in found.warnings[0]
+
+
+def test_a_run_that_touches_a_switch_has_no_derivative_or_a_large_one():
+    """x'' = 1 from x = a, x' = -1: its least value is a - 1/2; beyond, force is another."""
+    x = ca.SX.sym("x", 2)
+    model = FirstOrderSystem(x=x, f=[x[1], 1 + 5 * ca.if_else(x[0] < 0, 1, 0)], x0=[0.5, -1.0], t_end=2.0, step=0.1)
+    near = FirstOrderSystem(x=x, f=[x[1], 1 + 5 * ca.if_else(x[0] < 0, 1, 0)], x0=[0.5 - 1e-11, -1.0], t_end=2.0, step=0.1)
+    found = sensitivity(near, by="x_0(0)", rtol=1e-12, compiled=False)
+    assert any("of its mean rate" in text for text in found.warnings)
+    assert found.margins["transversality"] < 1e-4
+    assert np.isfinite(sensitivity(model, by="x_0(0)", rtol=1e-12, compiled=False).jacobian).all()
+
+
+def test_growth_is_warned_of():
+    x = ca.SX.sym("x")
+    model = FirstOrderSystem(x=x, f=[12 * (x - 1)], x0=[1.0], t_end=3.2, step=0.1)
+    found = sensitivity(model, by="x(0)", compiled=False)
+    np.testing.assert_allclose(found.jacobian[0, 0], np.exp(38.4), rtol=1e-7)
+    assert any("rounding" in text for text in found.warnings)
+
+
+def test_as_a_function_for_ipopt():
+    """A parameter found through switches: the relay's end for which x is where it was."""
+    model = oscillator(1.0)
+    target = sensitivity(model, by="a", parameters={"a": 0.45}, compiled=False).value[0]
+    run = sensitivity(model, by="a", compiled=False).as_function()
+    a = ca.MX.sym("a")
+    problem = {"x": a, "f": ca.sumsqr(run(a) - target)}
+    options = {"ipopt": {"print_level": 0, "hessian_approximation": "limited-memory", "tol": 1e-12}, "print_time": False}
+    found = ca.nlpsol("fit", "ipopt", problem, options)(x0=0.2, lbx=0.05, ubx=1.0)
+    assert float(found["x"]) == pytest.approx(0.45, abs=1e-6)
+    both = sensitivity(model, by=["k", "z(0)", "u"], at=[2.0, 5.0], compiled=False)
+    function, numbers = both.as_function("two"), np.array([2.1, 0.2, 0.9])
+    moved = ca.Function("J", [z := ca.MX.sym("z", 3)], [ca.jacobian(function(z), z)])
+    step = 1e-6 * np.eye(3)
+    for j in range(3):
+        difference = (np.array(function(numbers + step[j])) - np.array(function(numbers - step[j]))).ravel() / 2e-6
+        np.testing.assert_allclose(np.array(moved(numbers))[:, j], difference, atol=2e-5)
+
+
+def test_the_error_is_estimated_by_another_run():
+    found = sensitivity(oscillator(), by=["a", "k"], rtol=1e-5, compiled=False)
+    exact = sensitivity(oscillator(), by=["a", "k"], rtol=1e-13, compiled=False).jacobian
+    error = np.abs(found.jacobian - exact)
+    assert (error <= 1.1 * found.error + 1e-13).all()
+    assert found.error.max() < 1e-4
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"by": "m"}, "'m' is no parameter, start or number of a signal.*becomes a parameter by a symbol"),
+    ({"by": ["k", "k"]}, "'k' is given twice"), ({"by": []}, "expected names"), ({"by": "u.dty"}, "Did you mean 'u.duty'"),
+    ({"by": ca.SX.sym("k") + 1}, "expected the name of a parameter"), ({"by": "z"}, r"Did you mean 'z\(0\)'"),
+    ({"by": "k", "at": 7.0}, "expected times from 0 to t_end = 5"), ({"by": "k", "at": [2, 1]}, "increasing"),
+    ({"by": "k", "at": "soon"}, "expected a time"), ({"by": "k", "outputs": "q"}, "'q' is no column"),
+    ({"by": "k", "outputs": ca.SX.sym("velocity")}, "'velocity' is no column"),
+    ({"by": "k", "method": "adjoint"}, "expected one of"),
+    ({"by": "k", "integrals": {"z": A}}, "'z' is an output already"),
+    ({"by": "k", "step": 0.1}, "step is of method='differences'"),
+    ({"by": "k", "rtol": 2.0}, "rtol"),
+])  # fmt: skip
+def test_bad_input(given, message):
+    with pytest.raises(UsageError, match=message):
+        sensitivity(oscillator(pwm(1.3, 0.4)), compiled=False, **given)
+
+
+def test_names_that_are_none_of_the_results():
+    found = sensitivity(oscillator(), by="k", compiled=False)
+    with pytest.raises(UsageError, match="output: 'q' is none of z, v"):
+        found.of("q")
+    with pytest.raises(UsageError, match="w has shape"):
+        found.gradient([1.0, 2.0, 3.0])
+
+
+def test_models_without_event_driven_runs_are_differenced():
+    crowd = nsmodel.load("crowd")
+    with pytest.raises(UsageError, match="no event-driven runs; take method"):
+        sensitivity(crowd, by="q_0(0)")
+    ball = nsmodel.load("bouncing_ball")
+    name = next(iter(start_entries(ball)))
+    with pytest.raises(UsageError, match="impacts are stepped over"):
+        sensitivity(ball, by=f"{name}(0)", at=0.1)
+    found = sensitivity(ball, by=f"{name}(0)", at=0.1, method="differences", step=1e-3)
+    assert found.of(name)[0, 0] == pytest.approx(1.0, abs=1e-6)
+    assert found.error.max() < 1e-6
+
+
+def test_accumulating_switches_have_none():
+    """x'' = -sgn x - 0.1 x' has infinitely many switches before any time after it rests."""
+    with pytest.raises((UsageError, StepError), match=r"accumulate|time steps"):
+        sensitivity(relay_of_degree_2(0.1, 200.0), by="x_0(0)", compiled=False)
+
+
+def test_tables_and_pictures(tmp_path):
+    found = sensitivity(oscillator(pwm(1.3, 0.4)), by=["k", "u.duty"], at=[1.0, 5.0], compiled=False)
+    found.to_csv(tmp_path / "s.csv")
+    assert (tmp_path / "s.csv").read_text().splitlines()[0] == "t,z,v,d z/d k,d z/d u.duty,d v/d k,d v/d u.duty"
+    assert "by u.duty" in found.summary_text()
+    assert "derivatives of a run" in found._repr_html_()
+    xarray = pytest.importorskip("xarray")
+    assert isinstance(found.to_xarray(), xarray.Dataset)
+    ax = found.plot(points=50)
+    assert len(ax.get_legend().get_texts()) == 4
+    assert json.loads(json.dumps(found.document()))["by"] == ["k", "u.duty"]
+
+
+def test_the_command_line(tmp_path):
+    def command(*words):
+        return subprocess.run(
+            [sys.executable, "-m", "nsmodel", "sensitivity", *words], capture_output=True, text=True, check=False
+        )
+
+    done = command("two_masses", "--by", "k,x1(0)", "--at", "1,2", "--error", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "estimate of the largest error" in done.stdout
+    assert {path.name for path in tmp_path.iterdir()} == {f"sensitivity.{end}" for end in ("txt", "json", "csv", "png")}
+    wrong = command("two_masses", "--by", "stiffness")
+    assert wrong.returncode == 2
+    assert "'stiffness' is no parameter" in wrong.stderr
