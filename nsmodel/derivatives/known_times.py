@@ -31,12 +31,16 @@ class SignalNumber(NamedTuple):
 
 
 class MovedTime(NamedTuple):
-    """How a known time moves, dt = by_state S + own: (n,), (q,); what acts at it; whether two of these move apart."""
+    """How a known time moves, dt = by_state S + own: (n,), (q,); what acts at it; whether edges of two inputs move apart.
+
+    ``edges``: of each input that has an edge there the states that it is, and its own dt (n + q,).
+    """
 
     by_state: np.ndarray
     own: np.ndarray
     names: tuple[str, ...]
     edges_differ: bool
+    edges: tuple[tuple[list[int], np.ndarray], ...]
 
 
 class HeldPlaces:
@@ -122,18 +126,23 @@ class KnownTimes:
         whole = max(rows, key=lambda row: float(np.abs(row).max()), default=np.zeros(len(x) + q))
         blocks = [] if self._ticks is None else self._ticks.due_names(t)
         edges_differ = any((row != whole).any() for row in rows)
-        return MovedTime(whole[: len(x)], whole[len(x) :], (*names, *blocks), edges_differ)
+        edges = tuple(zip(map(self._rows, names), rows, strict=True))
+        return MovedTime(whole[: len(x)], whole[len(x) :], (*names, *blocks), edges_differ, edges)
+
+    def _rows(self, group: str) -> list[int]:
+        """The states that an input is: all values, then all of their derivatives."""
+        width = signal_degree(group, self._signals[group]) + 1
+        return [place + k for k in range(width) for place in self._places.of.get(group, ())]
 
     def put_held(self, t: float, x: np.ndarray, by_state: np.ndarray, own: np.ndarray) -> None:
         """Put the derivatives of what is held just after t to the rows of the maps (n, n) and (n, q) of S.
 
         ``x``: the state just before. The maps have what S is just before what is held is set.
         """
-        for group, signal in self._signals.items():
+        for group in self._signals:
             if group not in self._places.of:
                 continue
-            width = signal_degree(group, signal) + 1
-            rows = [place + k for k in range(width) for place in self._places.of[group]]
+            rows = self._rows(group)
             by_state[rows] = own[rows] = 0.0
             for number, slopes in self._signal(group, x).derivative_slopes(t).items() if group in self._driven else ():
                 if (column := self._columns.get((group, number))) is not None:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.derivatives.known_times import KnownTimes
+from nsmodel.derivatives.known_times import KnownTimes, MovedTime
 from nsmodel.derivatives.piece_tangents import PieceTangents, TangentMaps, TangentParts
 from nsmodel.derivatives.tangent_equations import TRY_DIFFERENCES, LinearisedEquations
 from nsmodel.errors import StepError
@@ -32,6 +32,7 @@ KNOWN, CROSSING, IMPULSE, START = "known time", "switch", "impulse", "start"
 AT_ONCE = 1e-9  # Of the time of the motion: guards that are nearer to 0 than that come at once.
 
 
+SAME_RATE = 1e-9  # Of a rate: what edges change of it together, beside the sum of what each does.
 SAME_TIME_ROUNDING = 1e-13  # Of a time: a guard that is nearer to 0 than that at a known time comes with it.
 
 
@@ -56,7 +57,6 @@ class SwitchJump:
         transversality: dG/dt along the flow, inf where the time is known; relative_rate: beside what G moves by on the piece
             before over the length of that.
         rivals: further guards that become 0 at the same time, with their dt* in the same form.
-        apart: whether edges of several signals that are at this time move apart.
     """
 
     piece: int
@@ -70,7 +70,6 @@ class SwitchJump:
     transversality: float
     relative_rate: float = np.inf
     rivals: tuple[tuple[str, np.ndarray, np.ndarray], ...] = ()
-    edges_differ: bool = False
 
 
 class _Side(NamedTuple):
@@ -170,27 +169,55 @@ class SwitchJumps:
             )  # fmt: skip
             moved = self._known.moved(t, x, q)
             time = _AffineTangent(np.concatenate([moved.by_state, np.zeros(n - len(x))]), moved.own)
-            kind, name, rate, edges_differ = KNOWN, ", ".join(moved.names) or "switch_times", np.inf, moved.edges_differ
-            share = np.inf
+            kind, name, rate, share = KNOWN, ", ".join(moved.names) or "switch_times", np.inf, np.inf
         else:
             first, *others = self._guards(before, after)
             time = _AffineTangent(-first.by_state / first.rate, -first.own / first.rate)
-            kind, name, rate, edges_differ = IMPULSE if impulse.any() else CROSSING, first.name, first.rate, False
+            moved, kind, name, rate = None, IMPULSE if impulse.any() else CROSSING, first.name, first.rate
             share = self._relative_rate(before, first)
             rivals = tuple((one.name, -one.by_state / one.rate, -one.own / one.rate) for one in others)
-        maps = _AffineTangent(np.eye(n), np.zeros((n, q))).moved(before.at.rate.value, time, 1.0)
+        maps, passed = _AffineTangent(np.eye(n), np.zeros((n, q))), time
+        if moved is not None and moved.edges_differ:
+            maps = self._pass_edges(moved, before, after, maps)
+            passed = _AffineTangent(np.zeros(n), np.zeros(q))
+        maps = maps.moved(before.at.rate.value, passed, 1.0)
         if known:
             self._known.put_held(t, before.x, maps.by_state, maps.own)
-        self._put_updates(before, after, maps, time)
+        self._put_updates(before, after, maps, passed)
         if impulse.any():
-            maps = self._pass_impulse(impulse, after, maps, time)
+            maps = self._pass_impulse(impulse, after, maps, passed)
         rate_after = after.at.rate.value.copy()
         if known:
             rate_after[self._held] = 0.0  # What is held is data, and has its derivative at a fixed time.
-        maps = self._project(after, maps.moved(rate_after, time, -1.0))
-        return SwitchJump(
-            k, t, kind, name, maps.by_state, maps.own, time.by_state, time.own, float(rate), share, rivals, edges_differ
-        )
+        maps = self._project(after, maps.moved(rate_after, passed, -1.0))
+        return SwitchJump(k, t, kind, name, maps.by_state, maps.own, time.by_state, time.own, float(rate), share, rivals)
+
+    def _pass_edges(self, moved: MovedTime, before: _Side, after: _Side, maps: _AffineTangent) -> _AffineTangent:
+        """Edges of several inputs at one time that move apart: each moves S by what it alone changes of the rate.
+
+        Raises:
+            StepError: together they change it by another amount, or x jumps: each order of the edges has its own derivative.
+        """
+        n, t, states = self._equations.n, float(self._tangents.pieces.t[after.number]), self._tangents.pieces.layout.n
+        flow = before.at.rate.by_x + before.at.rate.by_l @ before.by_state
+        flow[self._held] = 0.0
+        jump, rates = np.zeros(n), (before.at.rate.value.copy(), after.at.rate.value.copy())
+        jump[self._held] = (after.x - before.x)[self._held]
+        for rate in rates:
+            rate[self._held] = 0.0
+        size = np.abs(rates[0]) + np.abs(rates[1]) + np.abs(flow) @ np.abs(jump)
+        off = np.abs(rates[1] - rates[0] - flow @ jump)
+        if self._tangents.pieces.impulse[after.number].any() or (off > SAME_RATE * size).any():
+            raise StepError(
+                f"t = {t:.10g}: edges of {', '.join(moved.names)} are at one time and move apart, and what they change is not "
+                "the sum of what each does: the run has no derivative there"
+            )
+        for rows, dt in moved.edges:
+            own = np.zeros(n)
+            own[rows] = jump[rows]
+            time = _AffineTangent(np.concatenate([dt[:states], np.zeros(n - states)]), dt[states:])
+            maps = maps.moved(flow @ own, time, -1.0)
+        return maps
 
     def _guards(self, before: _Side, after: _Side) -> list[Guard]:
         """What becomes 0 where a piece ends and is on another side after it, the nearest to 0 first.

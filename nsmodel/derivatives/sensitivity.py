@@ -418,10 +418,6 @@ def _report(
                     f"t = {jump.t:.10g}: '{jump.name}' and '{name}' switch at once, and their times move by {_list(moved)} and "
                     f"{_list(other)} by {', '.join(names)}: the derivative is that of '{jump.name}' first, one of two sides"
                 )
-        if jump.edges_differ:
-            warnings.append(
-                f"t = {jump.t:.10g}: edges of {jump.name} are at one time and move apart: the derivative is one-sided"
-            )
     growth = float((np.abs(along.at_begin[:, :, columns]) / sizes * np.where(numbers > 0, numbers, 1.0)).max(initial=0.0))
     if growth * EPS > LARGE_GROWTH:
         warnings.append(

@@ -86,6 +86,24 @@ def test_what_is_one_sided_is_said_with_numbers():
     assert not found.warnings or "switch at once" in found.warnings[0]
 
 
+def two_inputs(rate, other):
+    d = ca.SX.sym("d")
+    return LureSystem(A=[[-A]], B=[1], C=[1], f=[rate(d)], law=relay(1, -0.1, 0.1), x0=[0.5], inputs={U: pwm(1.0, 0.5), d: other},
+                      parameters={A: 1.0}, t_end=3.3, step=0.1)  # fmt: skip
+
+
+def test_edges_of_two_inputs_at_one_time_move_apart():
+    """What each does alone is added; where it does not add up there is a derivative for each order of the edges."""
+    for other in (pwm(1.0, 0.5), pwm(1.0, 0.5, low=1, high=0), table([0, 0.5, 2], [0, 1, 0.3], "linear")):
+        model = two_inputs(lambda d: U + 2 * d, other)
+        by = ["u.duty", "u.period", "d.t[1]" if "d.t[1]" in {f"d{one}" for one in other.numbers} else "d.duty"]
+        found = sensitivity(model, by=by, rtol=1e-11, compiled=False)
+        np.testing.assert_allclose(found.jacobian, extrapolated(model, by, width=1e-5), rtol=1e-7, atol=1e-9)
+        assert not found.warnings
+    with pytest.raises(StepError, match=r"edges of u, d are at one time and move apart"):
+        sensitivity(two_inputs(lambda d: U * d, pwm(1.0, 0.5)), by="u.duty", compiled=False)
+
+
 def test_a_run_that_touches_a_switch_has_no_derivative_or_a_large_one():
     """x'' = 1 from x = a, x' = -1: its least value is a - 1/2; beyond, force is another."""
     x = ca.SX.sym("x", 2)
