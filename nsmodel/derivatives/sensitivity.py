@@ -416,7 +416,8 @@ def _report(
             if np.abs(other - moved).max() > SAME_ANSWER * max(np.abs(moved).max(), np.abs(other).max()):
                 warnings.append(
                     f"t = {jump.t:.10g}: '{jump.name}' and '{name}' switch at once, and their times move by {_list(moved)} and "
-                    f"{_list(other)} by {', '.join(names)}: the derivative is that of '{jump.name}' first, one of two sides"
+                    f"{_list(other)} by {', '.join(names)}: each order of the two has its own derivative; here both move "
+                    f"with '{jump.name}'"
                 )
     growth = float((np.abs(along.at_begin[:, :, columns]) / sizes * np.where(numbers > 0, numbers, 1.0)).max(initial=0.0))
     if growth * EPS > LARGE_GROWTH:
