@@ -23,13 +23,15 @@ def pieces(model: LureSystem, rtol: float = 1e-8, **given: Any) -> Any:
 
 
 def stepped_end(elements: list[Element], t_end: float, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The end by time steps extrapolated, by what that differs, and the largest of each state."""
+    """The end by time steps extrapolated, by what that differs, and the largest of each state (1e-6 of all at least: what is 0
+    of them is 0 to rounding of the others).
+    """
     ends, sizes = [], []
     for number in (steps, 2 * steps):
         run = simulate(circuit(elements, t_end=t_end, step=t_end / number), method="time-stepping", compiled=True)
         ends.append(run.x[-1])
         sizes.append(np.abs(run.x).max(axis=0))
-    return 2 * ends[1] - ends[0], np.abs(ends[1] - ends[0]), np.maximum(sizes[1], 1e-9 * sizes[1].max() + 1e-9)
+    return 2 * ends[1] - ends[0], np.abs(ends[1] - ends[0]), np.maximum(sizes[1], 1e-6 * sizes[1].max() + 1e-9)
 
 
 def agrees_with_steps(elements: list[Element], t_end: float, steps: int = 4000) -> Any:
@@ -100,14 +102,7 @@ def drawn(seed: int) -> tuple[list[Element], float]:
     return ladder(rng), 0.002
 
 
-HARD = {  # What is not done yet; `method="auto"` takes time steps there.
-    33: "rows that begin as t^5 miss the law by rounding of what they are made of, and the run warns",
-}
-
-
-@pytest.mark.parametrize(
-    "seed", [pytest.param(k, marks=pytest.mark.xfail(reason=HARD[k], strict=True)) if k in HARD else k for k in range(60)]
-)
+@pytest.mark.parametrize("seed", range(60))
 def test_random_circuits(seed):
     elements, t_end = drawn(seed)
     if not any(kind in "LC" for kind, *_ in elements) or not any(kind == "D" for kind, *_ in elements):
