@@ -248,7 +248,7 @@ def _piece_start_dtype(sizes: dict[str, int]) -> np.dtype:
         "choice": choices + 1,
         "size_switches": choices + 1,
     }
-    fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
+    fields: list[Any] = [("t", float), ("late", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
     fields += [("begun", float), ("event_width", float), ("impulse", float, (m + 1,))]
     fields += [(name, float) for name in ("events", "touches", "redundant", "tiny", "still")]
     fields += [("undecided", float, (len(UNDECIDED_FIELDS),)), ("known", np.int32)]

@@ -20,7 +20,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 from math import comb
 from typing import NamedTuple
 
@@ -65,6 +65,11 @@ class Collocation:
     def stages(self) -> int:
         """S."""
         return len(self.nodes)
+
+    @cached_property
+    def at_0(self) -> np.ndarray:
+        """(s,) of the polynomial through the nodes alone, at 0."""
+        return np.linalg.solve(np.vander(self.nodes, increasing=True).T, np.eye(self.stages)[0])
 
     def coefficients(self, values: np.ndarray, start: np.ndarray) -> np.ndarray:
         """(q, s + 1) of the polynomials with these values (s, q) at the nodes and (q,) at 0; constants are so exactly.

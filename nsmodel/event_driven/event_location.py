@@ -12,7 +12,8 @@ is not decided.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from itertools import accumulate
 from operator import mul
 from typing import NamedTuple
@@ -141,7 +142,7 @@ class RootIsolation:
     ) -> MultiplierSolver:
         s = time / place.tau
         place.x = poly_values([row[: orders + 1] for row in self._system.x], s)
-        place.t += time
+        place.pass_time(time)
         return expand(orders)
 
     def _condition_on_disc(self, place: PieceStart, own: SwitchCondition, orders: int, R: float) -> tuple[np.ndarray, float]:
@@ -231,13 +232,14 @@ class EventLocator:
         s: float,
         margins: Margins = NO_MARGINS,
         but: SwitchCondition | None = None,
+        noise: Mapping[str, np.ndarray] = MappingProxyType({}),
     ) -> tuple[SwitchCondition | None, float]:
         """The condition that ends first, and when; (None, s) where none ends before s.
 
         A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged
         by; where that sign is wrong all the same, it ends at once. What is rounding all along is none. One that comes to less
         than its margin and goes back ends there too: expanded anew there, it has a smaller one. ``but``: a condition whose
-        switch is left out. A root where the last coefficients are not small beside the others is one of what was cut off, where
+        switch is left out. ``noise``: of l and y of polynomials through nodes; what begins within it ends where it is below. A root where the last coefficients are not small beside the others is one of what was cut off, where
         nothing bounds that: half of the way to it is gone.
         """
         system, hit, share, powers, whole = self._system, None, None, _argument_powers(s, orders), s
@@ -254,31 +256,39 @@ class EventLocator:
                 continue
             germ = condition.coefficients()
             c = list(map(mul, germ, powers))
-            scale, opened = TIE * condition_scale(system, condition), condition.of in place.open
-            least = scale
-            if _stays_within(c, least):
-                least = condition_uncertainty(system, condition)
-                if _stays_within(c, least):
+            if condition.acts in noise:
+                within = float(noise[condition.acts][condition.of[1]])
+                if _stays_within(c, within):
                     continue
-            known_so: Sequence[float] = ()
-            if c[0] <= (GERM / TIE) * scale:
-                rounding = germ_rounding(system, orders) if rounding is None else rounding
-                known_so = known_to(condition, rounding)
-                if known_so and (_stays_within(c, known_so[0]) or not any(without_rounding(germ, known_so))):
-                    continue
-            if c[0] <= (least if opened else 0.0):
-                share = germ_time_share(system, rounding or {}) if share is None else share
-                first = leading_order(germ, least if opened else 0.0, share, known_so)
-                if opened and first != 1:
-                    least = condition_uncertainty(system, condition)
-                    first = lowest_order(germ, least, known_so) if least else leading_order(germ, least, share, known_so)
-                    if least and first is not None and germ[first] < 0:  # What ends at once would be chosen again, as it was.
-                        first = leading_order(germ, least, share, known_so)
-                c = c[ORDERS + 1 if first is None else first :]
-                if max(map(abs, c)) <= least:
-                    continue
-                if c[0] < 0:
+                if c[0] < -within:
                     return condition, 0.0
+                c[0] += within if c[0] <= within else 0.0
+            else:
+                scale, opened = TIE * condition_scale(system, condition), condition.of in place.open
+                least = scale
+                if _stays_within(c, least):
+                    least = condition_uncertainty(system, condition)
+                    if _stays_within(c, least):
+                        continue
+                known_so: Sequence[float] = ()
+                if c[0] <= (GERM / TIE) * scale:
+                    rounding = germ_rounding(system, orders) if rounding is None else rounding
+                    known_so = known_to(condition, rounding)
+                    if known_so and (_stays_within(c, known_so[0]) or not any(without_rounding(germ, known_so))):
+                        continue
+                if c[0] <= (least if opened else 0.0):
+                    share = germ_time_share(system, rounding or {}) if share is None else share
+                    first = leading_order(germ, least if opened else 0.0, share, known_so)
+                    if opened and first != 1:
+                        least = condition_uncertainty(system, condition)
+                        first = lowest_order(germ, least, known_so) if least else leading_order(germ, least, share, known_so)
+                        if least and first is not None and germ[first] < 0:  # What ends at once would be chosen again, as it was.
+                            first = leading_order(germ, least, share, known_so)
+                    c = c[ORDERS + 1 if first is None else first :]
+                    if max(map(abs, c)) <= least:
+                        continue
+                    if c[0] < 0:
+                        return condition, 0.0
             part = _resolvable_part(c)
             if part < 1:
                 c = list(map(mul, c, _argument_powers(part, len(c) - 1)))
@@ -338,7 +348,7 @@ class EventLocator:
                 e = poly_slope(c, d)
                 d -= poly_value(c, d) / e if e and abs(poly_value(c, d) / e) < NEAR else 0.0
             place.x = [poly_value(row[: orders + 1], d) for row in system.x]
-            place.t += d * place.tau
+            place.pass_time(d * place.tau)
             how = expand(orders)
         own, width = current_condition(system, place, how, hit, orders), 0.0
         if own is not None and not is_simple_root(own.coefficients(), rtol * condition_scale(system, own)):

@@ -158,9 +158,9 @@ class Integrator:
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._rescale_to_longer_unit(how, s)
         longest, known = s * place.tau, self.known.next(place.t, place.x)
-        found = self.stiff.piece(place, how, s, known - place.t)
+        found = self.stiff.piece(place, how, s, place.time_to(known))
         if found is None:
-            s = min(s, (known - place.t) / place.tau)
+            s = min(s, place.time_to(known) / place.tau)
             hit, s, error, proved = piece_end(self.bound, self.roots, place, how, self.order, s, self.rtol, self.atol)
             tau, last, until = place.tau, poly_values(system.x, s), min(place.t + place.tau * proved, known)
         else:
@@ -173,7 +173,8 @@ class Integrator:
         self.redundant += how.null is not None and how.null.shape[1] > 0
         update_scales(system, s, min(longest, tau * s))
         self._still = self._still + 1 if 0 < tau * s <= HARDLY * abs(place.t) else 0
-        place.t, place.x, place.open, place.crossed = place.t + tau * s, last, set(), set()
+        place.x, place.open, place.crossed = last, set(), set()
+        place.pass_time(tau * s)
         if hit is None and not reaches_time(place.t, known):
             self._correct_drift(how)
             place.tau = place.tau if found else power_of_two_unit(ROOM * (tau * s))
@@ -424,18 +425,18 @@ class Integrator:
         ``until``: the time up to which the piece that has ended goes on.
         """
         system, place = self.system, self.place
-        before = place.t, list(place.x), place.tau
+        before = place.t, place.late, list(place.x), place.tau
         try:
             found, left, tau = self._locate_event(hit, until)
         except StepError:
-            place.t, place.x, place.tau = before
+            place.t, place.late, place.x, place.tau = before
             if not self._correct_passed_switches():
                 raise
             return
         how, self.touches = found.how, self.touches + found.touches
         rates = [row[1] / place.tau for row in system.x]
         if reaches_time(place.t, known):
-            to_known = (known - place.t) / place.tau
+            to_known = place.time_to(known) / place.tau
             place.x = [poly_value(row[: AROUND + 1], to_known) for row in system.x]
             self._pass_switch_time(known)
         if not found.crosses or reaches_time(place.t, known):
@@ -504,7 +505,7 @@ class Integrator:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
         system, place = self.system, self.place
         before = place.x
-        place.t = known
+        place.t, place.late = known, 0.0
         place.x = self.known.after(known, place.x)
         for k, reads in enumerate(self.problem.block_reads):  # What a block reads may jump where no comparison changes.
             if any(place.x[i] != before[i] for i in reads):
@@ -572,7 +573,8 @@ class Integrator:
         """What the next pieces depend on, as lists and numbers."""
         place, system, sizes, pending = self.place, self.system, self.sizes, self._pending_event
         return {
-            "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
+            "t": place.t, "x": list(place.x), "late": place.late, "tau": place.tau,
+            "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
             "sizes": {name: list(size) for name, size in vars(sizes).items()},
             "begun": pending and [list(pending.impulse), pending.width],
@@ -586,6 +588,7 @@ class Integrator:
         system, self._selected_solver = self.system, None
         opened = {(str(kind), int(i)) for kind, i in saved["open"]}
         self.place = PieceStart(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
+        self.place.late = saved["late"]
         for part, choice in saved["choice"].items():
             system.parts[part].choice[:] = choice
         self._acted = [list(part.choice) for part in system.updates]

@@ -225,6 +225,7 @@ class PieceStart:
     """Where a piece starts: time, state, unit of time, mode; ``open``: the switches that germs decide.
 
     ``crossed``: switches on which no l acts, and that are proved to be on another side, whatever their first coefficients are.
+    ``late``: what rounding leaves of the time; hundreds of pieces come to a time as one does.
     """
 
     t: float
@@ -233,6 +234,17 @@ class PieceStart:
     codes: list[int]
     open: set[Switch] = field(default_factory=set)
     crossed: set[Switch] = field(default_factory=set)
+    late: float = 0.0
+
+    def pass_time(self, h: float) -> None:
+        """Move the time by h."""
+        h += self.late
+        t = self.t + h
+        self.t, self.late = t, h - (t - self.t)
+
+    def time_to(self, until: float) -> float:
+        """How far a time is, infinite where it is."""
+        return until - self.t - self.late
 
 
 def select_mode(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:

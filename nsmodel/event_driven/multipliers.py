@@ -48,6 +48,7 @@ class MultiplierSolver:
     lift: MatrixRows | None = None
     entries: tuple[float, ...] = ()  # Of both matrices, as `unrolled` takes them.
     condition: float = 1.0  # Of what was inverted, in its best units.
+    rounding: np.ndarray | float = 0.0  # Of the entries of ``direct``.
 
     @property
     def index(self) -> int:
@@ -56,22 +57,21 @@ class MultiplierSolver:
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """|direct| and |through|, beside the rounding that each entry has of the largest of its row and column."""
-        direct, through = (
-            None if part is None else _with_rounding(np.array(part), self.condition) for part in (self.direct, self.through)
-        )
+        """|direct| and |through|, each with the rounding of its entries."""
+        direct = None if self.direct is None else np.abs(self.direct) + self.rounding
+        if self.through is None:
+            return direct, None
+        through = np.abs(self.through)
+        for rows, columns in _blocks(through):
+            own = through[np.ix_(rows, columns)]
+            through[np.ix_(rows, columns)] += _rounding_of_largest(own, self.condition)
         return direct, through
 
 
-def _with_rounding(matrix: np.ndarray, condition: float) -> np.ndarray:
-    """|A|, and the rounding that each entry of a block has of the largest of its row and column."""
-    A = np.abs(matrix)
-    out = A.copy()
-    for rows, columns in _blocks(A):
-        own = A[np.ix_(rows, columns)]
-        if largest := float(own.max(initial=0.0)):
-            out[np.ix_(rows, columns)] += np.outer(own.max(axis=1), own.max(axis=0)) * (ENTRY_ROUNDING * condition / largest)
-    return out
+def _rounding_of_largest(A: np.ndarray, condition: float) -> np.ndarray:
+    """What each entry of an inverse errs by: a share of the largest of its row and column."""
+    largest = float(A.max(initial=0.0))
+    return np.outer(A.max(axis=1), A.max(axis=0)) * (ENTRY_ROUNDING * condition / largest) if largest else np.zeros_like(A)
 
 
 def _blocks(A: np.ndarray) -> list[tuple[list[int], list[int]]]:
@@ -111,17 +111,18 @@ def multiplier_solver(
         return _single_row_solver(active[0], B, D, C)
     a = list(active)
     D_aa, W_aa = D[np.ix_(a, a)], C[a] @ B[:, a]
-    plus, U, V, condition = generalised_inverse(D_aa)
+    plus, U, V, condition, rounding = generalised_inverse(D_aa)
     if not U.shape[1]:
-        return MultiplierSolver(active, plus.tolist(), None, None, condition=condition)
+        return MultiplierSolver(active, plus.tolist(), None, None, condition=condition, rounding=rounding)
     moved = U.T @ W_aa @ V
     moved[np.abs(moved) <= CANCELS * (np.abs(U).T @ np.abs(W_aa) @ np.abs(V))] = 0.0
-    inner, left, _, further = generalised_inverse(moved)
+    inner, left, _, further, _ = generalised_inverse(moved)
     through = V @ inner @ U.T
     lift = np.linalg.pinv(U.T @ C[a]) @ U.T if lifts and np.isfinite(C[a]).all() else None
     return MultiplierSolver(
         active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()),
         None if lift is None else lift.tolist(), condition=max(condition, further),
+        rounding=rounding,
     )  # fmt: skip
 
 
@@ -142,12 +143,16 @@ def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) 
 
 
 class GeneralisedInverse(NamedTuple):
-    """A^+, least in norm in units in which A is near 1, bases of the left and the right null space, and A's condition there."""
+    """A^+, least in norm in units in which A is near 1, bases of the left and the right null space, and A's condition there.
+
+    ``rounding``: of the entries of A^+, in `ROUNDING`; of a regular A sum |A^+| |A| |A^+|, however the entries of A differ.
+    """
 
     plus: np.ndarray
     left: np.ndarray
     right: np.ndarray
     condition: float = 1.0
+    rounding: np.ndarray | float = 0.0
 
 
 def generalised_inverse(A: np.ndarray) -> GeneralisedInverse:
@@ -159,15 +164,16 @@ def generalised_inverse(A: np.ndarray) -> GeneralisedInverse:
         return GeneralisedInverse(np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0)))
     if not np.isfinite(A).all():
         return GeneralisedInverse(np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0)))
-    plus, left, right, condition = np.zeros((m, m)), [np.zeros((m, 0))], [np.zeros((m, 0))], 1.0
+    plus, rounding, left, right, condition = np.zeros((m, m)), np.zeros((m, m)), [np.zeros((m, 0))], [np.zeros((m, 0))], 1.0
     for rows, columns in _blocks(A):
         own = _block_inverse(A[np.ix_(rows, columns)])
-        plus[np.ix_(columns, rows)], condition = own.plus, max(condition, own.condition)
+        plus[np.ix_(columns, rows)], rounding[np.ix_(columns, rows)] = own.plus, own.rounding
+        condition = max(condition, own.condition)
         for bases, at, basis in ((left, rows, own.left), (right, columns, own.right)):
             whole = np.zeros((m, basis.shape[1]))
             whole[at] = basis
             bases.append(whole)
-    return GeneralisedInverse(plus, np.hstack(left), np.hstack(right), condition)
+    return GeneralisedInverse(plus, np.hstack(left), np.hstack(right), condition, rounding)
 
 
 def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
@@ -179,10 +185,14 @@ def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
     rank = int((s > SINGULAR * s[0]).sum())
     condition = float(s[0] / s[rank - 1])
     if rank == rows == columns:
-        return GeneralisedInverse(np.linalg.inv(A), np.zeros((rows, 0)), np.zeros((columns, 0)), condition)
+        plus = np.linalg.inv(A)
+        plus += plus @ (np.eye(rows) - A @ plus)
+        size = np.abs(plus)
+        none = np.zeros((rows, 0))
+        return GeneralisedInverse(plus, none, none, condition, ENTRY_ROUNDING * rows * size @ np.abs(A) @ size)
     plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
     left, right = (np.where(np.abs(part) > CANCELS, part, 0.0) for part in (u[:, rank:], vt[rank:].T))
-    return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition)
+    return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition, _rounding_of_largest(np.abs(plus), condition))
 
 
 def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ from nsmodel.event_driven.collocation import (
 )
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.event_location import EventLocator, current_condition
-from nsmodel.event_driven.modes import TIE, PieceStart, SwitchCondition, condition_scale
+from nsmodel.event_driven.modes import TIE, PieceStart, SwitchCondition, condition_scale, germ_rounding
 from nsmodel.event_driven.multipliers import NOTHING, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrence_code import SYMBOL_DIALECT, compile_recurrences
@@ -130,6 +130,7 @@ STAGE_ITERATIONS, STAGE_CONVERGED = 20, 1e-15  # Of Newton's method for the stag
 ORDERS_OF_TWO = 4  # Of a series, for each two stages beyond the first.
 SLOW = 0.5  # By how much each of them has to come nearer.
 STAGE_NEAR = 0.1  # Of what is allowed: what is as near as rounding lets iterations come has to be nearer.
+BETWEEN_NODES = 4.0  # By which a polynomial may err more than its values at the nodes: the Lebesgue constant of at most 9.
 STAGE_ROUNDING = 1e-14  # Of a size, or of what the terms of a solution add up to: an error below it is none.
 
 
@@ -145,8 +146,15 @@ class CollocationFit(NamedTuple):
     l: np.ndarray
     y: np.ndarray
     watched: np.ndarray
+    at_0: tuple[np.ndarray, ...]  # x, l, y and watched
     estimate: float = 0.0
     error: float = 0.0
+    noise: dict[str, np.ndarray] = {}  # Of l and y (m,): what rounding leaves of the polynomials; {} where nothing is said.
+
+    @property
+    def at_nodes(self) -> tuple[np.ndarray, ...]:
+        """X, l, y and watched."""
+        return self.x, self.l, self.y, self.watched
 
     @property
     def last(self) -> list[float]:
@@ -155,7 +163,10 @@ class CollocationFit(NamedTuple):
 
 
 class CollocationStart(NamedTuple):
-    """A place: x, l, y and what branches look at there, the rows that are held, and (f_x, g_l, h_x, h_l)."""
+    """A place: x, l, y and what branches look at there, the rows that are held, and (f_x, g_l, h_x, h_l).
+
+    ``rounding``: what l and y (m,) are known to.
+    """
 
     t: float
     x: np.ndarray
@@ -165,6 +176,7 @@ class CollocationStart(NamedTuple):
     choices: np.ndarray
     held: list[int]
     slopes: list[np.ndarray]
+    rounding: dict[str, np.ndarray]
 
 
 def stage_count(order: int) -> int:
@@ -196,8 +208,10 @@ class RadauMethod:
         system = self.system
         watched = np.array([row[0] for row in self._branch_rows()])
         x, l, y = (np.array([row[0] for row in rows]) for rows in (system.x, system.l, system.y))
+        rounding = {acts: np.array([row[0] for row in rows]) for acts, rows in germ_rounding(system, 0).items()}
+        slopes = [a.copy() for a in self._evaluate_slopes(place)]
         return CollocationStart(
-            place.t, x, l, y, watched, self._branch_choices(), list(how.active), [a.copy() for a in self._evaluate_slopes(place)]
+            place.t, x, l, y, watched, self._branch_choices(), list(how.active), slopes, rounding
         )
 
     def _branch_rows(self) -> list[list[float]]:
@@ -236,13 +250,15 @@ class RadauMethod:
             ):  # The second mends rounding of the inverse.
                 if moved[0] <= max(STAGE_NEAR * rtol, STAGE_ROUNDING):
                     break
+                if (np.abs(step) <= self._rounding(start, h, np.maximum(size, np.abs(start.x + Z).max(axis=0)), L)[1]).all():
+                    break
                 return None
         else:
             return None
         _, y, watched = (a.copy() for a in self._evaluate(start, start.t + h * of.nodes, start.x + Z, L))
         y[:, held] = 0.0
         try:
-            return self._with_error(start, CollocationFit(h, start.x + Z, L, y, watched), rtol, atol)
+            return self._with_error(start, CollocationFit(h, start.x + Z, L, y, watched, self._at_0(start, L, y)), rtol, atol)
         except np.linalg.LinAlgError:  # So short that h is lost beside singular h_l.
             return None
 
@@ -252,12 +268,21 @@ class RadauMethod:
         system.t[:2] = start.t, tau
         scale = (tau / fit.h) ** np.arange(self.stages + 1)
         lists = (self._branch_rows(), system.y, system.l, system.x)
-        y = np.where(np.isin(np.arange(system.m), start.held), 0.0, start.y)
-        given = ((fit.watched, start.watched), (fit.y, y), (fit.l, start.l), (fit.x, start.x))
-        for rows, (values, at_0) in zip(lists, given, strict=True):
+        for rows, values, at_0 in zip(lists, reversed(fit.at_nodes), reversed(fit.at_0), strict=True):
             for row, c in zip(rows, self.table.coefficients(values, at_0) * scale, strict=True):
                 row[:] = [*c.tolist(), *[0.0] * (len(row) - len(c))]
         return tau, fit.h / tau
+
+    def _at_0(self, start: CollocationStart, l: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+        """X, l, y and watched where the piece begins; the polynomials of l and y through the nodes know them better where D is
+        small: l = -y/D there, and at nodes what holds x' on the slow motion.
+        """
+        given = {"l": start.l, "y": np.where(np.isin(np.arange(self.system.m), start.held), 0.0, start.y)}
+        for acts, values in (("l", l), ("y", y)):
+            if acts in start.rounding:
+                there = self.table.at_0 @ values
+                given[acts] = np.where(np.abs(there - given[acts]) <= start.rounding[acts], there, given[acts])
+        return start.x, given["l"], given["y"], start.watched
 
     def _evaluate(self, start: CollocationStart, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> list[np.ndarray]:
         """F + g, y and what branches look at, a row a point."""
@@ -271,23 +296,26 @@ class RadauMethod:
         scales = self._piece_tolerances(start, fit, rtol, atol)
         estimate = error = self._estimate(start, fit, scales)
         if estimate <= 1:
-            at_0, values = (start.x, start.l, start.y, start.watched), fit[1:5]
-            of = piece_polynomials(self.table, start.t, fit.h, start.held, at_0, values)
+            of = piece_polynomials(self.table, start.t, fit.h, start.held, fit.at_0, fit.at_nodes)
             error = max(estimate, piece_error_bound(self._on, of, scales))
-        return fit._replace(estimate=estimate, error=error)
+        return fit._replace(estimate=estimate, error=error, noise=self._noise(start, scales) if start.rounding else {})
+
+    def _noise(self, start: CollocationStart, scales: PieceTolerances) -> dict[str, np.ndarray]:
+        n, of_l = len(start.x), np.zeros(len(start.l))
+        of_l[start.held] = scales.rounding[n:]
+        of_y = scales.rounding_y + np.abs(start.slopes[2]) @ scales.rounding[:n] + np.abs(start.slopes[3]) @ of_l
+        return {"l": BETWEEN_NODES * of_l, "y": BETWEEN_NODES * of_y}
 
     def _piece_tolerances(self, start: CollocationStart, fit: CollocationFit, rtol: float, atol: list[float]) -> PieceTolerances:
         """Of y, and of what branches look at, not by what they come to on the piece: that may be beyond where they are 0."""
         sizes, held = self.system.sizes, start.held
-        matrix = _stage_matrices(start, fit.h, np.array([1 / self.table.share]))[0]
-        inverse = np.linalg.inv(matrix)
         size, size_l = (
             np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0)) for so_far, values in ((sizes.x, fit.x), (sizes.l, fit.l))
         )
         terms = [self.system.terms(i, size.tolist(), size_l.tolist()) for i in range(len(start.l))]
         size_y = np.maximum(np.maximum(sizes.y, np.abs(start.y)), terms)
         size_w = np.maximum(sizes.switches, np.abs(start.watched))
-        rounding = STAGE_ROUNDING * np.abs(inverse) @ (np.abs(matrix) @ np.append(size, size_l[held]))
+        inverse, rounding = self._rounding(start, fit.h, size, size_l[None])
         free = [i for i in range(len(start.l)) if i not in held]
         for own, of in ((size_l, held), (size_y, free), (size_w, slice(None))):
             own[:] = np.maximum(own, SMALL * own[of].max(initial=0.0))
@@ -295,12 +323,17 @@ class RadauMethod:
         of_y, of_watched = STAGE_ROUNDING * size_y, STAGE_ROUNDING * size_w
         return PieceTolerances(inverse, rounding, rtol * size + atol, size, allowed[0], allowed[1], of_y, allowed[2], of_watched)
 
+    def _rounding(self, start: CollocationStart, h: float, size: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse that takes what is missed to (x, l of held rows), and what rounding leaves of these; ``l``: values, rows."""
+        matrix = _stage_matrices(start, h, np.array([1 / self.table.share]))[0]
+        inverse, size_l = np.linalg.inv(matrix), np.maximum(self.system.sizes.l, np.abs(l).max(axis=0))[start.held]
+        return inverse, STAGE_ROUNDING * np.abs(inverse) @ (np.abs(matrix) @ np.append(size, size_l))
+
     def _estimate(self, start: CollocationStart, fit: CollocationFit, scales: PieceTolerances) -> float:
         """From what is missed at 0 and between the nodes."""
         of, held, n = self.table, start.held, len(start.x)
         x, l, y, watched = (
-            at_0 + of.values @ (values - at_0)
-            for values, at_0 in zip(fit[1:5], (start.x, start.l, start.y, start.watched), strict=True)
+            at_0 + of.values @ (values - at_0) for values, at_0 in zip(fit.at_nodes, fit.at_0, strict=True)
         )
         rate, h, looked = self._evaluate(start, start.t + fit.h * of.between, x, l)
         missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
@@ -436,7 +469,7 @@ class StiffIntegrator:
     ) -> StiffPiece:
         """The piece up to its first event, made anew to end near it: inside it has the order s + 1, at its end 2 s - 1."""
         tau, s = self.radau.write(start, fit)
-        hit, end = self.roots.first(place, how, self.order, s)
+        hit, end = self.roots.first(place, how, self.order, s, noise=fit.noise)
         if hit is None and end < s:  # Beyond that a root may hide.
             return StiffPiece(tau, end, INSIDE * fit.error, [poly_value(row, end) for row in self.system.x], None)
         for _ in range(ENDINGS):
@@ -447,7 +480,7 @@ class StiffIntegrator:
                 break
             fit = shorter
             tau, s = self.radau.write(start, fit)
-            again, end = self.roots.first(place, how, self.order, s)
+            again, end = self.roots.first(place, how, self.order, s, noise=fit.noise)
             hit, end = (again, end) if again else self._condition_beyond_end(place, how, hit, s)
             if abs(end - s) <= ENDED * s and tau * end <= most:
                 break

@@ -49,7 +49,7 @@ def coast_to_stop(system: ModeSystem, place: PieceStart, time: float) -> None:
     """Go on to where the speed of a block at its threshold would be 0: nothing but its first term means anything so near."""
     d = time / place.tau
     place.x = [row[0] + d * row[1] for row in system.x]
-    place.t += time
+    place.pass_time(time)
 
 
 def stick_released_blocks(system: ModeSystem, place: PieceStart) -> None:

@@ -397,8 +397,8 @@ class CompiledPieces:
         n = int(place["events"]).bit_length()
         counts = self.counts(before=before)
         integrator = {
-            "t": float(place["t"]), "x": place["x"].tolist(), "tau": float(place["tau"]), "codes": place["codes"][:m].tolist(),
-            "open": self._open_switches(place["open"]), "choice": dict(zip(self._branch_parts, choices, strict=True)),
+            "t": float(place["t"]), "late": float(place["late"]), "x": place["x"].tolist(), "tau": float(place["tau"]),
+            "codes": place["codes"][:m].tolist(), "open": self._open_switches(place["open"]), "choice": dict(zip(self._branch_parts, choices, strict=True)),
             "l": place["l"][:m].tolist(),
             "sizes": {
                 name: place[f"size_{name}"][:count].tolist()
@@ -417,7 +417,9 @@ class CompiledPieces:
         self._fallback_state = {name: deepcopy(saved[name]) for name in INITIAL_CHECKPOINT}
         saved = saved["integrator"]
         place, m = self.steps.at, self.problem.l.numel()
-        place["t"], place["tau"], place["x"], place["begun"] = saved["t"], saved["tau"], saved["x"], saved["begun"] is not None
+        for name in ("t", "late", "tau", "x"):
+            place[name] = saved[name]
+        place["begun"] = saved["begun"] is not None
         place["codes"][:m], place["l"][:m] = saved["codes"], saved["l"]
         place["impulse"][:m], place["event_width"] = saved["begun"] or (0.0, 0.0)
         for name, sizes in saved["sizes"].items():

@@ -652,6 +652,7 @@ static int cross(model_pieces *s, double known)
     condition all[2];
     double c[MOST_ORDERS + 1];
     s->at.t = known;
+    s->at.late = 0;
 #if HELD
     long number = 0;
     while (s->known_at[number] < known)
@@ -777,7 +778,7 @@ static int pass_event(model_pieces *s, const condition *hit, double known, doubl
     for (int i = 0; i < N; i++)
         rates[i] = s->c[1][i]/s->at.tau;
     if (reaches(s->at.t, known)) {
-        go_along(s, (known - s->at.t)/s->at.tau, AROUND);
+        go_along(s, time_to(s, known)/s->at.tau, AROUND);
         return cross(s, known);
     }
     if (!way.crosses) {
@@ -894,7 +895,7 @@ static int next_piece(model_pieces *s)
     }
     const double longest = length*s->at.tau, known = next_known(s, s->at.t);
 #if STIFF
-    const int collocated = collocate(s, &length, known - s->at.t, &hit, &found, &error);
+    const int collocated = collocate(s, &length, time_to(s, known), &hit, &found, &error);
 #else
     const int collocated = 0;
     if (s->leaves) {
@@ -904,7 +905,7 @@ static int next_piece(model_pieces *s)
     }
 #endif
     if (!collocated) {
-        length = min_of(length, (known - s->at.t)/s->at.tau);
+        length = min_of(length, time_to(s, known)/s->at.tau);
         if ((status = accept(s, &length, &tried, &hit, &found, &error)))
             return status;
     }
@@ -920,7 +921,7 @@ static int next_piece(model_pieces *s)
     s->at.redundant += HOW.null > 0;
 #endif
     memcpy(s->at.x, s->value, sizeof s->at.x);
-    s->at.t += s->at.tau*length;
+    pass_time(s, s->at.tau*length);
     s->at.still = length > 0 && s->at.tau*length <= HARDLY*fabs(s->before.t) ? s->at.still + 1 : 0;
     memset(s->at.open, 0, sizeof s->at.open);
     const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length, end = min_of(collocated ? start + tau + longest : start + unit*tried, known);

@@ -98,6 +98,16 @@ static double unit_of(double tau)
     return ldexp(1.0, exponent - (fraction == 0.5));
 }
 
+/* Move the time of the place by h, and keep what rounding leaves of that: hundreds of pieces come to a time as one does. */
+static void pass_time(model_pieces *s, double h)
+{
+    const double whole = h + s->at.late, t = s->at.t + whole;
+    s->at.late = whole - (t - s->at.t);
+    s->at.t = t;
+}
+
+static double time_to(const model_pieces *s, double until) { return until - s->at.t - s->at.late; }
+
 static int spend_on(model_pieces *s) { return s->work < s->budget ? (s->work++, 1) : 0; }
 
 #if LAW

@@ -225,7 +225,7 @@ static int own_condition(const model_pieces *s, const condition *hit, int orders
 static void go_along(model_pieces *s, double d, int orders)
 {
     values_at(s->c[0], COLUMNS, orders, d, N, s->at.x);
-    s->at.t += d*s->at.tau;
+    pass_time(s, d*s->at.tau);
 }
 
 /* How the way to an event went: the time in which a sign was not known, and where that was; dips that were passed; an event. */

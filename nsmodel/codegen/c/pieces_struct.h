@@ -24,7 +24,7 @@ typedef struct {
 #endif
 /* Where a piece starts, and all that the next pieces depend on. */
 typedef struct {
-    double t, tau; /* time; unit of time */
+    double t, late, tau; /* time, and what rounding leaves of it; unit of time */
     double x[MODEL_PIECES_N], l[MODEL_PIECES_M + 1]; /* state, multipliers at order 0 */
     double size_x[MODEL_PIECES_N], size_y[MODEL_PIECES_M + 1], size_l[MODEL_PIECES_M + 1]; /* the largest so far */
     double choice[MODEL_PIECES_CHOICES + 1]; /* of branches; NaN: none yet */
