@@ -168,7 +168,7 @@ class PieceTolerances(NamedTuple):
     """What a piece may err by, and what of it is rounding.
 
     ``size``: of x; ``x``, ``l``, ``y``, ``watched``: what is allowed, of held rows l, of the others y. ``rounding``: that of
-    (x, l of held rows) after ``inverse``, (q, q); ``rounding_y`` and ``rounding_watched``: that of these.
+    (x, l of held rows) after ``inverse``, (q, q); ``rounding_l``, ``rounding_y`` and ``rounding_watched``: that of their sizes.
     """
 
     inverse: np.ndarray
@@ -176,6 +176,7 @@ class PieceTolerances(NamedTuple):
     x: np.ndarray
     size: np.ndarray
     l: np.ndarray
+    rounding_l: np.ndarray
     y: np.ndarray
     rounding_y: np.ndarray
     watched: np.ndarray

@@ -34,9 +34,11 @@ from nsmodel.event_driven.modes import (
     all_switches,
     condition_scale,
     extrapolate_start,
+    germ_rounding,
     is_germ_zero,
     is_same_condition,
     jump_impulse,
+    known_to,
     list_switch_names,
     mode_conditions,
     nudge_start,
@@ -46,6 +48,7 @@ from nsmodel.event_driven.modes import (
     switch_name,
     uniqueness_verdict,
     update_scales,
+    without_rounding,
 )
 from nsmodel.event_driven.multipliers import MultiplierSolver
 from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector
@@ -188,7 +191,7 @@ class Integrator:
             elif self.accumulation.pieces_vanish(tau * s, place.t, place.tau):
                 raise self._accumulation_error(hit, parts_late=s == 0 and is_germ_zero(system, place, how, hit))
             else:
-                self._handle_event(hit, known, until)
+                self._handle_event(hit, known, until, collocated=found is not None)
         except StepError as why:
             self.stopped, self._final = str(why), why if isinstance(why, UnrecoverableStepError) else None
         off = STOPS * LOCAL if hit is not None and hit.ends_at_stop else 0.0
@@ -407,27 +410,29 @@ class Integrator:
             break
         return self._expand(AROUND)
 
-    def _locate_event(self, hit: SwitchCondition, until: float) -> tuple[IsolatedRoot, float, float]:
+    def _locate_event(self, hit: SwitchCondition, until: float, collocated: bool) -> tuple[IsolatedRoot, float, float]:
         """Go to the event to round-off, or over what is none; how far a block that stops has to coast; the unit of time."""
         system, place = self.system, self.place
         how, tau = self._expand_at_event(), place.tau
         if project_to_held_rows(system, place, how.active):  # Afterwards it would move the root that is polished.
             how, tau = self._expand(AROUND), place.tau
+        if collocated and self._is_hidden(hit):
+            return IsolatedRoot(how, None, 0.0, 0, True, place.t), 0.0, tau
         if not hit.ends_at_stop:
             return self.roots.polish_event(place, hit, AROUND, how, self._expand, self.order, until, self.rtol / LOCAL), 0.0, tau
         self._expand(1)  # No matter of digits; in a longer unit of time coefficients are beyond measure.
         place.tau = power_of_two_unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
         return IsolatedRoot(self._expand(AROUND), None, 0.0, 0, True, place.t), left, tau
 
-    def _handle_event(self, hit: SwitchCondition, known: float, until: float) -> None:
+    def _handle_event(self, hit: SwitchCondition, known: float, until: float, *, collocated: bool) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it; or over what is none.
 
-        ``until``: the time up to which the piece that has ended goes on.
+        ``until``: the time up to which the piece that has ended goes on; ``collocated``: whether its polynomials are no series.
         """
         system, place = self.system, self.place
         before = place.t, place.late, list(place.x), place.tau
         try:
-            found, left, tau = self._locate_event(hit, until)
+            found, left, tau = self._locate_event(hit, until, collocated)
         except StepError:
             place.t, place.late, place.x, place.tau = before
             if not self._correct_passed_switches():
@@ -443,7 +448,7 @@ class Integrator:
             self._pending_event = None if not found.crosses and place.t > before[0] else self._pending_event
             self._record_undecided(hit, found, [])
             return
-        if self._is_free_of_multipliers(hit.of):
+        if (free := self._is_free_of_multipliers(hit.of)) or (collocated and self._is_hidden(hit)):
             place.crossed.add(hit.of)
         switched: list[SwitchCondition] = []
         for condition in mode_conditions(system, place.codes, how, AROUND):
@@ -459,8 +464,8 @@ class Integrator:
         project_to_held_rows(system, place, tuple(sorted({*how.active, *opened})))
         stick_released_blocks(system, place)
         for condition in switched:  # On another branch y may be another.
-            crossed = condition.of in place.crossed and condition.of[0] == ROW
-            set_switch(system, place, condition.of, -place.codes[hit.of[1]] if crossed else condition.after)
+            passed = free and condition.of in place.crossed and condition.of[0] == ROW
+            set_switch(system, place, condition.of, -place.codes[hit.of[1]] if passed else condition.after)
         if reaches_time(place.t, known):
             self._pass_switch_time(known)
             return
@@ -471,6 +476,11 @@ class Integrator:
         self._record_undecided(hit, found, rates)
         if self.accumulation.event_rate_grows(place.t):
             raise self._accumulation_error(hit)
+
+    def _is_hidden(self, hit: SwitchCondition) -> bool:
+        """Whether rounding hides l or y at the place, as where D is small: the polynomials of a piece know them better."""
+        known = known_to(hit, germ_rounding(self.system))
+        return bool(known) and not any(without_rounding(hit.coefficients(), known))
 
     def _is_free_of_multipliers(self, switch: Switch) -> bool:
         """Whether no l, nor another switch, acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""

@@ -145,7 +145,7 @@ def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) 
 class GeneralisedInverse(NamedTuple):
     """A^+, least in norm in units in which A is near 1, bases of the left and the right null space, and A's condition there.
 
-    ``rounding``: of the entries of A^+, in `ROUNDING`; of a regular A sum |A^+| |A| |A^+|, however the entries of A differ.
+    ``rounding``: of the entries of A^+, in `ROUNDING`; of a regular A |A^+| (|I - A A^+| + u |A| |A^+|), however its entries differ.
     """
 
     plus: np.ndarray
@@ -185,11 +185,11 @@ def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
     rank = int((s > SINGULAR * s[0]).sum())
     condition = float(s[0] / s[rank - 1])
     if rank == rows == columns:
-        plus = np.linalg.inv(A)
+        plus, none = np.linalg.inv(A), np.zeros((rows, 0))
         plus += plus @ (np.eye(rows) - A @ plus)
-        size = np.abs(plus)
-        none = np.zeros((rows, 0))
-        return GeneralisedInverse(plus, none, none, condition, ENTRY_ROUNDING * rows * size @ np.abs(A) @ size)
+        size, missed = np.abs(plus), np.abs(np.eye(rows) - A @ plus)
+        rounding = size @ (2 / ROUNDING * missed + ENTRY_ROUNDING * rows * np.abs(A) @ size)
+        return GeneralisedInverse(plus, none, none, condition, rounding)
     plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
     left, right = (np.where(np.abs(part) > CANCELS, part, 0.0) for part in (u[:, rank:], vt[rank:].T))
     return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition, _rounding_of_largest(np.abs(plus), condition))

@@ -301,10 +301,12 @@ class RadauMethod:
         return fit._replace(estimate=estimate, error=error, noise=self._noise(start, scales) if start.rounding else {})
 
     def _noise(self, start: CollocationStart, scales: PieceTolerances) -> dict[str, np.ndarray]:
-        n, of_l = len(start.x), np.zeros(len(start.l))
+        """At least TIE of the sizes, below which a condition is 0."""
+        n, of_l, least = len(start.x), np.zeros(len(start.l)), TIE / STAGE_ROUNDING
         of_l[start.held] = scales.rounding[n:]
-        of_y = scales.rounding_y + np.abs(start.slopes[2]) @ scales.rounding[:n] + np.abs(start.slopes[3]) @ of_l
-        return {"l": BETWEEN_NODES * of_l, "y": BETWEEN_NODES * of_y}
+        of_y = np.abs(start.slopes[2]) @ scales.rounding[:n] + np.abs(start.slopes[3]) @ of_l
+        sizes = {"l": scales.rounding_l, "y": scales.rounding_y}
+        return {acts: np.maximum(BETWEEN_NODES * of, least * sizes[acts]) for acts, of in (("l", of_l), ("y", of_y))}
 
     def _piece_tolerances(self, start: CollocationStart, fit: CollocationFit, rtol: float, atol: list[float]) -> PieceTolerances:
         """Of y, and of what branches look at, not by what they come to on the piece: that may be beyond where they are 0."""
@@ -320,8 +322,10 @@ class RadauMethod:
         for own, of in ((size_l, held), (size_y, free), (size_w, slice(None))):
             own[:] = np.maximum(own, SMALL * own[of].max(initial=0.0))
         allowed = [MULTIPLIERS * rtol * own for own in (size_l, size_y, size_w)]
-        of_y, of_watched = STAGE_ROUNDING * size_y, STAGE_ROUNDING * size_w
-        return PieceTolerances(inverse, rounding, rtol * size + atol, size, allowed[0], allowed[1], of_y, allowed[2], of_watched)
+        of_l, of_y, of_watched = (STAGE_ROUNDING * own for own in (size_l, size_y, size_w))
+        return PieceTolerances(
+            inverse, rounding, rtol * size + atol, size, allowed[0], of_l, allowed[1], of_y, allowed[2], of_watched
+        )
 
     def _rounding(self, start: CollocationStart, h: float, size: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The inverse that takes what is missed to (x, l of held rows), and what rounding leaves of these; ``l``: values, rows."""
