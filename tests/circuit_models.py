@@ -21,7 +21,7 @@ Element = tuple[Any, ...]  # (kind, node, node, value, start): "R", "L", "C", "V
 
 
 def circuit(elements: Sequence[Element], **given: Any) -> LureSystem:
-    """The model of a circuit; node 0 is ground."""
+    """The model of a circuit; node 0 is ground; a diode may have a resistance as its value."""
     nodes = sorted({node for _, a, b, *_ in elements for node in (a, b)} - {0}, key=str)
     of = {kind: [e for e in elements if e[0] == kind] for kind in "RLCVID"}
     coils, capacitors, sources = of["L"], of["C"], of["V"]
@@ -37,8 +37,9 @@ def circuit(elements: Sequence[Element], **given: Any) -> LureSystem:
             if node != 0:
                 matrix[i, column[node]] += sign
 
-    for k, (_, a, b, *_) in enumerate(of["D"]):
+    for k, (_, a, b, *resistance) in enumerate(of["D"]):
         put(D, k, b, a)
+        D[k, k] = resistance[0] if resistance else 0.0
     D[d:, :d] = -D[:d, d:].T
     for _, a, b, R in of["R"]:
         for node, sign in ((a, 1.0), (b, -1.0)):

@@ -162,7 +162,7 @@ PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
     ("event_driven.piece", "NEAR_0 STEEPER"),
     ("event_driven.collocation", "SMALLEST COVER_RADIUS COVER_DEGREE"),
     ("event_driven.multipliers", "ROUNDING NEGLIGIBLE"),
-    ("event_driven.multipliers", "SINGULAR MAX_MINOR_ROWS:MOST_MINORS BALANCING NOTHING SHORT"),
+    ("event_driven.multipliers", "HIDDEN SINGULAR MAX_MINOR_ROWS:MOST_MINORS BALANCING NOTHING SHORT"),
     ("event_driven.system", "NEWTON NEWTON_CONVERGED:SETTLED HELD_ORDERS LITTLE RESTS AT_ZERO"),
     ("event_driven.system", "STAYS"),
     ("event_driven.radau", "WORTH STAY SMOOTH INSIDE OCTAVES_MORE SAFE ENDINGS ENDED MOVED MAX_WAIT_OCTAVES:MOST_WAIT"),

@@ -237,7 +237,9 @@ class PieceStart:
     late: float = 0.0
 
     def pass_time(self, h: float) -> None:
-        """Move the time by h."""
+        """Move the time by h; by nothing where rounding takes all of it: so no pole is crept over."""
+        if self.t + h == self.t:
+            return
         h += self.late
         t = self.t + h
         self.t, self.late = t, h - (t - self.t)

@@ -23,6 +23,7 @@ from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import attach_buffers, connected_components
 
 MatrixRows = list[list[float]]
+HIDDEN = 1e-9  # Of the largest l now: where rounding leaves more of one, C does not decide modes, see `ModeSystem.rounding`.
 SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
 CANCELS = 1e-13  # Of the terms of a sum, or of the length of a vector: what comes to less is rounding.
 ENTRY_ROUNDING = 1 / 8  # Of an inverse of condition 1: the rounding of an entry, in 8 roundings of the largest.
@@ -184,15 +185,25 @@ def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
     u, s, vt = np.linalg.svd(A * r[:, None] * c)
     rank = int((s > SINGULAR * s[0]).sum())
     condition = float(s[0] / s[rank - 1])
-    if rank == rows == columns:
-        plus, none = np.linalg.inv(A), np.zeros((rows, 0))
-        plus += plus @ (np.eye(rows) - A @ plus)
-        size, missed = np.abs(plus), np.abs(np.eye(rows) - A @ plus)
-        rounding = size @ (2 / ROUNDING * missed + ENTRY_ROUNDING * rows * np.abs(A) @ size)
-        return GeneralisedInverse(plus, none, none, condition, rounding)
+    if rows == columns and s[-1] > rows * ROUNDING * s[0] and (own := _regular_inverse(A, rank == rows)) is not None:
+        return GeneralisedInverse(own[0], np.zeros((rows, 0)), np.zeros((rows, 0)), float(s[0] / s[-1]), own[1])
+    condition *= max([1.0, *(s[rank:] / (ROUNDING * s[0]))])  # What is left out moves the rest, as rounding does.
     plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
     left, right = (np.where(np.abs(part) > CANCELS, part, 0.0) for part in (u[:, rank:], vt[rank:].T))
     return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition, _rounding_of_largest(np.abs(plus), condition))
+
+
+def _regular_inverse(A: np.ndarray, surely: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    """A^-1 and the rounding of its entries; ``surely``: also where it is known to few digits.
+
+    Else None where A A^-1 is far from I: a small D may make A regular, where it stands by itself, and so may rounding.
+    """
+    plus, one = np.linalg.inv(A), np.eye(len(A))
+    plus += plus @ (one - A @ plus)
+    size, missed = np.abs(plus), np.abs(one - A @ plus)
+    if not surely and not missed.max() <= SINGULAR:
+        return None
+    return plus, size @ (2 / ROUNDING * missed + ENTRY_ROUNDING * len(A) * np.abs(A) @ size)
 
 
 def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:

@@ -175,6 +175,7 @@ class PieceBuffer:
 
 UNIQUENESS_VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
 STIFF_FIELDS = ("length", "failed", "wait", "pieces")  # Of `stiff.StiffIntegrator`, as C has it.
+MAX_LEFT_IN_A_ROW = 8  # Pieces that C leaves to the course one after the other; then all of them are its.
 PIECES_PER_REQUEST, MAX_PIECES_PER_CALL, MAX_CALL_BYTES = (
     256,
     1024,
@@ -276,6 +277,16 @@ class InterpretedPieces:
         self.behind = len(pieces)
         return PieceBuffer.of(pieces, *zip(*sizes, strict=True))
 
+    def choose_mode_again(self, saved: dict[str, Any]) -> bool:
+        """Go on from a place whose mode others chose by one that is chosen here; whether there is one, and it is another."""
+        self.restore(saved)
+        place, l = self.integrator.place, [row[0] for row in self.integrator.system.l]
+        try:
+            self.integrator.take_up(place.t, place.x, l, place.codes, place.tau)
+        except StepError:
+            return False
+        return self.integrator.place.codes != place.codes
+
     def _end_scales(self) -> tuple[list[float], list[float]]:
         """What y and l are measured beside at the end of a piece that was just made."""
         system, feeds = self.integrator.system, self._feeds
@@ -315,12 +326,14 @@ class CompiledPieces:
         self._stopped: str | None = None  # Of the integrator.
         self._fallback_state = INITIAL_CHECKPOINT  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
+        self._left_in_a_row = 0  # Pieces that C has left to the course.
         if not steps.begin():
             self.restore(self._interpreted_pieces.checkpoint())
 
     def take_over(self, steps: Any) -> None:
         """Go on from where other steps in C of the same problem stand."""
         self.steps, self._stopped, self._fallback_state, self._behind = steps, None, INITIAL_CHECKPOINT, None
+        self._left_in_a_row = 0
 
     @cached_property
     def _interpreted_pieces(self) -> InterpretedPieces:
@@ -361,15 +374,21 @@ class CompiledPieces:
     def make_pieces(self, until: float, room: int) -> PieceBuffer:
         """As many pieces as there is room for; what C cannot make is interpreted, and all from a stop until pieces go on."""
         self.behind, self._behind = 1, None
-        if self._stopped is None and self._fallback_step is None:
+        if self._stopped is None and self._fallback_step is None and self._left_in_a_row < MAX_LEFT_IN_A_ROW:
             rows, stuck = self.steps.advance(
                 until, max(1, min(PIECES_PER_REQUEST * room, MAX_PIECES_PER_CALL, MAX_CALL_BYTES // (8 * self.steps.width)))
             )
+            self._left_in_a_row = 0 if len(rows) else self._left_in_a_row + 1
             if len(rows) or not stuck:
                 return PieceBuffer(rows, self._layout)
-        own = self._interpreted_pieces
+        own, trusted = self._interpreted_pieces, self._left_in_a_row > 1 or self._stopped is not None
         own.restore(self.checkpoint())
-        block = own.make_pieces(until, 1)
+        try:
+            block = own.make_pieces(until, 1)
+        except StepError:
+            if trusted or not own.choose_mode_again(self.checkpoint()):
+                raise
+            block = own.make_pieces(until, 1)
         self.behind, self._behind = own.behind, (own.checkpoint(before=True), own.counts(before=True))
         self.restore(own.checkpoint())
         return block

@@ -881,6 +881,10 @@ static int next_piece(model_pieces *s)
         return MODEL_TOO_SHORT;
     if ((status = expand_orders(s)))
         return status;
+#if FEED
+    if (hides_l(s))
+        return MODEL_NO_MODE;
+#endif
     length = length_of(s);
     if (length > 1) { /* what is rounding at s = 1 is not at s^p */
         const double unit = unit_of(length*s->at.tau), times = unit/s->at.tau;

@@ -98,9 +98,12 @@ static double unit_of(double tau)
     return ldexp(1.0, exponent - (fraction == 0.5));
 }
 
-/* Move the time of the place by h, and keep what rounding leaves of that: hundreds of pieces come to a time as one does. */
+/* Move the time of the place by h, and keep what rounding leaves of that: hundreds of pieces come to a time as one does. By
+   nothing where rounding takes all of h: so no pole is crept over. */
 static void pass_time(model_pieces *s, double h)
 {
+    if (s->at.t + h == s->at.t)
+        return;
     const double whole = h + s->at.late, t = s->at.t + whole;
     s->at.late = whole - (t - s->at.t);
     s->at.t = t;
@@ -607,4 +610,31 @@ static double little_l(const model_pieces *s, int i)
 
 /* What l_i is measured beside. */
 static double size_l(const model_pieces *s, int i) { return max_of(s->at.size_l[i], little_l(s, i)); }
+
+#if FEED
+/* Whether rounding hides l of a held row beside the largest it is tied to, as where D is small: `ModeSystem.rounding` knows more. */
+static int hides_l(const model_pieces *s)
+{
+    double of_x[N], of_l[M], terms[M];
+    if (!HOW.direct)
+        return 0;
+    for (int j = 0; j < N; j++)
+        of_x[j] = fabs(s->c[0][j]);
+    for (int i = 0; i < M; i++)
+        of_l[i] = fabs(s->c[0][L + i]);
+    for (int b = 0; b < HOW.n; b++)
+        terms[b] = terms_of(s, HOW.active[b], of_x, of_l);
+    for (int a = 0; a < HOW.n; a++) {
+        double sum = 0, largest = 0;
+        for (int b = 0; b < HOW.n; b++)
+            sum += fabs(HOW.plus[a*HOW.n + b])*terms[b];
+        for (int i = 0; i < M; i++)
+            if (row_group[i] == row_group[HOW.active[a]])
+                largest = max_of(largest, of_l[i]);
+        if (ULP*sum > HIDDEN*largest && largest > 0)
+            return 1;
+    }
+    return 0;
+}
+#endif
 #endif

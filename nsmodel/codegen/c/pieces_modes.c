@@ -183,6 +183,20 @@ static int is_clear(int n, const double *A, const double *inverse, const double 
     return size*of_inverse < CLEAR_RATIO*CLEAR_RATIO;
 }
 
+/* Whether A A^-1 is I: a small D may make A regular, where it stands by itself, and so may rounding. */
+static int is_inverse(int n, const double *A, const double *inverse)
+{
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double missed = i == j;
+            for (int k = 0; k < n; k++)
+                missed -= A[i*n + k]*inverse[k*n + j];
+            if (!(fabs(missed) <= SINGULAR))
+                return 0;
+        }
+    return 1;
+}
+
 /* A^+ (n, n), and bases of the left and the right null space in the last columns of U and V; A is overwritten. Return the rank. */
 static int generalised_inverse(int n, double *A, double *plus, double *U, double *V)
 {
@@ -217,7 +231,7 @@ static int generalised_inverse(int n, double *A, double *plus, double *U, double
             U[i*n + j] = A[i*n + j]*r[i]*c[j];
     const int rank = singular_values(n, U, sigma, V);
     memcpy(plus, A, n*n*sizeof *plus);
-    if (rank == n && inverse_of(n, plus))
+    if (sigma[n - 1] > n*ROUNDING*sigma[0] && inverse_of(n, plus) && (rank == n || is_inverse(n, A, plus)))
         return n;
     memset(plus, 0, n*n*sizeof *plus);
     for (int i = 0; i < n; i++)
