@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 from itertools import accumulate
 from operator import mul
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -216,6 +216,7 @@ class Margins(NamedTuple):
 
 
 NO_MARGINS = Margins([], [])
+NO_NOISE: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 class EventLocator:
@@ -232,15 +233,16 @@ class EventLocator:
         s: float,
         margins: Margins = NO_MARGINS,
         but: SwitchCondition | None = None,
-        noise: Mapping[str, np.ndarray] = MappingProxyType({}),
+        noise: Mapping[str, np.ndarray] = NO_NOISE,
     ) -> tuple[SwitchCondition | None, float]:
         """The condition that ends first, and when; (None, s) where none ends before s.
 
         A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged
         by; where that sign is wrong all the same, it ends at once. What is rounding all along is none. One that comes to less
-        than its margin and goes back ends there too: expanded anew there, it has a smaller one. ``but``: a condition whose
-        switch is left out. ``noise``: of l and y of polynomials through nodes; what begins within it ends where it is below. A root where the last coefficients are not small beside the others is one of what was cut off, where
-        nothing bounds that: half of the way to it is gone.
+        than its margin and goes back ends there too: expanded anew there, it has a smaller one. A root where the last
+        coefficients are not small beside the others is one of what was cut off, where nothing bounds that: half of the way to
+        it is gone. ``but``: a condition whose switch is left out. ``noise``: what rounding leaves of l and y (m,) where they
+        are polynomials through nodes; a condition that begins within it ends where it is below.
         """
         system, hit, share, powers, whole = self._system, None, None, _argument_powers(s, orders), s
         rounding: GermRounding | None = None

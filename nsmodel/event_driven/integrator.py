@@ -233,12 +233,8 @@ class Integrator:
         """Go on from a state that other means have come to; StepError where no mode does."""
         system = self.system
         self.place = PieceStart(t, list(x), power_of_two_unit(tau), list(codes), all_switches(system))
-        self.accumulation, self.stopped, self._pending_event, self._selected_solver = (
-            ZenoDetector(),
-            None,
-            self._event_without_jump,
-            None,
-        )
+        self.accumulation, self._pending_event = ZenoDetector(), self._event_without_jump
+        self.stopped = self._selected_solver = None
         self.stiff.restart()
         for row, guess in zip(system.l, l, strict=True):
             row[0] = guess

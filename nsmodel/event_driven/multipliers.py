@@ -146,7 +146,7 @@ def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) 
 class GeneralisedInverse(NamedTuple):
     """A^+, least in norm in units in which A is near 1, bases of the left and the right null space, and A's condition there.
 
-    ``rounding``: of the entries of A^+, in `ROUNDING`; of a regular A |A^+| (|I - A A^+| + u |A| |A^+|), however its entries differ.
+    ``rounding``: of the entries of A^+, in `ROUNDING`; of a regular A by |A^+| (|I - A A^+| + u |A| |A^+|), entry by entry.
     """
 
     plus: np.ndarray
@@ -190,7 +190,8 @@ def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
     condition *= max([1.0, *(s[rank:] / (ROUNDING * s[0]))])  # What is left out moves the rest, as rounding does.
     plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
     left, right = (np.where(np.abs(part) > CANCELS, part, 0.0) for part in (u[:, rank:], vt[rank:].T))
-    return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition, _rounding_of_largest(np.abs(plus), condition))
+    rounding = _rounding_of_largest(np.abs(plus), condition)
+    return GeneralisedInverse(plus, r[:, None] * left, c[:, None] * right, condition, rounding)
 
 
 def _regular_inverse(A: np.ndarray, surely: bool) -> tuple[np.ndarray, np.ndarray] | None:

@@ -55,7 +55,7 @@ from nsmodel.event_driven.collocation import (
     radau_collocation,
 )
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
-from nsmodel.event_driven.event_location import EventLocator, current_condition
+from nsmodel.event_driven.event_location import NO_NOISE, EventLocator, current_condition
 from nsmodel.event_driven.modes import TIE, PieceStart, SwitchCondition, condition_scale, germ_rounding
 from nsmodel.event_driven.multipliers import NOTHING, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
@@ -149,7 +149,7 @@ class CollocationFit(NamedTuple):
     at_0: tuple[np.ndarray, ...]  # x, l, y and watched
     estimate: float = 0.0
     error: float = 0.0
-    noise: dict[str, np.ndarray] = {}  # Of l and y (m,): what rounding leaves of the polynomials; {} where nothing is said.
+    noise: Mapping[str, np.ndarray] = NO_NOISE  # Of l and y (m,): what rounding leaves of the polynomials; {}: nothing is said.
 
     @property
     def at_nodes(self) -> tuple[np.ndarray, ...]:
@@ -210,9 +210,7 @@ class RadauMethod:
         x, l, y = (np.array([row[0] for row in rows]) for rows in (system.x, system.l, system.y))
         rounding = {acts: np.array([row[0] for row in rows]) for acts, rows in germ_rounding(system, 0).items()}
         slopes = [a.copy() for a in self._evaluate_slopes(place)]
-        return CollocationStart(
-            place.t, x, l, y, watched, self._branch_choices(), list(how.active), slopes, rounding
-        )
+        return CollocationStart(place.t, x, l, y, watched, self._branch_choices(), list(how.active), slopes, rounding)
 
     def _branch_rows(self) -> list[list[float]]:
         """The rows that branches look at."""
@@ -280,8 +278,8 @@ class RadauMethod:
         given = {"l": start.l, "y": np.where(np.isin(np.arange(self.system.m), start.held), 0.0, start.y)}
         for acts, values in (("l", l), ("y", y)):
             if acts in start.rounding:
-                there = self.table.at_0 @ values
-                given[acts] = np.where(np.abs(there - given[acts]) <= start.rounding[acts], there, given[acts])
+                by_nodes = self.table.at_0 @ values
+                given[acts] = np.where(np.abs(by_nodes - given[acts]) <= start.rounding[acts], by_nodes, given[acts])
         return start.x, given["l"], given["y"], start.watched
 
     def _evaluate(self, start: CollocationStart, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> list[np.ndarray]:
@@ -298,7 +296,7 @@ class RadauMethod:
         if estimate <= 1:
             of = piece_polynomials(self.table, start.t, fit.h, start.held, fit.at_0, fit.at_nodes)
             error = max(estimate, piece_error_bound(self._on, of, scales))
-        return fit._replace(estimate=estimate, error=error, noise=self._noise(start, scales) if start.rounding else {})
+        return fit._replace(estimate=estimate, error=error, noise=self._noise(start, scales) if start.rounding else NO_NOISE)
 
     def _noise(self, start: CollocationStart, scales: PieceTolerances) -> dict[str, np.ndarray]:
         """At least TIE of the sizes, below which a condition is 0."""
@@ -328,7 +326,7 @@ class RadauMethod:
         )
 
     def _rounding(self, start: CollocationStart, h: float, size: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inverse that takes what is missed to (x, l of held rows), and what rounding leaves of these; ``l``: values, rows."""
+        """The inverse that takes what is missed to (x, l of held rows), and what rounding leaves; ``l``: rows of values."""
         matrix = _stage_matrices(start, h, np.array([1 / self.table.share]))[0]
         inverse, size_l = np.linalg.inv(matrix), np.maximum(self.system.sizes.l, np.abs(l).max(axis=0))[start.held]
         return inverse, STAGE_ROUNDING * np.abs(inverse) @ (np.abs(matrix) @ np.append(size, size_l))
@@ -336,9 +334,7 @@ class RadauMethod:
     def _estimate(self, start: CollocationStart, fit: CollocationFit, scales: PieceTolerances) -> float:
         """From what is missed at 0 and between the nodes."""
         of, held, n = self.table, start.held, len(start.x)
-        x, l, y, watched = (
-            at_0 + of.values @ (values - at_0) for values, at_0 in zip(fit.at_nodes, fit.at_0, strict=True)
-        )
+        x, l, y, watched = (at_0 + of.values @ (values - at_0) for values, at_0 in zip(fit.at_nodes, fit.at_0, strict=True))
         rate, h, looked = self._evaluate(start, start.t + fit.h * of.between, x, l)
         missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
         off = np.maximum(np.abs(missed @ scales.inverse.T) - scales.rounding, 0.0)

@@ -417,8 +417,8 @@ class CompiledPieces:
         counts = self.counts(before=before)
         integrator = {
             "t": float(place["t"]), "late": float(place["late"]), "x": place["x"].tolist(), "tau": float(place["tau"]),
-            "codes": place["codes"][:m].tolist(), "open": self._open_switches(place["open"]), "choice": dict(zip(self._branch_parts, choices, strict=True)),
-            "l": place["l"][:m].tolist(),
+            "codes": place["codes"][:m].tolist(), "open": self._open_switches(place["open"]),
+            "choice": dict(zip(self._branch_parts, choices, strict=True)), "l": place["l"][:m].tolist(),
             "sizes": {
                 name: place[f"size_{name}"][:count].tolist()
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
