@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen.batch import TO_DO, BatchCells
-from nsmodel.codegen.event_driven_runs import PieceLibrary, RunRequest, symbolic_problem_hash
+from nsmodel.codegen.event_driven_runs import PieceLibrary, RunRequest, piece_library_mark
 from nsmodel.codegen.event_driven_spec import cached_symbolic_problem
 from nsmodel.codegen.rollout import CALL_SECONDS
 from nsmodel.codegen.structs import BAD_PARAMETER, NO_MODE, PIECE_BATCH_CELLS
@@ -26,6 +26,7 @@ from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
 from nsmodel.event_driven.problem import switch_table, switch_times_of
 from nsmodel.modeling.base import Model
+from nsmodel.modeling.fingerprint import content_digest
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
@@ -90,7 +91,8 @@ class PieceBatch:
         rtol, atol = checked_tolerances(problem, rtol, atol)
         known = switch_times_of(model, self._T)
         fixed = () if problem.held else known.times
-        compiled = PieceLibrary.of(problem, symbolic_problem_hash(problem), fixed)
+        start = ca.Function("start", [problem.p], [ca.densify(ca.SX(problem.x0))]).serialize()  # Of each cell, in C.
+        compiled = PieceLibrary.of(problem, content_digest([piece_library_mark(problem, fixed), start]), fixed)
         self.way = f"{compiled.way}, one library for all values"
         self._request = RunRequest.made(rtol, atol, switch_table(model, self._T), residuals=False)
         library, pointer = compiled.library, ctypes.c_void_p

@@ -50,11 +50,17 @@ def is_piece_library_cached(fingerprint: str) -> bool:
     return name is not None and cache.has_cached_library(piece_library_key(fingerprint, name))
 
 
+def piece_library_mark(problem: ContinuousProblem, known: Sequence[float]) -> str:
+    """What names the library of a problem in continuous time with these known times, for `piece_library_key`: all that its code
+    is written of but the start, which runs give.
+    """
+    return content_digest([_problem_hash(problem), *map(float, known)])
+
+
 @cached_per_object
-def symbolic_problem_hash(problem: ContinuousProblem) -> str:
-    """A hash of a problem in continuous time whose parameters are symbols, for `key_of`: of all that its code is written of."""
+def _problem_hash(problem: ContinuousProblem) -> str:
     p = problem
-    parts = [p.f, p.g, p.h, p.law.lower, p.law.upper, p.x0, *p.columns.values()]
+    parts = [p.f, p.g, p.h, p.law.lower, p.law.upper, *p.columns.values()]
     parts += [] if p.multipliers is None else [p.multipliers]
     whole = ca.Function("all", [p.t, p.x, p.l, p.p], [ca.densify(ca.SX(part)) for part in parts])
     return content_digest(["all values", whole.serialize(), p.held, p.impulses, list(p.columns)])

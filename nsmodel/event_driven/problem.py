@@ -244,11 +244,6 @@ def signal_degree(group: str, signal: Any) -> int:
     return degree
 
 
-def signal_kinds(model: Model) -> list[Any]:
-    """What of the signals is in the expressions: degrees, and expressions of time."""
-    return [s.column if isinstance(s, Expression) else signal_degree(name, s) for name, s in model.inputs.items()]
-
-
 def input_states(model: Model, t: float, x: Sequence[float] | None) -> list[float]:
     """What the states of the inputs are just after time t, where the state is x; at the start it is None."""
     ticks = model_ticks(model)

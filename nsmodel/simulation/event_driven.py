@@ -30,7 +30,6 @@ from nsmodel.event_driven.problem import (
     SwitchTimes,
     block_set_entries,
     inputs_between_rows,
-    signal_kinds,
     switch_table,
     switch_times_of,
     with_input_states,
@@ -39,7 +38,7 @@ from nsmodel.event_driven.radau import stage_count
 from nsmodel.event_driven.stable_exponentials import without_overflow
 from nsmodel.event_driven.step_size import MULTIPLIERS, taylor_order
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.fingerprint import BACKEND_SETTING, INTERPRETED_BACKEND, content_digest, run_settings
+from nsmodel.modeling.fingerprint import BACKEND_SETTING, INTERPRETED_BACKEND, run_settings
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.signals.pwm import HeldSignal
 from nsmodel.modeling.time_grid import TimeGrid, check_times, input_schedule
@@ -84,7 +83,6 @@ def choose_piece_backend(
     resumed_backend: str | None,
     tolerances: tuple[float, list[float]],
     model: Model,
-    mark: str,
     known: SwitchTimes,
     symbolic_model: Model | None,
     t_end: float,
@@ -97,9 +95,10 @@ def choose_piece_backend(
     of_all = (
         None
         if symbolic_model is None or options.compiled is False
-        else _symbolic_parameter_problem(symbolic_model, problem, model)
+        else _symbolic_parameter_problem(symbolic_model, problem, model, () if problem.held else known.times)
     )
-    own, mark = mark, mark if of_all is None else of_all[1]
+    fixed = () if problem.held else known.times
+    mark = of_all[1] if of_all is not None else "" if options.compiled is False else _piece_library_mark(problem, fixed)
     plan = _event_driven_plan(problem, options, tolerances[0], model)
 
     def build() -> Any:
@@ -107,10 +106,11 @@ def choose_piece_backend(
 
         if model.blocks:
             raise CodegenError("pieces that blocks end have no C counterpart")
-        fixed, held = () if problem.held else known.times, switch_table(model, t_end)
+        held = switch_table(model, t_end)
         if of_all is not None:
             with suppress(UnsupportedValuesError):
                 return CompiledPieceIntegrator(*of_all[:2], *tolerances, fixed, held, of_all[2], residuals=options.certified)
+        own = _piece_library_mark(problem, fixed)
         return CompiledPieceIntegrator(problem, own, *tolerances, fixed, held, residuals=options.certified)
 
     def hybrid_integrator() -> HybridIntegrator:
@@ -143,10 +143,9 @@ def choose_piece_backend(
 
 
 def _symbolic_parameter_problem(
-    symbolic_model: Model, problem: ContinuousProblem, model: Model
+    symbolic_model: Model, problem: ContinuousProblem, model: Model, known: Sequence[float]
 ) -> tuple[ContinuousProblem, str, list[float]] | None:
     """The model in continuous time with its parameters as symbols, the mark of its library, the values; None: it has none."""
-    from nsmodel.codegen.event_driven_runs import symbolic_problem_hash
     from nsmodel.codegen.event_driven_source import has_same_switches
     from nsmodel.codegen.event_driven_spec import cached_symbolic_problem
 
@@ -159,7 +158,13 @@ def _symbolic_parameter_problem(
     values = [model.bound_parameters[name] for name in symbolic_model.parameters]
     if not has_same_switches(problem, found, values):
         return None
-    return found, symbolic_problem_hash(found), values
+    return found, _piece_library_mark(found, known), values
+
+
+def _piece_library_mark(problem: ContinuousProblem, known: Sequence[float]) -> str:
+    from nsmodel.codegen.event_driven_runs import piece_library_mark
+
+    return piece_library_mark(problem, known)
 
 
 def _build_hybrid_integrator(
@@ -266,12 +271,8 @@ class EventDrivenPropagator:
             model, TimeGrid(1, 1.0, 1.0), EVENT_DRIVEN_METHOD, options.tolerance, options.save_every, INTERPRETED_BACKEND
         )
         known = switch_times_of(model, self.T)
-        own = [*signal_kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
-        mark = content_digest([same["model"], *own]) if model.inputs else same["model"]
         self._drive = input_schedule(model, self.T) if model.inputs else None
-        chosen = choose_piece_backend(
-            problem, options, resumed_backend(), (rtol, atol), model, mark, known, symbolic_model, self.T
-        )
+        chosen = choose_piece_backend(problem, options, resumed_backend(), (rtol, atol), model, known, symbolic_model, self.T)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record = PieceRows(problem, self.maker.order, options.save_every, self.T, self.times, chosen.columns)
         self._in_chunks = options.folder is not None and not options.certified

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, Self
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError
@@ -327,7 +328,7 @@ class CompiledPieces:
         self._fallback_state = INITIAL_CHECKPOINT  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
         self._left_in_a_row = 0  # Pieces that C has left to the course.
-        if not steps.begin():
+        if not steps.begin(np.array(ca.DM(problem.x0)).ravel()):
             self.restore(self._interpreted_pieces.checkpoint())
 
     def take_over(self, steps: Any) -> None:

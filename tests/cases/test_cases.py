@@ -53,6 +53,7 @@ EXACT = {
     "bang_bang": exact.bang_bang,
     "belt": exact.belt,
     "elastoplastic": lambda t: exact.stop_operators(t, [0, 1, 0.2, 1, 2.5, -2.5, 2.5], [4, 2, 2, 1], [1, 1, 2, 2]),
+    "friction_fit": lambda t: exact.friction_free(t, 5.3)[:, :1],
     "friction_oscillator": lambda t: exact.friction_free(t, 5.3)[:, :1],
     "half_wave_rectifier": exact.rectified,
     "inclusion_8_1": exact.inclusion_8_1,

@@ -23,6 +23,7 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.codegen import event_driven_runs
 from nsmodel.codegen.event_driven_runs import CompiledPieceIntegrator
 from nsmodel.modeling.variants import with_start
 from nsmodel.simulation import prepared
@@ -182,6 +183,49 @@ def test_left_to_itself_a_prepared_model_is_in_c_where_it_can_be():
     assert "as simulate" in repr(prepare(oscillator(), step=0.1))
 
 
+@pytest.fixture
+def compiled_libraries(monkeypatch):
+    """The keys of the libraries that are asked for."""
+    found = []
+
+    def counted(key, files, flags):
+        found.append(key)
+        return cached_library(key, files, flags)
+
+    cached_library = event_driven_runs.cached_library
+    monkeypatch.setattr(event_driven_runs, "cached_library", counted)
+    return found
+
+
+@needs_compiler
+@pytest.mark.parametrize("parameters", [{K: 2.0, W: 0.1}, {}])
+def test_starts_share_a_library(compiled_libraries, parameters):
+    """Of prepared runs and of simulate; what is read of a run builds nothing either."""
+    k, w = (K, W) if parameters else (2.0, 0.1)
+
+    def model(x0):
+        law = relay(1, -w, w)
+        return LureSystem(A=[[0, 1], [-k, -0.1]], B=[0, 1], C=[0, 1], law=law, parameters=parameters, x0=x0, t_end=3.0, step=0.01)
+
+    ready = prepare(model([1.0, 0.0]), compiled=True, **HOW)
+    for x0 in ([0.3, 0.1], [0.4, -0.2]):
+        same(ready.run(x0=x0), simulate(model(x0), compiled=True, **HOW))
+    assert len(set(compiled_libraries)) == 1
+
+
+@needs_compiler
+def test_known_times_of_a_model_are_its_own(compiled_libraries):
+    """The library of all values of one that differs in its known times alone ended no piece there."""
+    for times in ([1.0], [2.0], [1.0, 2.0]):
+        model = LureSystem(
+            t=T, A=[[-K]], B=[1], C=[1], f=[ca.if_else(T < 1.0, 1.0, -1.0)], law=relay(1, -0.1, 0.1), x0=[0.3],
+            parameters={K: 1.0}, switch_times=times, t_end=3.0, step=0.01,
+        )  # fmt: skip
+        starts = simulate(model, compiled=True, **HOW).arrays["piece_start"]
+        assert [t for t in (1.0, 2.0) if t in starts] == sorted({1.0, *times})
+    assert len(set(compiled_libraries)) == 3
+
+
 @needs_compiler
 def test_threads_share_what_is_prepared():
     ready = prepare(oscillator(), compiled=True, **HOW)
@@ -217,7 +261,7 @@ def test_c_is_given_a_start_of_as_many_numbers_as_it_copies(monkeypatch):
                       parameters={K: 2.0, W: 0.1}, inputs={U: pwm(duty=0.4, period=0.5)}, t_end=2.0, step=0.01)  # fmt: skip
     for model in (oscillator(), held):
         prepare(model, compiled=True, **HOW).run(x0=[0.5, 0.1])
-    assert len(sizes) == 2
+    assert len(sizes) == 4  # Each is prepared, and run.
     assert all(given == taken for given, taken in sizes)
 
 
