@@ -26,7 +26,6 @@ from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
 from nsmodel.event_driven.problem import switch_table, switch_times_of
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.fingerprint import content_digest
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
@@ -91,8 +90,7 @@ class PieceBatch:
         rtol, atol = checked_tolerances(problem, rtol, atol)
         known = switch_times_of(model, self._T)
         fixed = () if problem.held else known.times
-        start = ca.Function("start", [problem.p], [ca.densify(ca.SX(problem.x0))]).serialize()  # Of each cell, in C.
-        compiled = PieceLibrary.of(problem, content_digest([piece_library_mark(problem, fixed), start]), fixed)
+        compiled = PieceLibrary.of(problem, piece_library_mark(problem, fixed), fixed)
         self.way = f"{compiled.way}, one library for all values"
         self._request = RunRequest.made(rtol, atol, switch_table(model, self._T), residuals=False)
         library, pointer = compiled.library, ctypes.c_void_p
@@ -102,6 +100,7 @@ class PieceBatch:
             "run_cells", ctypes.c_int, pointer, pointer, ctypes.POINTER(_PieceCellsStruct), ctypes.c_double
         )
         self._outputs = OutputColumns.of(model, self._multiplier_names)
+        self._starts = ca.Function("starts", [problem.p], [ca.densify(ca.SX(problem.x0))])
         self._admitted = ca.Function("admitted", [model.p], [admitted(model)])
         self._mass = _mass_function(model)
         self._evaluate_outputs(
@@ -169,7 +168,8 @@ class PieceBatch:
         work.status[self._has_singular_mass(given)] = NO_MODE
         work.status[~self._are_admitted(given)] = BAD_PARAMETER
         plain = {"x", "error_estimate", *self._model.stems, *self._model.names}
-        control = work.control(given, self._times, self._T, more=not set(keep) <= plain)
+        starts = np.ascontiguousarray(np.array(self._starts(given.T)).T)
+        control = work.control(given, starts, self._times, self._T, more=not set(keep) <= plain)
         memory = np.zeros(self._size)
         while not self._run(memory.ctypes.data, ctypes.byref(self._request.of), ctypes.byref(control), CALL_SECONDS):
             if stop():
@@ -239,11 +239,11 @@ class _PieceBatchArrays:
         self.taken, self.pieces, self.events, self.estimate, self.worst = (np.zeros(cells) for _ in range(5))
         self.failed_at, self._m = np.full(cells, np.nan), m
 
-    def control(self, given: np.ndarray, times: np.ndarray, t_end: float, *, more: bool) -> Any:
+    def control(self, given: np.ndarray, starts: np.ndarray, times: np.ndarray, t_end: float, *, more: bool) -> Any:
         """The record that the library reads and writes; it holds on to the arrays that it points to."""
         arrays = {
-            "times": times, "values": given, "kept": self.kept, "index": self.index, "status": self.status, "taken": self.taken,
-            "pieces": self.pieces, "events": self.events, "estimate": self.estimate, "worst": self.worst,
+            "times": times, "values": given, "starts": starts, "kept": self.kept, "index": self.index, "status": self.status,
+            "taken": self.taken, "pieces": self.pieces, "events": self.events, "estimate": self.estimate, "worst": self.worst,
             "failed_at": self.failed_at, "until": np.zeros(self._m), "told": np.zeros(self._m),
         }  # fmt: skip
         control = _PieceCellsStruct(

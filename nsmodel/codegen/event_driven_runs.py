@@ -201,10 +201,10 @@ class CompiledPieceIntegrator:
         """Whether C proved of the mode after each event so far that x is the only one."""
         return not self.at["unique"][1:].any()
 
-    def begin(self, x0: np.ndarray | None = None, *, unique: bool | None = None) -> bool:
-        """Choose the mode at the start (n,), left out that of the model; whether C finds one. ``unique``: see ``is_unique``."""
-        unique, start = self.is_unique if unique is None else unique, None if x0 is None else x0.ctypes.data
-        status = self._calls.begin(self._solver, ctypes.byref(self._request.of), self.values.ctypes.data, unique, start)
+    def begin(self, x0: np.ndarray, *, unique: bool | None = None) -> bool:
+        """Choose the mode at the start (n,); whether C finds one. ``unique``: see ``is_unique``."""
+        unique = self.is_unique if unique is None else unique
+        status = self._calls.begin(self._solver, ctypes.byref(self._request.of), self.values.ctypes.data, unique, x0.ctypes.data)
         if status == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[status].text}")
         return status == 0

@@ -182,7 +182,7 @@ PIECE_BATCH_CELLS = CStruct(
             "long", "cells rows more most", "runs; rows of each; if these have more than x and l; pieces of a run, at most"
         ),
         StructMembers("double", "t_end"),
-        StructMembers("const double *", "times values", "(rows) increasing; (cells, NP)"),
+        StructMembers("const double *", "times values starts", "(rows) increasing; (cells, NP); (cells, N)"),
         StructMembers("double *", "kept", "(cells, rows, ROW_WIDTH)"),
         StructMembers("signed char *", "index", "(cells, rows, M)"),
         StructMembers("signed char *", "status", "(cells) -1: to do; what is something else is left as it is"),

@@ -157,7 +157,7 @@ class _RunsInC:
     def __init__(self, model: Model, propagator: EventDrivenPropagator, steps: CompiledPieceIntegrator) -> None:
         """``model``: with symbols for its parameters; ``propagator``: of it at some values, with ``steps`` in C."""
         self._model, self._bound, self._problem = model, propagator.model, propagator.problem
-        self._T, self._steps = propagator.T, steps
+        self._T, self._steps, self._x0 = propagator.T, steps, np.array(ca.DM(propagator.problem.x0)).ravel()
         self._room = max(1, min(MAX_PIECES_PER_CALL, MAX_CALL_BYTES // (8 * steps.width)))
         self._layout = PieceLayout(self._problem.x.numel(), self._problem.l.numel(), steps.order + 1)
         self._is_short = True  # No run had more pieces than there is room for.
@@ -184,7 +184,7 @@ class _RunsInC:
         if not (self._is_short and is_number(end) and 0 < end < np.inf and None not in values.values()):
             return None
         p = np.array(list(values.values()), float)
-        x0 = None
+        x0 = self._x0
         if starts or p.tobytes() != self._steps.values.tobytes():
             if (conditions := self._conditions) is None:
                 return None
@@ -238,10 +238,10 @@ class _StartConditions:
             return None
         return cls(model, free, symbolic) if symbolic.names == problem.names and symbolic.rows == problem.rows else None
 
-    def __call__(self, p: np.ndarray, starts: Mapping[str, float]) -> tuple[bool, np.ndarray | None]:
-        """Whether they are met, and the start (n,), None where it is the model's own."""
+    def __call__(self, p: np.ndarray, starts: Mapping[str, float]) -> tuple[bool, np.ndarray]:
+        """Whether they are met, and the start (n,)."""
         if not starts.keys() <= self._places.keys():
-            return False, None
+            return False, self._x0.copy()
         (_, evaluate_starts), (_, evaluate_conditions) = self._buffers
         with self._lock:
             self._p[:] = p
@@ -251,7 +251,7 @@ class _StartConditions:
                 self._q[self._places[name]] = value
             evaluate_conditions()
             met = np.isfinite(self._finite).all() and np.isfinite(self._signed).all() and (self._signed >= 0).all()
-            return bool(met), self._x0.copy() if starts else None
+            return bool(met), self._x0.copy()
 
 
 def _entries_of(model: Model) -> ca.SX:

@@ -76,7 +76,7 @@ static void write_row(model_pieces *s, model_piece_cells *at, double t, double *
     if (t == end) /* what is held has jumped at an edge */
         memcpy(row, s->piece + AT_LAST, FREE*sizeof *row);
     if (t == 0) {
-        start(s, row);
+        memcpy(row, at->starts + at->cell*N, N*sizeof *row);
 #if HELD
         memcpy(row + N - MODEL_PIECES_HELD, s->data, MODEL_PIECES_HELD*sizeof *row);
 #endif
@@ -147,7 +147,7 @@ static int begin_cell(model_pieces *s, const model_asked *of, model_piece_cells 
     at->defect = 0;
     memset(at->until, 0, M*sizeof *at->until);
     memset(at->told, 0, M*sizeof *at->told);
-    const int status = begin_run(s, of, at->values + at->cell*MODEL_PIECES_NP, 0, NULL);
+    const int status = begin_run(s, of, at->values + at->cell*MODEL_PIECES_NP, 0, at->starts + at->cell*N);
     return status == MODEL_NOT_FINITE ? MODEL_BAD_PARAMETER : status == MODEL_OK && has_diverged(s) ? MODEL_NOT_FINITE : status;
 }
 

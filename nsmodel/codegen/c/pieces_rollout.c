@@ -12,7 +12,7 @@ long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 /* What a run is asked for. */
 @ASKED@
 
-/* Begin with these parameters, at the start of the model or at the states from, where these are given;
+/* Begin with these parameters, at the states from;
    unique: the parameters are known to let x be the only one in all modes. */
 static int begin_run(model_pieces *s, const model_asked *of, const double *p, int unique, const double *from)
 {
@@ -31,9 +31,7 @@ static int begin_run(model_pieces *s, const model_asked *of, const double *p, in
 #else
     UNUSED(p);
 #endif
-    start(s, x);
-    if (from)
-        memcpy(x, from, sizeof x);
+    memcpy(x, from, sizeof x);
 #if HELD
     s->known_at = of->known;
     s->data = of->data;
