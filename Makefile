@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --edi
 .PHONY: help demo test test-long quick nightly lint bench bench-large bench-events bench-sweeps study docs clean
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
-PAGES := hypotheses events hidden inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
+PAGES := hypotheses events hidden inputs $(if $(NSMODEL_SHORT),,codegen derivatives orders stability crowd study sweeps)
 SCENES := cases/circuits/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowds/crowd_room.py cases/mechanics/friction_oscillator.py)
 
 SITE := $(if $(NSMODEL_SHORT),results/)
