@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import cached_per_object_and_key
 from nsmodel.derivatives.known_times import KnownTimes
 from nsmodel.derivatives.piece_tangents import PieceTangents
 from nsmodel.derivatives.quantities import read_directions, read_outputs, read_times
@@ -200,8 +201,20 @@ class DifferentiatedModel(_Movable):
         """What is the same at all numbers, for the problem of a run."""
         bound = propagator.problem
         if self._made is None or (self._made.problem.names, self._made.problem.rows) != (bound.names, bound.rows):
-            self._made = self._make_equations(propagator)
+            kept = _kept_equations(self.model, key) if (key := self._equations_key(propagator)) is not None else []
+            if not kept:
+                kept.append(self._make_equations(propagator))
+            self._made = kept[0]
         return self._made
+
+    def _equations_key(self, propagator: Any) -> tuple[Any, ...] | None:
+        """What equations depend on beside the model, all names and numbers; None where a user gives expressions."""
+        outputs = self.what.outputs
+        asked = list(outputs) if isinstance(outputs, list | tuple) else [outputs]
+        if self.integrals or not all(one is None or isinstance(one, str) for one in asked):
+            return None
+        others = (item for item in propagator.model.bound_parameters.items() if item[0] not in self.by.parameters)
+        return (*self.by.names, "", *asked, "", *propagator.problem.names, "", *propagator.problem.rows, *others)
 
     def _make_equations(self, propagator: Any) -> _EquationsByValue:
         bound, model = propagator.model.bound_parameters, self.model
@@ -223,6 +236,13 @@ class DifferentiatedModel(_Movable):
         slopes = [column, *(ca.jacobian(column, s) for s in (whole.x, whole.l, whole.p[list(columns)]))]
         function = ca.Function("outputs", [given], [ca.densify(part) for part in slopes])
         return _EquationsByValue(free, problem, TangentEquations(whole, columns), columns, (*outputs, *integrands), function)
+
+
+@cached_per_object_and_key(most=4)
+def _kept_equations(model: Model, key: tuple[Any, ...]) -> list[_EquationsByValue]:
+    """Where those of a model are put, of the last questions that were asked: none, or one."""
+    del model, key
+    return []
 
 
 class _EquationsByValue(NamedTuple):

@@ -167,6 +167,25 @@ def test_bad_input(given, message):
         sensitivity(oscillator(pwm(1.3, 0.4)), compiled=False, **given)
 
 
+def test_one_model_asked_many_questions_answers_as_each_does_alone():
+    """Its equations are kept by what they depend on: names, their order, and the values of the other parameters."""
+    a, k = ca.SX.sym("a"), ca.SX.sym("k")
+
+    def model():
+        law = relay(1, -a, a)
+        return LureSystem(
+            A=[[0, 1], [-k, 0]], B=[0, 1], C=[0, 1], law=law, x0=[5.3, 0.0], parameters={a: 1, k: 1}, t_end=5, step=0.01
+        )
+
+    questions = [
+        {"by": ["a", "k"]}, {"by": ["k", "a"]}, {"by": ["a", "k"], "outputs": ["x_1"]}, {"by": "a", "parameters": {"k": 2.0}},
+        {"by": "a", "parameters": {"k": 3.0}}, {"by": ["a", "x_0(0)"]}, {"by": "a", "outputs": ca.SX.sym("x_0") * 2},
+    ]  # fmt: skip
+    one = model()
+    for asked in questions * 2:
+        np.testing.assert_array_equal(sensitivity(one, **asked).jacobian, sensitivity(model(), **asked).jacobian)
+
+
 def test_names_that_are_none_of_the_results():
     found = sensitivity(oscillator(), by="k", compiled=False)
     with pytest.raises(UsageError, match="output: 'q' is none of z, v"):
