@@ -1,7 +1,8 @@
 """A mass on a spring with Coulomb friction, both to be found from its motion: x'' + a Sgn(x') + k x = 0 (as an inclusion).
 
-The friction a and the stiffness k are parameters: sweeps vary them, and `nsmodel sensitivity friction_fit --by a,k --at 2,5`
-differentiates the run by them, through the turn at t = pi/sqrt(k), which moves with k. The notebook on derivatives fits them.
+The friction a and the stiffness k are parameters: sweeps vary them, and `nsmodel sensitivity friction_fit --by
+friction,stiffness --at 2,5` differentiates the run by them, through the turn at t = pi/sqrt(k), which moves with k. The
+notebook on derivatives fits them.
 
 What to see: before the first turn x depends on a by 1 - cos(sqrt(k) t), at t = 5 by -1.85: friction has pushed back for a
 half swing, and forward since. dx/dk is 7.36 there, with a kink at the turn, and the time of the turn moves by -pi/2 dk.
@@ -18,7 +19,7 @@ import numpy as np
 from nsmodel import FrictionOscillator
 
 x, s = ca.SX.sym("x"), ca.SX.sym("s")
-a, k = ca.SX.sym("a"), ca.SX.sym("k")
+a, k = ca.SX.sym("friction"), ca.SX.sym("stiffness")
 start = 5.3  # m
 
 
@@ -39,7 +40,7 @@ model = FrictionOscillator(
     parameters={a: 1.0, k: 1.0},
     t_end=5,
     step=1e-3,
-    units={"t": "s", "x": "m", "a": "N", "k": "N/m"},
+    units={"t": "s", "x": "m", "friction": "N", "stiffness": "N/m"},
     exact=exact,
     title="Friction and stiffness to be found",
 )

@@ -210,11 +210,11 @@ class DifferentiatedModel(_Movable):
     def _equations_key(self, propagator: Any) -> tuple[Any, ...] | None:
         """What equations depend on beside the model, all names and numbers; None where a user gives expressions."""
         outputs = self.what.outputs
-        asked = list(outputs) if isinstance(outputs, list | tuple) else [outputs]
-        if self.integrals or not all(one is None or isinstance(one, str) for one in asked):
+        names = list(outputs) if isinstance(outputs, list | tuple) else [outputs]
+        if self.integrals or not all(one is None or isinstance(one, str) for one in names):
             return None
         others = (item for item in propagator.model.bound_parameters.items() if item[0] not in self.by.parameters)
-        return (*self.by.names, "", *asked, "", *propagator.problem.names, "", *propagator.problem.rows, *others)
+        return (*self.by.names, "", *names, "", *propagator.problem.names, "", *propagator.problem.rows, *others)
 
     def _make_equations(self, propagator: Any) -> _EquationsByValue:
         bound, model = propagator.model.bound_parameters, self.model

@@ -46,6 +46,7 @@ HOLDS = {
     "elastoplastic": "M-T M-C M-A1 M-A2 M-A3 M-24 M-H",
     "evacuation": "S-convex A0 A1 A2 A3 A4 S-start",
     "friction_chain": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "friction_fit": "O-theta O-g O-dry O-steps",
     "friction_oscillator": "O-theta O-g O-dry O-steps",
     "friction_oscillator_relay": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
     "full_wave_rectifier": "F-jacobians F-W F-mlcp F-unique F-step",

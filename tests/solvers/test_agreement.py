@@ -56,6 +56,7 @@ MONOTONE = {
     "drive_cycle": Stretch(0.1, 70),
     "elastoplastic": Stretch(0.05, 60),
     "friction_chain": Stretch(1e-2, 60, {"n": 10}),
+    "friction_fit": Stretch(0.05, 70),
     "friction_oscillator": Stretch(0.05, 70),
     "friction_oscillator_relay": Stretch(1e-2, 50),
     "full_wave_rectifier": Stretch(2e-4, 60),
