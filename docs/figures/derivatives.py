@@ -1,7 +1,8 @@
 """Error against run time of derivatives through a switch, for docs/derivatives.md: nsmodel, differences of its runs, and peers.
 
-Run it from anywhere; it rewrites the table between the marks of docs/derivatives.md and docs/images/derivatives_peers.png. A
-minute; diffrax and nosnoc are asked where this Python has them, else their lines are left out.
+Run it from anywhere, with a Python that has diffrax and nosnoc; it rewrites the table between the marks of docs/derivatives.md
+and docs/images/derivatives_peers.png. A minute. Where one is not installed the page stays as it is, and the picture goes to
+results/.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ import nsmodel
 from nsmodel.codegen.event_driven_batch import PieceBatch
 from nsmodel.plot.style import LINES, blank, dress
 
-IMAGE = Path(__file__).resolve().parents[1] / "images" / "derivatives_peers.png"
+IMAGES = Path(__file__).resolve().parents[1] / "images"
+RESULTS = IMAGES.parents[1] / "results"
 VALUES = np.array([1.0, 1.0, 5.3])  # a, k, x(0)
 END = 5.0
 SECONDS = 1.0  # That a setting is repeated for.
@@ -138,7 +140,7 @@ def by_nosnoc() -> Iterator[Point]:
     yield point(f"nosnoc {version('nosnoc')}", f"differences of solves, width {width:.0e}", lambda: differences(ends, width))
 
 
-def draw(points: list[Point]) -> None:
+def draw(points: list[Point], path: Path) -> None:
     """Error over milliseconds, a line a method."""
     figure = blank(6.4, 3.6)
     axes = figure.add_subplot()
@@ -147,17 +149,24 @@ def draw(points: list[Point]) -> None:
         axes.loglog([1e3 * one.seconds for one in own], [max(one.error, 1e-16) for one in own], "o-", color=colour, label=method)
     dress(axes, "Three derivatives through a switch", "milliseconds", "largest relative error")
     axes.legend(frameon=False, fontsize=8)
-    save(figure, IMAGE, 32)
+    path.parent.mkdir(exist_ok=True)
+    save(figure, path, 32)
 
 
 def main() -> None:
     """Measure, and write both."""
-    points = list(by_nsmodel())
-    for name, method in (("diffrax", by_diffrax), ("nosnoc", by_nosnoc)):
-        points += method() if find_spec(name) else []
+    points, peers = list(by_nsmodel()), {"diffrax": by_diffrax, "nosnoc": by_nosnoc}
+    missing = [name for name in peers if find_spec(name) is None]
+    for name, method in peers.items():
+        points += [] if name in missing else method()
     rows = [f"| {p.method} | {p.setting} | {float(f'{1e3 * p.seconds:.2g}'):g} | {p.error:.1e} |" for p in points]
-    put("derivatives.md", "peers", "\n".join(["| | setting | ms | error |", "| --- | --- | ---: | ---: |", *rows]))
-    draw(points)
+    table = "\n".join(["| | setting | ms | error |", "| --- | --- | ---: | ---: |", *rows])
+    if missing:
+        print(f"{' and '.join(missing)}: not installed; docs/derivatives.md stays as it is, the picture goes to {RESULTS}\n")
+        print(f"peers\n\n{table}\n", flush=True)
+    else:
+        put("derivatives.md", "peers", table)
+    draw(points, (RESULTS if missing else IMAGES) / "derivatives_peers.png")
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from itertools import accumulate
 from operator import mul
 from types import MappingProxyType
@@ -244,8 +245,8 @@ class EventLocator:
         it is gone. ``but``: a condition whose switch is left out. ``noise``: what rounding leaves of l and y (m,) where they
         are polynomials through nodes; a condition that begins within it ends where it is below.
         """
-        system, hit, share, powers, whole = self._system, None, None, _argument_powers(s, orders), s
-        rounding: GermRounding | None = None
+        system, hit, powers, whole = self._system, None, _argument_powers(s, orders), s
+        known_germs = _KnownGerms(system, orders)
         for condition in mode_conditions(system, place.codes, how, orders):
             if but is not None and condition.of == but.of:
                 continue
@@ -259,38 +260,13 @@ class EventLocator:
             germ = condition.coefficients()
             c = list(map(mul, germ, powers))
             if condition.acts in noise:
-                within = float(noise[condition.acts][condition.of[1]])
-                if _stays_within(c, within):
-                    continue
-                if c[0] < -within:
-                    return condition, 0.0
-                c[0] += within if c[0] <= within else 0.0
+                c = _beyond_noise(c, float(noise[condition.acts][condition.of[1]]))
             else:
-                scale, opened = TIE * condition_scale(system, condition), condition.of in place.open
-                least = scale
-                if _stays_within(c, least):
-                    least = condition_uncertainty(system, condition)
-                    if _stays_within(c, least):
-                        continue
-                known_so: Sequence[float] = ()
-                if c[0] <= (GERM / TIE) * scale:
-                    rounding = germ_rounding(system, orders) if rounding is None else rounding
-                    known_so = known_to(condition, rounding)
-                    if known_so and (_stays_within(c, known_so[0]) or not any(without_rounding(germ, known_so))):
-                        continue
-                if c[0] <= (least if opened else 0.0):
-                    share = germ_time_share(system, rounding or {}) if share is None else share
-                    first = leading_order(germ, least if opened else 0.0, share, known_so)
-                    if opened and first != 1:
-                        least = condition_uncertainty(system, condition)
-                        first = lowest_order(germ, least, known_so) if least else leading_order(germ, least, share, known_so)
-                        if least and first is not None and germ[first] < 0:  # What ends at once would be chosen again, as it was.
-                            first = leading_order(germ, least, share, known_so)
-                    c = c[ORDERS + 1 if first is None else first :]
-                    if max(map(abs, c)) <= least:
-                        continue
-                    if c[0] < 0:
-                        return condition, 0.0
+                c = _beyond_rounding(system, condition, germ, c, known_germs, opened=condition.of in place.open)
+            if not c:
+                continue
+            if c[0] < 0:
+                return condition, 0.0
             part = _resolvable_part(c)
             if part < 1:
                 c = list(map(mul, c, _argument_powers(part, len(c) - 1)))
@@ -356,6 +332,56 @@ class EventLocator:
         if own is not None and not is_simple_root(own.coefficients(), rtol * condition_scale(system, own)):
             width = self._isolation.width(place, own, rtol)
         return IsolatedRoot(how, own, width, 0, True, place.t)
+
+
+class _KnownGerms:
+    """What the series of a place are known to, and the share of the unit of time in which their germs are read."""
+
+    def __init__(self, system: ModeSystem, orders: int) -> None:
+        self._system, self._orders = system, orders
+
+    @cached_property
+    def rounding(self) -> GermRounding:
+        """Of `germ_rounding`."""
+        return germ_rounding(self._system, self._orders)
+
+    @cached_property
+    def share(self) -> float:
+        """Of `germ_time_share`."""
+        return germ_time_share(self._system, self.rounding)
+
+
+def _beyond_noise(c: list[float], within: float) -> list[float]:
+    """A condition of polynomials through nodes: [] where it stays within its noise, that much higher where it begins there."""
+    if _stays_within(c, within):
+        return []
+    return [c[0] + within, *c[1:]] if abs(c[0]) <= within else c
+
+
+def _beyond_rounding(
+    system: ModeSystem, condition: SwitchCondition, germ: list[float], c: list[float], known: _KnownGerms, *, opened: bool
+) -> list[float]:
+    """A condition of series, c[k] = germ[k] s^k: [] where it is rounding all along, divided by the power that it begins with."""
+    scale = least = TIE * condition_scale(system, condition)
+    if _stays_within(c, least):
+        least = condition_uncertainty(system, condition)
+        if _stays_within(c, least):
+            return []
+    known_so: Sequence[float] = ()
+    if c[0] <= (GERM / TIE) * scale:
+        known_so = known_to(condition, known.rounding)
+        if known_so and (_stays_within(c, known_so[0]) or not any(without_rounding(germ, known_so))):
+            return []
+    if c[0] > (least if opened else 0.0):
+        return c
+    first = leading_order(germ, least if opened else 0.0, known.share, known_so)
+    if opened and first != 1:
+        least = condition_uncertainty(system, condition)
+        first = lowest_order(germ, least, known_so) if least else leading_order(germ, least, known.share, known_so)
+        if least and first is not None and germ[first] < 0:  # What ends at once would be chosen again, as it was.
+            first = leading_order(germ, least, known.share, known_so)
+    c = c[ORDERS + 1 if first is None else first :]
+    return [] if max(map(abs, c)) <= least else c
 
 
 def _stays_within(c: list[float], least: float) -> bool:

@@ -176,7 +176,6 @@ class PieceBuffer:
 
 UNIQUENESS_VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
 STIFF_FIELDS = ("length", "failed", "wait", "pieces")  # Of `stiff.StiffIntegrator`, as C has it.
-MAX_LEFT_IN_A_ROW = 8  # Pieces that C leaves to the course one after the other; then all of them are its.
 PIECES_PER_REQUEST, MAX_PIECES_PER_CALL, MAX_CALL_BYTES = (
     256,
     1024,
@@ -327,14 +326,12 @@ class CompiledPieces:
         self._stopped: str | None = None  # Of the integrator.
         self._fallback_state = INITIAL_CHECKPOINT  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
-        self._left_in_a_row = 0  # Pieces that C has left to the course.
         if not steps.begin(np.array(ca.DM(problem.x0)).ravel()):
             self.restore(self._interpreted_pieces.checkpoint())
 
     def take_over(self, steps: Any) -> None:
         """Go on from where other steps in C of the same problem stand."""
         self.steps, self._stopped, self._fallback_state, self._behind = steps, None, INITIAL_CHECKPOINT, None
-        self._left_in_a_row = 0
 
     @cached_property
     def _interpreted_pieces(self) -> InterpretedPieces:
@@ -374,20 +371,20 @@ class CompiledPieces:
 
     def make_pieces(self, until: float, room: int) -> PieceBuffer:
         """As many pieces as there is room for; what C cannot make is interpreted, and all from a stop until pieces go on."""
+        in_c = self._behind is None and self._stopped is None  # Who made the last piece, and chose the mode after it.
         self.behind, self._behind = 1, None
-        if self._stopped is None and self._fallback_step is None and self._left_in_a_row < MAX_LEFT_IN_A_ROW:
+        if self._stopped is None and self._fallback_step is None:
             rows, stuck = self.steps.advance(
                 until, max(1, min(PIECES_PER_REQUEST * room, MAX_PIECES_PER_CALL, MAX_CALL_BYTES // (8 * self.steps.width)))
             )
-            self._left_in_a_row = 0 if len(rows) else self._left_in_a_row + 1
             if len(rows) or not stuck:
                 return PieceBuffer(rows, self._layout)
-        own, trusted = self._interpreted_pieces, self._left_in_a_row > 1 or self._stopped is not None
+        own = self._interpreted_pieces
         own.restore(self.checkpoint())
         try:
             block = own.make_pieces(until, 1)
         except StepError:
-            if trusted or not own.choose_mode_again(self.checkpoint()):
+            if not (in_c and own.choose_mode_again(self.checkpoint())):
                 raise
             block = own.make_pieces(until, 1)
         self.behind, self._behind = own.behind, (own.checkpoint(before=True), own.counts(before=True))
@@ -428,7 +425,7 @@ class CompiledPieces:
             "accumulation": {"events": int(place["events"]), "times": self.steps.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
             "undecided": place["undecided"].tolist(), "still": int(place["still"]),
-            "stiff": dict(zip(STIFF_FIELDS, place["stiff"].tolist(), strict=True)),
+            "stiff": dict(zip(STIFF_FIELDS, [place["stiff"][0].item(), *place["stiff"][1:].astype(int).tolist()], strict=True)),
         }  # fmt: skip
         return {"integrator": integrator, **deepcopy(self._fallback_state)}
 

@@ -68,3 +68,16 @@ def test_tiny_resistances_in_c():
     elements, given = multiplier(2, 0.05, source=10.0, load=1e4), {"t_end": 5e-4, "step": 1e-6}
     run, other = (pieces(circuit(resistive(elements, 1e-9), **given), 1e-6, compiled=way) for way in (True, False))
     assert np.abs(run.x[-1] - other.x[-1]).max() <= 2e-6 * np.abs(other.x).max()
+
+
+@pytest.mark.skipif(not library.compiler(), reason="no C compiler")
+def test_a_run_that_c_leaves_to_the_integrator_goes_on_byte_for_byte(tmp_path):
+    """Its collocated pieces are counted by both: a count is a whole number in the files."""
+    model = circuit(resistive(multiplier(2, 0.05, source=10.0, load=1e4), 1e-7), t_end=4e-4, step=1e-6)
+    pieces(model, 1e-6, compiled=True, out=tmp_path / "one")
+    for i, end in enumerate([0.1, 0.21, 0.5, 1.0]):
+        pieces(model, 1e-6, compiled=True, out=tmp_path / "parts", t_end=end * model.t_end, resume=i > 0)
+    one, parts = (
+        {path.name: path.read_bytes() for path in (tmp_path / name).rglob("*") if path.is_file()} for name in ("one", "parts")
+    )
+    assert one == parts
