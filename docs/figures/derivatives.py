@@ -11,7 +11,7 @@ import contextlib
 import io
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,6 +30,7 @@ RESULTS = IMAGES.parents[1] / "results"
 VALUES = np.array([1.0, 1.0, 5.3])  # a, k, x(0)
 END = 5.0
 SECONDS = 1.0  # That a setting is repeated for.
+CELLS = 1000  # Of a call, where cells run together.
 
 
 class Point(NamedTuple):
@@ -48,14 +49,14 @@ def exact() -> np.ndarray:
     return np.array([-(1 + 3 * c) / k, rest / k * (1 + 3 * c) + (3 * rest - start) * s * END / (2 * w), c])
 
 
-def point(method: str, setting: str, run: Callable[[], Any]) -> Point:
-    """The least of many times, after one to warm up."""
+def point(method: str, setting: str, run: Callable[[], Any], parts: int = 1) -> Point:
+    """The least of many times, after one to warm up, of one of so many parts."""
     found, best, began = np.asarray(run(), float).ravel(), math.inf, time.perf_counter()
     while best == math.inf or time.perf_counter() - began < SECONDS:
         start = time.perf_counter()
         run()
         best = min(best, time.perf_counter() - start)
-    return Point(method, setting, best, float(np.abs(found - exact()).max() / np.abs(exact()).max()))
+    return Point(method, setting, best / parts, float(np.abs(found - exact()).max() / np.abs(exact()).max()))
 
 
 def by_nsmodel() -> Iterator[Point]:
@@ -70,6 +71,9 @@ def by_nsmodel() -> Iterator[Point]:
         yield point(
             "nsmodel", f"rtol {rtol:.0e}", lambda rtol=rtol: nsmodel.sensitivity(model, by=by, at=[END], rtol=rtol).of("x")[-1]
         )
+    for rtol in (1e-4, 1e-8, 1e-12):
+        own = PieceBatch(model, None, rtol, None, [END], by)
+        yield point("cells in C", f"rtol {rtol:.0e}", lambda own=own: cells(own, by), CELLS)
     batch = PieceBatch(model, None, 1e-12, None, [END])
 
     def ends(values: np.ndarray) -> np.ndarray:
@@ -77,6 +81,12 @@ def by_nsmodel() -> Iterator[Point]:
 
     for width in (1e-2, 1e-4, 1e-6, 1e-8):
         yield point("differences of runs", f"width {width:.0e}", lambda width=width: differences(ends, width))
+
+
+def cells(batch: PieceBatch, by: Sequence[str]) -> np.ndarray:
+    """The derivatives of CELLS cells, of which all are the same."""
+    found = batch.run(np.tile(VALUES, (CELLS, 1)), [f"x by {name}" for name in by]).arrays
+    return np.array([found[f"x by {name}"][-1, -1, 0] for name in by])
 
 
 def differences(ends: Callable[[np.ndarray], np.ndarray], width: float) -> np.ndarray:

@@ -22,6 +22,7 @@ from nsmodel.codegen.event_driven_spec import cached_symbolic_problem
 from nsmodel.codegen.rollout import CALL_SECONDS
 from nsmodel.codegen.structs import BAD_PARAMETER, NO_MODE, PIECE_BATCH_CELLS
 from nsmodel.errors import CodegenError, UsageError
+from nsmodel.event_driven.column_expressions import output_symbols
 from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
 from nsmodel.event_driven.problem import switch_table, switch_times_of
@@ -31,6 +32,7 @@ from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
 
 MAX_PIECES = 1_000_000  # Pieces of a cell.
+BY = " by "  # "x by k" is the column of dx/dk.
 
 _PieceCellsStruct = PIECE_BATCH_CELLS.ctypes_structure()
 _UNDEFINED_AT_START = (
@@ -66,6 +68,11 @@ class PieceBatch:
     start to end and takes the library of all values; but multipliers of a law that is rewritten in others are computed of the
     state at a row, not of their series.
 
+    With ``by``, names of parameters, it differentiates the runs by these through all switches (see `sensitivity`): the column
+    "x by k" is dx/dk, of the shape of x, for every x that is an expression of states, multipliers, time and parameters. A cell
+    whose run has no derivative that C can tell is not gone on with: where the state jumps, a switch is only touched, several
+    switch at once whose order matters, or multipliers are not unique.
+
     Attributes:
         names: of the parameters, one a column of values.
         way: by what it is compiled.
@@ -76,7 +83,9 @@ class PieceBatch:
         UsageError: a time, rtol or atol that is none.
     """
 
-    def __init__(self, model: Model, t_end: float | None, rtol: float, atol: Any, given: Sequence[float]) -> None:
+    def __init__(
+        self, model: Model, t_end: float | None, rtol: float, atol: Any, given: Sequence[float], by: Sequence[str] = ()
+    ) -> None:
         """``given``: the times (R,) of the rows, increasing, from 0 to t_end, 0 among them or not."""
         check_times(t_end=t_end)
         self.names, self._model = tuple(model.parameters), model
@@ -90,7 +99,9 @@ class PieceBatch:
         rtol, atol = checked_tolerances(problem, rtol, atol)
         known = switch_times_of(model, self._T)
         fixed = () if problem.held else known.times
-        compiled = PieceLibrary.of(problem, piece_library_mark(problem, fixed), fixed)
+        self._by = tuple(by)
+        entries = self._differentiated_entries()
+        compiled = PieceLibrary.of(problem, piece_library_mark(problem, fixed, entries), fixed, entries)
         self.way = f"{compiled.way}, one library for all values"
         self._request = RunRequest.made(rtol, atol, switch_table(model, self._T), residuals=False)
         library, pointer = compiled.library, ctypes.c_void_p
@@ -99,6 +110,8 @@ class PieceBatch:
         self._run = library.function(
             "run_cells", ctypes.c_int, pointer, pointer, ctypes.POINTER(_PieceCellsStruct), ctypes.c_double
         )
+        self._tangents_size = library.function("tangents_size", ctypes.c_long)() // 8 + 1 if by else 0
+        self._slopes: dict[str, ca.Function] = {}
         self._outputs = OutputColumns.of(model, self._multiplier_names)
         self._starts = ca.Function("starts", [problem.p], [ca.densify(ca.SX(problem.x0))])
         self._admitted = ca.Function("admitted", [model.p], [admitted(model)])
@@ -106,6 +119,14 @@ class PieceBatch:
         self._evaluate_outputs(
             _PieceBatchArrays(0, len(self._times), self._width, problem.l.numel()), np.zeros((0, len(self.names)))
         )
+
+    def _differentiated_entries(self) -> list[int]:
+        """The entries of p that runs are differentiated by."""
+        if unknown := next((name for name in self._by if name not in self.names), None):
+            raise UsageError(f"by: '{unknown}' is no parameter; there are {', '.join(self.names)}")
+        if self._by and (curved := next((block for _, block in self._p.law.parts() if not block.separable), None)):
+            raise CodegenError(f"derivatives in C are not there for the law '{curved.label}', whose rows act together")
+        return [self.names.index(name) for name in self._by]
 
     @property
     def _multiplier_names(self) -> tuple[str, ...]:
@@ -121,7 +142,8 @@ class PieceBatch:
         shapes |= {"index_set": (self._p.l.numel(),)}
         shapes |= {name: rows.shape[1:] for name, rows in self._input_columns.items()}
         of_outputs = {name: () if own.size == 1 else (own.size,) for name, own in self._outputs.quantities.items()}
-        return of_outputs | shapes
+        found = of_outputs | shapes
+        return found | {f"{name}{BY}{p}": found[name] for name in found if name in self._expressions for p in self._by}
 
     @cached_property
     def _columns(self) -> dict[str, int | list[int]]:
@@ -165,6 +187,9 @@ class PieceBatch:
         if unknown:
             raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
         work = _PieceBatchArrays(len(given), len(self._times), self._width, self._p.l.numel())
+        if self._by:
+            work.slopes = np.full((*work.kept.shape[:2], self._p.x.numel() + self._p.l.numel(), len(self._by)), np.nan)
+            work.tangents = np.zeros(self._tangents_size)
         work.status[self._has_singular_mass(given)] = NO_MODE
         work.status[~self._are_admitted(given)] = BAD_PARAMETER
         plain = {"x", "error_estimate", *self._model.stems, *self._model.names}
@@ -177,11 +202,12 @@ class PieceBatch:
                 break
         at_start = self._times == 0
         work.kept[:, at_start] = self._blank_step_columns(work.kept[:, at_start])
+        work.slopes[:, at_start, self._p.x.numel() :] = np.nan
         return work.cells({name: self._kept_array(name, work, given) for name in keep})
 
     def _are_admitted(self, given: np.ndarray) -> np.ndarray:
         """Whether values are some that a run does not refuse; what the law says of them, C does."""
-        conditions = np.array(self._admitted(given.T)).T.reshape(len(given), -1)
+        conditions = np.array(self._admitted(given.T)).T.reshape(len(given), self._admitted.size1_out(0))
         return np.logical_and(np.isfinite(np.column_stack([given, conditions])).all(axis=1), (conditions >= 0).all(axis=1))
 
     def _has_singular_mass(self, given: np.ndarray) -> np.ndarray:
@@ -202,6 +228,8 @@ class PieceBatch:
     def _kept_array(self, name: str, work: _PieceBatchArrays, given: np.ndarray) -> np.ndarray:
         if name == "index_set":
             return work.index
+        if BY in name:
+            return self._slope_array(name, work, given)
         if name in self._input_columns:
             return np.repeat(self._input_columns[name][None], len(given), axis=0)
         if name in self._outputs.quantities and name not in self._columns:
@@ -209,6 +237,31 @@ class PieceBatch:
             return found.reshape(len(given), len(self._times), *found.shape[1:])
         at = self._columns[name]
         return work.kept[:, :, at].copy() if isinstance(at, int) else work.kept[:, :, at]
+
+    @cached_property
+    def _expressions(self) -> dict[str, ca.SX]:
+        """The columns that are expressions of t, x, l and p, of runs that are differentiated."""
+        return {"x": self._p.x[: self._p.states]} | output_symbols(self._model, self._p, {}) if self._by else {}
+
+    def _slope_array(self, name: str, work: _PieceBatchArrays, given: np.ndarray) -> np.ndarray:
+        """A column's derivative by a parameter: of what it is of t, x, l and p."""
+        column, _, parameter = name.rpartition(BY)
+        p, n, m = self._p, self._p.x.numel(), self._p.l.numel()
+        if name not in self._slopes:
+            whole = ca.vec(self._expressions[column])
+            of = ca.vertcat(p.x, p.l)
+            dp, moved = p.p[self.names.index(parameter)], ca.SX.sym("moved", n + m)
+            slope = ca.jacobian(whole, of) @ moved + ca.jacobian(whole, dp)
+            self._slopes[name] = ca.Function("slope", [p.t, p.x, p.l, p.p, moved], [ca.densify(slope)])
+        rows = len(self._times)
+        x_l = work.kept[:, :, : n + m].reshape(-1, n + m).T
+        moved = work.slopes[..., self._by.index(parameter)].reshape(-1, n + m).T
+        if not given.size:
+            return np.zeros((0, rows, *self.columns()[name]))
+        found = self._slopes[name](
+            np.tile(self._times, len(given))[None], x_l[:n], x_l[n:], np.repeat(given, rows, axis=0).T, moved
+        )
+        return np.array(found).T.reshape(len(given), rows, *self.columns()[name])
 
     @cached_property
     def _input_columns(self) -> dict[str, np.ndarray]:
@@ -238,6 +291,8 @@ class _PieceBatchArrays:
         self.status = np.full(cells, TO_DO, np.int8)
         self.taken, self.pieces, self.events, self.estimate, self.worst = (np.zeros(cells) for _ in range(5))
         self.failed_at, self._m = np.full(cells, np.nan), m
+        self.slopes: np.ndarray = np.zeros((cells, rows, 0, 0))  # Of cells that are differentiated.
+        self.tangents = np.zeros(0)
 
     def control(self, given: np.ndarray, starts: np.ndarray, times: np.ndarray, t_end: float, *, more: bool) -> Any:
         """The record that the library reads and writes; it holds on to the arrays that it points to."""
@@ -245,6 +300,7 @@ class _PieceBatchArrays:
             "times": times, "values": given, "starts": starts, "kept": self.kept, "index": self.index, "status": self.status,
             "taken": self.taken, "pieces": self.pieces, "events": self.events, "estimate": self.estimate, "worst": self.worst,
             "failed_at": self.failed_at, "until": np.zeros(self._m), "told": np.zeros(self._m),
+            "slopes": self.slopes, "tangents": self.tangents,
         }  # fmt: skip
         control = _PieceCellsStruct(
             cells=len(given), rows=len(times), more=more, most=MAX_PIECES, t_end=t_end,
@@ -255,7 +311,7 @@ class _PieceBatchArrays:
 
     def discard_from(self, cell: int) -> None:
         """Forget the rows of a cell that was left in the middle."""
-        self.kept[cell:], self.index[cell:] = np.nan, UNKNOWN_INDEX
+        self.kept[cell:], self.slopes[cell:], self.index[cell:] = np.nan, np.nan, UNKNOWN_INDEX
         for total in (self.taken, self.pieces, self.events, self.estimate, self.worst):
             total[cell:] = 0
 

@@ -50,11 +50,12 @@ def is_piece_library_cached(fingerprint: str) -> bool:
     return name is not None and cache.has_cached_library(piece_library_key(fingerprint, name))
 
 
-def piece_library_mark(problem: ContinuousProblem, known: Sequence[float]) -> str:
+def piece_library_mark(problem: ContinuousProblem, known: Sequence[float], by: Sequence[int] = ()) -> str:
     """What names the library of a problem in continuous time with these known times, for `piece_library_key`: all that its code
-    is written of but the start, which runs give.
+    is written of but the start, which runs give. One that differentiates has the start's derivatives.
     """
-    return content_digest([_problem_hash(problem), *map(float, known)])
+    starts = ca.Function("starts", [problem.p], [ca.densify(ca.SX(problem.x0))]).serialize() if by else ""
+    return content_digest([_problem_hash(problem), *map(float, known), *(["by", *by, starts] if by else [])])
 
 
 @cached_per_object
@@ -105,15 +106,18 @@ class PieceLibrary(NamedTuple):
     way: str
 
     @staticmethod
-    def of(problem: ContinuousProblem, mark: str, known: Sequence[float]) -> PieceLibrary:
-        """That of a problem, built where it is not there; CodegenError where there is no compiler, or it fails."""
+    def of(problem: ContinuousProblem, mark: str, known: Sequence[float], by: Sequence[int] = ()) -> PieceLibrary:
+        """That of a problem, built where it is not there; CodegenError where there is no compiler, or it fails.
+
+        ``by``: the entries of p that it differentiates runs by.
+        """
         name = compiler()
         if name is None:
             raise no_compiler_error()
         key = piece_library_key(mark, name)
         loaded = _loaded_piece_libraries(problem)
         if key not in loaded:
-            loaded[key] = _load_piece_library(problem, known, key, f"compiled by {name}")
+            loaded[key] = _load_piece_library(problem, known, by, key, f"compiled by {name}")
         return loaded[key]
 
 
@@ -229,8 +233,10 @@ def _loaded_piece_libraries(problem: ContinuousProblem) -> dict[str, PieceLibrar
     return {}
 
 
-def _load_piece_library(problem: ContinuousProblem, known: Sequence[float], key: str, backend: str) -> PieceLibrary:
-    spec = make_piece_spec(problem, known, {str(symbol): 0.0 for symbol in ca.vertsplit(problem.p)})
+def _load_piece_library(
+    problem: ContinuousProblem, known: Sequence[float], by: Sequence[int], key: str, backend: str
+) -> PieceLibrary:
+    spec = make_piece_spec(problem, known, {str(symbol): 0.0 for symbol in ca.vertsplit(problem.p)}, by)
 
     def files() -> dict[str, str]:
         return {

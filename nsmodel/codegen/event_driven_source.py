@@ -33,7 +33,14 @@ import numpy as np
 
 from nsmodel._utils import cached_per_object
 from nsmodel.codegen import fragments, laws, structs
-from nsmodel.codegen.event_driven_spec import PieceSpec, collocation_code, matrix_product, nonzero_pattern, piece_spec_of
+from nsmodel.codegen.event_driven_spec import (
+    PieceSpec,
+    collocation_code,
+    matrix_product,
+    nonzero_pattern,
+    piece_spec_of,
+    tangent_code,
+)
 from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.fragments import (
     BOX_CONSTANTS,
@@ -227,7 +234,8 @@ def piece_code(spec: PieceSpec, name: str, title: str, *, runs: bool) -> str:
         return spec.discs.prune_interpreter(text) if fragment == "pieces_discs" else text
 
     boxes = [prefix_names(box_problem_code(spec), name)] if "GUESSED" in spec.flags else []
-    more = ["pieces_api", *(["pieces_rollout", "pieces_batch"] if runs else [])]
+    tangents = ["pieces_tangents"] if "TANGENTS" in spec.flags else []
+    more = ["pieces_api", *(["pieces_rollout", *tangents, "pieces_batch"] if runs else [])]
     return prune_unused("\n".join([part("pieces_prelude"), part("common"), *boxes, own, *map(part, [*PIECE_FRAGMENTS, *more])]))
 
 
@@ -310,6 +318,7 @@ def _model_code(spec: PieceSpec) -> str:
     sizes, moved = state_motion(p)
     parts.append(_piece_c_function("moves", sizes | own, {"moved": moved}))
     parts += [collocation_code(spec, given)] if "STIFF" in flags else []
+    parts += [tangent_code(spec, given)] if "TANGENTS" in flags else []
     if "SLOPES" in flags:
         parts.append(_piece_c_function("slopes", given, dict(zip("BDC", spec.slopes, strict=True))))
     parts += [_piece_c_function("start", own, {"x": ca.SX(p.x0)}), switch_scales_code(spec.printers)]

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,7 +34,7 @@ from nsmodel.event_driven.integrator import MIN_RTOL
 from nsmodel.event_driven.modes import ORDERS
 from nsmodel.event_driven.multipliers import SHORT, SINGULAR, is_monotone
 from nsmodel.event_driven.problem import CONTINUOUS_PROBLEM, ContinuousProblem, NotEventDriven, with_input_states
-from nsmodel.event_driven.radau import SlopeMatrix, fixed_branches, stage_count
+from nsmodel.event_driven.radau import FixedBranches, SlopeMatrix, fixed_branches, stage_count
 from nsmodel.event_driven.recurrences import taylor_decompose
 from nsmodel.event_driven.stable_exponentials import without_overflow
 from nsmodel.event_driven.step_size import LARGEST_ORDER, ROUGHEST, taylor_order
@@ -59,10 +59,7 @@ def collocation_sizes(unknown: int) -> dict[str, int]:
 
 def collocation_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
     """The tables and functions; ``given``: t, x, l and parameters by their names."""
-    p, (B, D, _) = spec.problem, spec.matrices
-    whole = replace(p, p=ca.veccat(p.p, spec.parameter_parts.symbols))
-    of = fixed_branches(whole, {name: made.jets for name, made in spec.printers.items()}, B, D)
-    of = of._replace(values=spec.parameter_parts.back(of.values), slopes=spec.parameter_parts.back(of.slopes))
+    of = _on_sides(spec)
     sided = dict(given) | ({"s->at.choice": of.choices} if of.choices.numel() else {})
     text = _radau_tables()
     if of.choices.numel():
@@ -70,6 +67,57 @@ def collocation_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
     return (
         text + "\n" + _piece_function("slopes_on_sides", sided, dict(zip(("f_x", "g_l", "h_x", "h_l"), of.slopes, strict=True)))
     )
+
+
+def _on_sides(spec: PieceSpec) -> FixedBranches:
+    """F = f + g, y and what switches look at, on given sides of these, and slopes."""
+    p, (B, D, _) = spec.problem, spec.matrices
+    whole = replace(p, p=ca.veccat(p.p, spec.parameter_parts.symbols))
+    of = fixed_branches(whole, {name: made.jets for name, made in spec.printers.items()}, B, D)
+    return of._replace(values=spec.parameter_parts.back(of.values), slopes=spec.parameter_parts.back(of.slopes))
+
+
+TANGENT_STAGES = (5, 6, 7, 8)  # Of steps of Radau IIA that derivatives take, of two orders for rough or strict tolerances.
+
+
+def tangent_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
+    """The functions and tables of ``c/pieces_tangents.c``; ``given``: t, x, l and parameters by their names."""
+    p, of = spec.problem, _on_sides(spec)
+    (rate, y, watched), chosen = of.values, p.p[list(spec.by)]
+    own = {name: symbol for name, symbol in given.items() if name.startswith("s->")}
+    sided = {name: symbol for name, symbol in given.items() if name not in own} | {"sides": of.choices} | own
+    y_rate = ca.jacobian(y, p.t) + ca.jacobian(y, p.x) @ rate
+    slopes = {
+        f"{name}_{letter}": ca.jacobian(part, symbol)
+        for name, part in (("F", rate), ("y", y), ("rate", y_rate))
+        for letter, symbol in (("x", p.x), ("l", p.l), ("p", chosen))
+    }
+    looked = {"looked": watched} | {
+        f"by_{letter}": ca.jacobian(watched, symbol) for letter, symbol in (("t", p.t), ("x", p.x), ("l", p.l), ("p", chosen))
+    }
+    starts = {
+        "x_p": ca.jacobian(ca.SX(p.x0), chosen),
+        "lower_p": _end_slopes(p.law.lower, chosen),
+        "upper_p": _end_slopes(p.law.upper, chosen),
+    }
+    parts = [("linearised_on_sides", sided, slopes), ("rate_on_sides", sided, {"rate": rate}), ("start_slopes", own, starts)]
+    parts += [("watched_on_sides", sided, looked)] if of.choices.numel() else []
+    return _tangent_tables() + "\n".join(
+        _piece_function(name, inputs, {key: ca.densify(e) for key, e in outputs.items()}) for name, inputs, outputs in parts
+    )
+
+
+def _tangent_tables() -> str:
+    """The nodes and the inverse of the matrix of each method."""
+    made = [(count, radau_collocation(count)) for count in TANGENT_STAGES]
+    numbers = {count: np.concatenate([of.nodes, of.inverse.ravel()]) for count, of in made}
+    text = f"#define FEWEST_TANGENT_STAGES {TANGENT_STAGES[0]}\n#define MOST_TANGENT_STAGES {TANGENT_STAGES[-1]}\n"
+    text += "".join(c_table(f"tangent_{count}", own, str(own.size)) for count, own in numbers.items())
+    return text + f"static const double *const tangent_tables[] = {{{', '.join(f'tangent_{count}' for count in numbers)}}};\n"
+
+
+def _end_slopes(ends: Any, chosen: ca.SX) -> ca.SX:
+    return ca.jacobian(ca.vec(ca.SX(ends)), chosen)
 
 
 def _piece_function(name: str, given: Mapping[str, ca.SX], out: Mapping[str, ca.SX]) -> str:
@@ -165,12 +213,15 @@ EVENT_TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
 
 @dataclass(frozen=True)
 class PieceSpec:
-    """A problem of which code is written; ``values`` of p, the last of which are ``inputs``; ``known`` times that end a piece."""
+    """A problem of which code is written; ``values`` of p, the last of which are ``inputs``; ``known`` times that end a piece;
+    ``by``: the entries of p that runs are differentiated by.
+    """
 
     problem: ContinuousProblem
     values: Mapping[str, float]
     known: tuple[float, ...] = ()
     inputs: int = 0
+    by: tuple[int, ...] = ()
 
     @cached_property
     def ends(self) -> tuple[SlopeMatrix, SlopeMatrix]:
@@ -214,6 +265,7 @@ class PieceSpec:
             "HELD": p.held > 0, "IMPULSES": p.impulses, "REWRITTEN": p.multipliers is not None and p.multipliers.numel() > 0,
             "TIMED": bool(self.known or self.problem.held),
             "STIFF": 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
+            "TANGENTS": bool(self.by),
             "GUESSED": law and not diagonal and 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)
@@ -296,21 +348,24 @@ class PieceSpec:
             "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept, "GERM": ORDERS + 1, "TIMES": EVENT_TIMES,
             "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
             "H": columns.count if outputs else n + m, "LEMKE": m + self._slack_rows,
+            "TANGENTS": len(self.by),
         } | collocation_sizes(n + m)  # fmt: skip
 
 
 _SUM_KINDS = frozenset("sum difference minus scaled over shifted".split())
 
 
-def make_piece_spec(problem: ContinuousProblem, known: Sequence[float], values: Mapping[str, float] | None = None) -> PieceSpec:
-    """Return what code is written of; ``known`` times are increasing.
+def make_piece_spec(
+    problem: ContinuousProblem, known: Sequence[float], values: Mapping[str, float] | None = None, by: Sequence[int] = ()
+) -> PieceSpec:
+    """Return what code is written of; ``known`` times are increasing; ``by``: see `PieceSpec`.
 
     Raises:
         CodegenError: l in slip is a series, or the law has too many rows that depend on each other.
     """
     if problem.sliding_law_names:
         raise CodegenError(_slip_series_message(problem))
-    spec = PieceSpec(problem, dict(values or {}), tuple(known))
+    spec = PieceSpec(problem, dict(values or {}), tuple(known), by=tuple(by))
     m = problem.l.numel()
     if m > MAX_DENSE_ROWS and "MATRICES" in spec.flags:
         raise CodegenError(

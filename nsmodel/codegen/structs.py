@@ -192,6 +192,7 @@ PIECE_BATCH_CELLS = CStruct(
         ),
         StructMembers("double", "defect", "the largest since the last row"),
         StructMembers("double *", "until told", "(M) integrals of l: to the end of the pieces, to the last row"),
+        StructMembers("double *", "slopes tangents", "(cells, rows, N + M, BY) dx/dp and dl/dp; memory for these; or NULL"),
     ),
 )
 BODIES_MOTION = CStruct(

@@ -17,11 +17,12 @@ import numpy as np
 from nsmodel._utils import cached_per_object_and_key
 from nsmodel.derivatives.known_times import KnownTimes
 from nsmodel.derivatives.piece_tangents import PieceTangents
-from nsmodel.derivatives.quantities import read_directions, read_outputs, read_times
+from nsmodel.derivatives.quantities import read_directions, read_times
 from nsmodel.derivatives.result import Sensitivity, Switch
 from nsmodel.derivatives.run_tangents import START, RunTangents, Stop, SwitchJump, SwitchJumps
 from nsmodel.derivatives.tangent_equations import TRY_DIFFERENCES, TangentEquations
-from nsmodel.errors import NsmodelError, UsageError
+from nsmodel.errors import NsmodelError, StepError, UsageError
+from nsmodel.event_driven.column_expressions import read_outputs
 from nsmodel.event_driven.integrator import MIN_RTOL
 from nsmodel.event_driven.problem import CONTINUOUS_PROBLEM, SAME_TIME, ContinuousProblem
 from nsmodel.modeling.base import Model
@@ -368,7 +369,7 @@ def _check_pieces(pieces: PieceBuffer, run: Trajectory) -> None:
     """Refuse runs of which a part is by time steps."""
     if pieces.stepped.any():
         t = float(pieces.t[int(pieces.stepped.argmax())])
-        raise UsageError(
+        raise StepError(
             f"from t = {t:.10g} on the run goes by time steps, whose derivatives do not tend to those of the solution; "
             f"{TRY_DIFFERENCES}"
         )

@@ -74,6 +74,9 @@ class TimeGrid:
         return self.times[rows], self.steps[rows - 1], self.steps[np.minimum(rows, self.N - 1)]
 
 
+EVENT_DRIVEN_GRID = TimeGrid(1, 1.0, 1.0)  # Of runs that have no steps.
+
+
 def count_equal_steps(lengths: np.ndarray, h: float) -> np.ndarray:
     """How many equal steps, not longer than h, are of these lengths together."""
     return np.maximum(np.ceil(lengths / h * (1 - 1e-9)), 1).astype(int)

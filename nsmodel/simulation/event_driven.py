@@ -41,7 +41,7 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import BACKEND_SETTING, INTERPRETED_BACKEND, run_settings
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.signals.pwm import HeldSignal
-from nsmodel.modeling.time_grid import TimeGrid, check_times, input_schedule
+from nsmodel.modeling.time_grid import EVENT_DRIVEN_GRID, check_times, input_schedule
 from nsmodel.modeling.variants import with_initial_inputs
 from nsmodel.simulation.event_driven_rows import ColumnFunction, PieceRows, row_properties
 from nsmodel.simulation.options import METHODS, Options
@@ -268,7 +268,7 @@ class EventDrivenPropagator:
         _check_size(problem, options)
         _check_provable(problem, options)
         same = run_settings(
-            model, TimeGrid(1, 1.0, 1.0), EVENT_DRIVEN_METHOD, options.tolerance, options.save_every, INTERPRETED_BACKEND
+            model, EVENT_DRIVEN_GRID, EVENT_DRIVEN_METHOD, options.tolerance, options.save_every, INTERPRETED_BACKEND
         )
         known = switch_times_of(model, self.T)
         self._drive = input_schedule(model, self.T) if model.inputs else None

@@ -13,9 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from nsmodel._utils import former_names
+from nsmodel.codegen.event_driven_batch import BY
+from nsmodel.derivatives.sensitivity import sensitivity
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
@@ -49,12 +52,16 @@ StopCheck = Callable[[], bool]
 
 @dataclass(frozen=True)
 class CellGroup:
-    """Cells of one model: ``names`` of the parameters that vary; ``step`` where it is not the model's."""
+    """Cells of one model: ``names`` of the parameters that vary; ``step`` where it is not the model's.
+
+    ``steady``: names of these that runs are differentiated by, and which do not vary, and their values by those of the others.
+    """
 
     model: Model
     names: tuple[str, ...]
     step: float | None
     rows: RowSelection
+    steady: tuple[tuple[str, ...], ca.Function]
 
     def packed(self) -> bytes:
         """It as bytes, for another process."""
@@ -177,8 +184,8 @@ def _make_library(request: SweepRequest, group: CellGroup) -> Any:
         if request.way == PIECES_BACKEND:
             from nsmodel.codegen.event_driven_batch import PieceBatch
 
-            T = float(group.rows.times[-1])
-            return PieceBatch(group.model, T, request.options["rtol"], request.options.get("atol"), group.rows.times.tolist())
+            times = group.rows.times.tolist()
+            return PieceBatch(group.model, times[-1], request.options["rtol"], request.options.get("atol"), times, request.by)
     except (CodegenError, NotEventDriven) as error:
         return str(error)
     return "each is run alone"
@@ -190,7 +197,7 @@ _groups_lock = threading.RLock()
 
 def open_group(request: SweepRequest, packed: bytes) -> OpenGroup:
     """The group of these bytes, opened once in a process."""
-    key = hashlib.sha256(pickle.dumps((request.way, dict(request.options))) + packed).hexdigest()
+    key = hashlib.sha256(pickle.dumps((request.way, request.by, dict(request.options))) + packed).hexdigest()
     with _groups_lock:
         if key not in _open_groups:
             _open_groups[key] = OpenGroup(request, pickle.loads(packed))  # Bytes of this sweep's own: no file is read so.
@@ -200,16 +207,20 @@ def open_group(request: SweepRequest, packed: bytes) -> OpenGroup:
         return _open_groups[key]
 
 
-def run_alone(request: SweepRequest, group: CellGroup, values: np.ndarray, stop: StopCheck = never_stop) -> CellResults:
-    """Cells one by one, each by `simulate`."""
+def run_alone(request: SweepRequest, group: CellGroup, given: np.ndarray, stop: StopCheck = never_stop) -> CellResults:
+    """Cells one by one, each by `simulate`; ``given``: values (K, p) of their parameters."""
     found: dict[str, np.ndarray] = {}
     messages: dict[int, str] = {}
-    for i, own in enumerate(values):
+    for i, own in enumerate(given):
         if stop():
             break
-        status, failed_at, message, run = _simulate_cell(request, group, dict(zip(group.names, own.tolist(), strict=True)))
+        values = dict(zip(group.names, own.tolist(), strict=True))
+        status, failed_at, message, run = _simulate_cell(request, group, values)
         try:
-            row = _kept_values(request, group.rows, run, done=status == CELL_DONE) if run is not None else {}
+            whole: Any = run
+            if request.derivatives and run is not None and status == CELL_DONE:
+                whole = _DifferentiatedRun(run, request, group.model, values)
+            row = _kept_values(request, group.rows, whole, done=status == CELL_DONE) if run is not None else {}
         except StepError as error:  # An output says that this run has no result.
             status, failed_at, message = CELL_FAILED, np.nan, str(error)
             row = _kept_values(request, group.rows, run, done=False) if run is not None else {}
@@ -226,10 +237,37 @@ def run_alone(request: SweepRequest, group: CellGroup, values: np.ndarray, stop:
         for name, value in row.items():
             array = np.asarray(value)
             if name not in found:
-                found |= unrun_arrays(len(values), {name: array[None]})
+                found |= unrun_arrays(len(given), {name: array[None]})
             check_same_shape(name, array.shape, found[name].shape[1:])
             found[name][i] = array
-    return CellResults(found or unrun_facts(len(values)), messages)
+    return CellResults(found or unrun_facts(len(given)), messages)
+
+
+class _DifferentiatedRun:
+    """A run with its derivatives as further columns."""
+
+    def __init__(self, run: Trajectory, request: SweepRequest, model: Model, values: Mapping[str, float]) -> None:
+        """``values``: of the model's parameters.
+
+        Raises:
+            StepError: the run has no derivative.
+        """
+        self._run, self._columns = run, dict[str, np.ndarray]()
+        whole = "x" not in (*model.names, *model.stems)  # "x" stands for all states
+        outputs = dict.fromkeys(name.rpartition(BY)[0] for name in request.derivatives)
+        names = [part for name in outputs for part in (model.names if name == "x" and whole else [name])]
+        options: dict[str, Any] = {key: request.options.get(key) for key in ("rtol", "atol", "t_end")}
+        found = sensitivity(model, by=request.by, at=run.t, outputs=names, parameters=dict(values), **options)
+        for name in request.derivatives:
+            column, _, by = name.rpartition(BY)
+            like = run_column(run, column)
+            parts = list(model.names) if column == "x" and whole else [f"{column}_{i}" for i in range(like[0].size)]
+            slopes = [found.of(part, by) for part in (parts if like[0].size > 1 else [column])]
+            self._columns[name] = np.stack(slopes, axis=1).reshape(like.shape)
+
+    def __getattr__(self, name: str) -> Any:
+        """A derivative, or what the run has."""
+        return self._columns[name] if name in self._columns else getattr(self._run, name)
 
 
 def _simulate_cell(
@@ -265,7 +303,7 @@ def _simulate_with_times(model: Model, values: dict[str, float], options: dict[s
 
 def _kept_values(request: SweepRequest, rows: RowSelection, run: Trajectory, *, done: bool) -> dict[str, Any]:
     """The rows that are kept, and the outputs; of a failed run the rows up to its end."""
-    kept = {name: _column_at_rows(run, name, rows, done=done) for name in request.keep}
+    kept = {name: _column_at_rows(run, name, rows, done=done) for name in request.keep if done or BY not in name}
     return kept | {name: np.asarray(_evaluate_output(name, one, run), float) for name, one in request.outputs.items() if done}
 
 
@@ -344,17 +382,12 @@ def choose_backend(
         if own.batch is None:
             why = own.why
         else:
-            unknown = [name for name in _read_columns(request) if name not in own.batch.columns()]
+            unknown = [name for name in request.columns if name not in own.batch.columns()]
             if not unknown:
                 each = ", for each model" if models > 1 else ""
                 return BackendChoice(replace(request, way=together), own.batch.way, f"{own.batch.way}{each}")
             why = f"'{unknown[0]}' is a column of whole runs"
     return BackendChoice(replace(request, way=ALONE_BACKEND), ALONE_BACKEND, f"each cell by simulate: {why}")
-
-
-def _read_columns(request: SweepRequest) -> list[str]:
-    """The columns that are read."""
-    return [*request.keep, *(one.name for one in request.outputs.values() if isinstance(one, Reduction))]
 
 
 def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, *, costs: bool) -> str | None:
@@ -368,6 +401,8 @@ def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, 
         return "no parameter varies within a model"
     if GRID_PROPAGATOR.optional(group.model) is not None:
         return "many bodies"
+    if signal := next((name for name in request.by if name not in group.names), None):
+        return f"'{signal}' is a number of a signal, by which no library differentiates"
     whole = [name for name, one in request.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
     if whole:
         return f"the output '{whole[0]}' is of a whole run"

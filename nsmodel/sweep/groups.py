@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import inspect
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from nsmodel.derivatives.quantities import read_directions
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.model_files import load, load_with_values, model_arguments
@@ -202,9 +204,11 @@ class ModelGroups:
             *dict.fromkeys(state for column in self._own if column.kind == "start" for state in started_states(base, column))
         ]
         varied = [name for column in self._own if column.kind == "value" for name in self._parameter_names(base, column)]
-        left = dict.fromkeys([*varied, *(start_name(state) for state in (*states, *self._drawn))])
         fixed = {name: value for name, value in self._fixed.items() if not self.source.has_argument(name)}
-        free = with_start_parameters(model, [*states, *self._drawn])
+        own_names = [*varied, *(start_name(state) for state in (*states, *self._drawn))]
+        steady = _SteadyDirections(model, self._request.by, own_names, model.values_of(fixed))
+        left = dict.fromkeys([*own_names, *steady.names])
+        free = with_start_parameters(model, [*states, *self._drawn, *steady.states])
         bound = free.bind({**free.values_of(fixed), **left}, partly=True)
         missing = [name for name in bound.parameters if name not in left]
         if missing:
@@ -217,7 +221,8 @@ class ModelGroups:
                 f"the rows of this model are at other times (0 to {rows.times[-1]:g} in {len(rows.times)} rows) than those of "
                 f"the first (0 to {self.rows.times[-1]:g} in {len(self.rows.times)}); keep numbers with outputs= in place of rows"
             )
-        return CellGroup(bound, tuple(bound.parameters), step, rows)
+        names = [name for name in bound.parameters if name not in steady.names]
+        return CellGroup(bound, tuple(bound.parameters), step, rows, (tuple(steady.names), steady.function(names)))
 
     def _parameter_names(self, model: Model, column: DesignColumn) -> list[str]:
         """The parameters that a column has the values of."""
@@ -247,6 +252,10 @@ class ModelGroups:
         if self._start is not None:
             drawn = [self._draw_starts(int(cell)) for cell in cells]
             of |= {start_name(state): np.array([one[state] for one in drawn]) for state in self._drawn}
+        names, steady = group.steady
+        given = [np.asarray(of[name], float) for name in group.names if name not in names]
+        if names:
+            of |= dict(zip(names, np.array(steady(np.array(given).reshape(-1, len(cells)))), strict=True))
         return (
             np.column_stack([np.asarray(of[name], float) for name in group.names]) if group.names else np.zeros((len(cells), 0))
         )
@@ -268,6 +277,38 @@ class ModelGroups:
                 f"start returned {', '.join(found)}, and {', '.join(self._drawn)} before; give the same states each time"
             )
         return found
+
+
+class _SteadyDirections:
+    """What runs are differentiated by and does not vary: parameters, which keep their values, and starts, which the model gives.
+
+    ``names``: of both, in the order in which the model has them; ``states``: those of the starts.
+    """
+
+    def __init__(self, model: Model, by: Sequence[str], varied: Sequence[str], fixed: Mapping[str, float | None]) -> None:
+        """``varied``: names of parameters and starts.
+
+        Raises:
+            UsageError: what runs of this model are not differentiated by, or what has no value.
+        """
+        directions = read_directions(model, list(by)) if by else None
+        own = [name for name in directions.parameters if name not in varied] if directions else []
+        self.states = [state for name, state in directions.starts.items() if name not in varied] if directions else []
+        self.names = [*own, *(start_name(state) for state in self.states)]
+        values = {**model.parameters, **fixed}
+        if missing := next((name for name in own if values[name] is None), None):
+            raise UsageError(f"parameter '{missing}' has no value; give parameters={{'{missing}': ...}}, or vary it")
+        self._model, self._values = model, {name: value for name, value in values.items() if name not in varied}
+
+    def function(self, varied: Sequence[str]) -> ca.Function:
+        """Their values by those of the varied names, which the model has in this order."""
+        model, places = self._model, start_entries(self._model)
+        bound = model.bind(self._values, partly=True)
+        symbols = dict(zip(bound.parameters, ca.vertsplit(bound.p), strict=True))
+        given = ca.vertcat(ca.SX(0, 1), *(symbols.get(name, ca.SX.sym(name)) for name in varied))
+        starts = [getattr(bound, places[state][0])[places[state][1]] for state in self.states]
+        own = [ca.SX(self._values[name]) for name in self.names[: len(self.names) - len(starts)]]
+        return ca.Function("steady", [given], [ca.densify(ca.vertcat(*own, *starts))])
 
 
 def started_states(model: Model, column: DesignColumn) -> list[str]:

@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.codegen.event_driven_batch import BY
 from nsmodel.errors import UsageError
 from nsmodel.event_driven import integrator as pieces
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.time_grid import TimeGrid, format_value, is_number, make_grid
+from nsmodel.simulation.options import METHODS
 from nsmodel.sweep.variable import CELL_NOT_RUN
 
-_ROW_PATTERN = re.compile(r"\s*(?P<name>[^\[\]()]+(?:\[\d+\])?)\s*\[\s*(?P<row>[+-]?\d+)\s*\]\s*")
+_ROW_PATTERN = re.compile(r"\s*(?P<name>[^\[\]()]+(?:\(0\)|\[\d+\])?)\s*\[\s*(?P<row>[+-]?\d+)\s*\]\s*")
 _REDUCTION_PATTERN = re.compile(r"\s*(?P<how>\w+)\s*\(\s*(?P<name>.+?)\s*\)\s*")
 ROW_REDUCTIONS = {"max": np.fmax, "min": np.fmin}  # Of all rows that have a value: multipliers have none at the start.
 WINDOW_REDUCTIONS = ("mean", "rms", "integral")  # Of the whole run, as `Trajectory.mean` has them.
@@ -158,6 +160,23 @@ class SweepRequest:
                 raise UsageError(f"'{name}' has its own place in every sweep; leave it out, or call the output otherwise")
             if name in self.keep and (self.keep.count(name) > 1 or name in self.outputs):
                 raise UsageError(f"'{name}' is kept twice; keep one")
+        if self.derivatives and (not self.is_event_driven or self.options.get("method") == METHODS[2]):
+            raise UsageError(f"'{self.derivatives[0]}' is a derivative, which event-driven runs have: give rtol=1e-8")
+
+    @property
+    def columns(self) -> list[str]:
+        """The columns that are read."""
+        return [*self.keep, *(one.name for one in self.outputs.values() if isinstance(one, Reduction))]
+
+    @property
+    def derivatives(self) -> list[str]:
+        """Those of them that are derivatives: "x by k"."""
+        return list(dict.fromkeys(name for name in self.columns if BY in name))
+
+    @property
+    def by(self) -> list[str]:
+        """What runs are differentiated by."""
+        return list(dict.fromkeys(name.rpartition(BY)[2] for name in self.derivatives))
 
     @property
     def facts(self) -> Mapping[str, tuple[str, Any]]:

@@ -15,7 +15,7 @@ from nsmodel._utils import former_names
 from nsmodel.errors import UsageError
 from nsmodel.modeling.fingerprint import content_digest, fingerprint, versions
 from nsmodel.modeling.parameters import Values
-from nsmodel.modeling.time_grid import check_times
+from nsmodel.modeling.time_grid import EVENT_DRIVEN_GRID, check_times
 from nsmodel.simulation import run_folder
 from nsmodel.simulation.loop import PendingSignals, deferred_signals
 from nsmodel.simulation.options import Options, SweepKeywords, option_names, takes_options
@@ -193,10 +193,11 @@ class _SweepRun:
     def settings(self) -> dict[str, Any]:
         """All that its numbers depend on but what varies."""
         first, request = self.groups.first, self.choice.request
-        grid = request.grid(first.model, first.step)
+        steps = not request.is_event_driven or any(h is not None for h in (first.step, first.model.step, first.model.steps))
+        grid = request.grid(first.model, first.step) if steps else EVENT_DRIVEN_GRID
         return {
             "model": fingerprint(first.model, grid),
-            "step": first.step if first.step is not None else grid.h,
+            "step": first.step if first.step is not None else grid.h if steps else None,
             "columns": list(request.keep),
             "rows": f"{len(first.rows.times)} rows, {content_digest([first.rows.times])}",
             "outputs": {name: describe_output(one) for name, one in request.outputs.items()},

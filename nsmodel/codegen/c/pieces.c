@@ -829,6 +829,9 @@ static void record_piece(model_pieces *s, double length, double error)
     piece[AT_EVENT] = s->at.begun;
     piece[AT_EVENT_WIDTH] = s->at.begun != 0 ? s->at.event_width : 0;
     piece[AT_RESIDUAL] = NAN; /* that of steps */
+#if TANGENTS
+    memcpy(s->sides, s->at.choice, sizeof s->sides);
+#endif
 #if LAW
     for (int i = 0; i < M; i++) {
         piece[AT_IMPULSE + i] = s->at.begun != 0 ? s->at.impulse[i] : 0;

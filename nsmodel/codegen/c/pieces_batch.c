@@ -19,6 +19,11 @@ enum {
 @PIECE_CELLS@
 
 long model_row_width(void) { return ROW_WIDTH; }
+#if TANGENTS
+
+/* Of the memory that derivatives take. */
+long model_tangents_size(void) { return (long)sizeof(model_tangents); }
+#endif
 
 /* The value of a polynomial at s, term by term from the last: as whole runs have it. */
 static double term_by_term(const double *c, int order, double s)
@@ -148,6 +153,9 @@ static int begin_cell(model_pieces *s, const model_asked *of, model_piece_cells 
     memset(at->until, 0, M*sizeof *at->until);
     memset(at->told, 0, M*sizeof *at->told);
     const int status = begin_run(s, of, at->values + at->cell*MODEL_PIECES_NP, 0, at->starts + at->cell*N);
+#if TANGENTS
+    begin_tangents(s, (model_tangents *)at->tangents);
+#endif
     return status == MODEL_NOT_FINITE ? MODEL_BAD_PARAMETER : status == MODEL_OK && has_diverged(s) ? MODEL_NOT_FINITE : status;
 }
 
@@ -168,6 +176,13 @@ int model_run_cells(model_pieces *s, const model_asked *of, model_piece_cells *a
             if (++count % LOOK == 0 && (double)(clock() - first) > seconds*CLOCKS_PER_SEC)
                 return 0;
             status = at->made++ < at->most ? advance_piece(s) : MODEL_NOT_SOLVED;
+#if TANGENTS
+            if (status == MODEL_OK)
+                status = follow_piece(
+                    s, (model_tangents *)at->tangents, at->rows - at->row, at->times + at->row,
+                    at->slopes + (cell*at->rows + at->row)*(N + M)*BY
+                );
+#endif
             if (status == MODEL_OK)
                 write_rows(s, at);
             if (status == MODEL_OK && has_diverged(s))

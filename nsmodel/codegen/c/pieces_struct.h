@@ -94,6 +94,9 @@ typedef struct {
     int unknown; /* its rows */
     double lengths[MODEL_PIECES_OCTAVES + 1]; /* for which inverses are there */
 #endif
+#if TANGENTS
+    double sides[MODEL_PIECES_CHOICES + 1]; /* of switches on the last piece */
+#endif
     double piece[MODEL_PIECES_RECORD]; /* the last one; see the enum in @NAME@_pieces.c */
     double per_unit; /* 1 by its unit of time: exact, and a row is read without a division */
 #if STIFF
