@@ -107,10 +107,16 @@ def tangent_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
     )
 
 
+def _is_affine_in_each_mode(spec: PieceSpec) -> bool:
+    """Whether slopes by x and l are the same all along a piece."""
+    p, of = spec.problem, _on_sides(spec)
+    return not ca.depends_on(ca.veccat(*of.slopes), ca.veccat(p.t, p.x, p.l))
+
+
 def _tangent_tables() -> str:
-    """The nodes and the inverse of the matrix of each method."""
+    """The nodes, the weights and the inverse of the matrix of each method."""
     made = [(count, radau_collocation(count)) for count in TANGENT_STAGES]
-    numbers = {count: np.concatenate([of.nodes, of.inverse.ravel()]) for count, of in made}
+    numbers = {count: np.concatenate([of.nodes, np.linalg.inv(of.inverse)[-1], of.inverse.ravel()]) for count, of in made}
     text = f"#define FEWEST_TANGENT_STAGES {TANGENT_STAGES[0]}\n#define MOST_TANGENT_STAGES {TANGENT_STAGES[-1]}\n"
     text += "".join(c_table(f"tangent_{count}", own, str(own.size)) for count, own in numbers.items())
     return text + f"static const double *const tangent_tables[] = {{{', '.join(f'tangent_{count}' for count in numbers)}}};\n"
@@ -265,7 +271,7 @@ class PieceSpec:
             "HELD": p.held > 0, "IMPULSES": p.impulses, "REWRITTEN": p.multipliers is not None and p.multipliers.numel() > 0,
             "TIMED": bool(self.known or self.problem.held),
             "STIFF": 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
-            "TANGENTS": bool(self.by),
+            "TANGENTS": bool(self.by), "AFFINE_FLOW": bool(self.by) and _is_affine_in_each_mode(self),
             "GUESSED": law and not diagonal and 0 < p.x.numel() <= MAX_UNKNOWNS - p.l.numel(),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)

@@ -9,6 +9,11 @@
 #define TANGENT_UNKNOWNS (MOST_TANGENT_STAGES*N)
 #define TANGENT_WIDTH ((TANGENT_UNKNOWNS + BY + 3)/4*4) /* of a row of the equations of a step, right sides behind */
 #define DEEPEST 45 /* times that a piece is halved, at most */
+#if AFFINE_FLOW
+#define EXPONENTIAL_TERMS 24 /* of exp(A) where A is at most SHORT_PACE: the next one is rounding */
+#define SHORT_PACE 2.0 /* steps of which the exponential is a sum of powers, |h A| at most */
+#define CUT_PACE 4.0 /* parts that are cut into such ones; beyond it they are stiff */
+#endif
 #define TANGENT_PARTS 200000L /* halvings in a run, at most */
 #define TANGENT_SHARE 0.1 /* of rtol: what steps of two orders may differ by, beside the largest entry of a column */
 #define TANGENT_LOOSEST 1e-9 /* the most of that: up to here few stages do, and what they err by is far below it */
@@ -31,6 +36,9 @@ typedef struct {
 } model_linearised;
 
 typedef struct {
+#if AFFINE_FLOW
+    double flow[N*N], pace, moments[EXPONENTIAL_TERMS*N*BY]; /* S' = flow S + b on the last piece; its norm in units of the states */
+#endif
     double S[N*BY], size[N]; /* at the time reached; of the states */
     double lower_p[M*BY + 1], upper_p[M*BY + 1]; /* ends of the law */
     double piece[MODEL_PIECES_RECORD], sides[CHOICES + 1]; /* the piece before, and the sides of its switches */
@@ -246,11 +254,63 @@ IN_VECTORS static int solve_step(int n, double *restrict system)
     return 1;
 }
 
+#if AFFINE_FLOW
+/* flow (N, N) and its pace, of a piece that is linearised at a point. */
+static void take_flow(model_tangents *d, const model_linearised *at)
+{
+    memcpy(d->flow, at->F_x, sizeof d->flow);
+#if LAW
+    add_product(N, M, N, 1, at->F_l, at->by_state, d->flow);
+#endif
+    d->pace = 0;
+    for (int a = 0; a < N; a++) {
+        double sum = 0;
+        for (int b = 0; b < N; b++)
+            sum += fabs(d->flow[a*N + b])*d->size[b]/d->size[a];
+        d->pace = worse_of(sum, d->pace);
+    }
+}
+
+/* S over a part of a piece whose flow is constant: exp(h A) S and the integral of exp((1 - c) h A) h b, by the nodes of Radau IIA. */
+static int exponential_step(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
+{
+    const double h = (end - begin)*s->piece[AT_TAU];
+    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *weights = nodes + stages;
+    double rate[N*BY], sum[N*BY], last = 1;
+    int terms = 1;
+    while (terms < EXPONENTIAL_TERMS && last > EPS/8)
+        last *= h*d->pace/terms++;
+    memset(d->moments, 0, (size_t)terms*sizeof sum);
+    for (int j = 0; j < stages; j++) {
+        if (!linearise(s, d, s->piece, s->sides, &d->rows, begin + (end - begin)*nodes[j], &d->at))
+            return 0;
+        memcpy(rate, d->at.F_p, sizeof rate);
+#if LAW
+        add_product(N, M, BY, 1, d->at.F_l, d->at.own, rate);
+#endif
+        double share = h*weights[j];
+        for (int k = 0; k < terms && share != 0; k++) {
+            for (int i = 0; i < N*BY; i++)
+                d->moments[k*N*BY + i] += share*rate[i];
+            share *= 1 - nodes[j];
+        }
+    }
+    memset(next, 0, sizeof sum);
+    for (int k = terms - 1; k >= 0; k--) {
+        for (int i = 0; i < N*BY; i++)
+            sum[i] = d->S[i] + d->moments[k*N*BY + i];
+        add_product(N, N, BY, h/(k + 1), d->flow, next, sum);
+        memcpy(next, sum, sizeof sum);
+    }
+    return all_finite(N*BY, next);
+}
+#endif
+
 /* S over a part of the last piece by one step of Radau IIA; whether that is possible. */
 static int radau_step(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
 {
     const double h = (end - begin)*s->piece[AT_TAU];
-    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *inverse = nodes + stages;
+    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *inverse = nodes + 2*stages;
     const int unknowns = stages*N, width = (unknowns + BY + 3)/4*4;
     double rate[N*BY], flow[N*N];
     memset(d->system, 0, (size_t)unknowns*width*sizeof *d->system);
@@ -304,19 +364,37 @@ static int are_near(const model_pieces *s, const model_tangents *d, const double
     return 1;
 }
 
+/* S over a part of the last piece by steps of two orders: the higher one, and whether they agree; -1: there is none. */
+static int try_step(const model_pieces *s, model_tangents *d, double begin, double end, double *next)
+{
+    double low[N*BY];
+#if AFFINE_FLOW
+    const double pace = (end - begin)*s->piece[AT_TAU]*d->pace;
+    if (SHORT_PACE < pace && pace <= CUT_PACE)
+        return 0;
+    if (pace <= SHORT_PACE) {
+        const int found = exponential_step(s, d, MOST_TANGENT_STAGES - 1, begin, end, low) && exponential_step(s, d, MOST_TANGENT_STAGES, begin, end, next);
+        return found ? are_near(s, d, low, next) : -1;
+    }
+#endif
+    const int stages = allowed_of_step(s) < TANGENT_LOOSEST ? MOST_TANGENT_STAGES : FEWEST_TANGENT_STAGES + 1;
+    const int found = radau_step(s, d, stages - 1, begin, end, low) && radau_step(s, d, stages, begin, end, next);
+    return found ? are_near(s, d, low, next) : -1;
+}
+
 /* S from one point of the last piece to another: parts are halved until steps of two orders agree. */
 static int follow(model_pieces *s, model_tangents *d, double begin, double until)
 {
-    const int stages = allowed_of_step(s) < TANGENT_LOOSEST ? MOST_TANGENT_STAGES : FEWEST_TANGENT_STAGES + 1;
-    double ends[DEEPEST], low[N*BY], high[N*BY];
+    double ends[DEEPEST], next[N*BY];
     int top = 0;
     ends[0] = until;
     while (top >= 0) {
         const double end = ends[top];
-        if (!radau_step(s, d, stages - 1, begin, end, low) || !radau_step(s, d, stages, begin, end, high))
+        const int found = try_step(s, d, begin, end, next);
+        if (found < 0)
             return MODEL_NOT_SOLVED;
-        if (are_near(s, d, low, high)) {
-            memcpy(d->S, high, sizeof high);
+        if (found) {
+            memcpy(d->S, next, sizeof next);
             begin = end;
             top--;
             continue;
@@ -557,6 +635,11 @@ static int follow_piece(model_pieces *s, model_tangents *d, long count, const do
     }
 #else
     UNUSED(begins);
+#endif
+#if AFFINE_FLOW
+    if (status == MODEL_OK && !linearise(s, d, piece, s->sides, &rows, length/2, &d->at))
+        return MODEL_NOT_SOLVED;
+    take_flow(d, &d->at);
 #endif
     for (long r = 0; status == MODEL_OK && r < count && times[r] <= end; r++) {
         const double where = times[r] == end ? length : (times[r] - piece[AT_T])/piece[AT_TAU];
