@@ -8,6 +8,7 @@ are taken at once, as arrays.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import NamedTuple
 
@@ -21,6 +22,18 @@ from nsmodel.simulation.piece_sources import PieceBuffer
 STAGES = 8
 JUST_AFTER = 1e-9  # Of a piece.
 POINTS_AT_ONCE = 4096  # Points at which matrices are in memory together.
+
+
+TURN_POINTS = 32  # Of a piece, at which it is looked for where conditions come near a switch.
+TURN_ROUNDING = 1e-12  # Of the largest value of a condition: what is nearer to 0 has decayed, or is 0, and does not turn.
+
+
+class Turn(NamedTuple):
+    """Where a condition comes near a switch and turns back: its name, time, and least value beside the largest of the run."""
+
+    name: str
+    t: float
+    distance: float
 
 
 class TangentMaps(NamedTuple):
@@ -52,6 +65,12 @@ class TangentParts(NamedTuple):
 
     def __getitem__(self, which: np.ndarray) -> TangentParts:  # pyright: ignore[reportIncompatibleMethodOverride]
         return TangentParts(self.piece[which], self.begin[which], self.end[which])
+
+
+def _ends_of_runs(codes: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """Which of the points, of which the last of a piece is its end, are where its code (K,) becomes another."""
+    changes = np.append(codes[1:] != codes[:-1], False)
+    return changes[piece] & np.append(piece[1:] != piece[:-1], True)
 
 
 class PieceTangents:
@@ -131,6 +150,42 @@ class PieceTangents:
         """𝒜 and β (K, n, n), (K, n, q) of pieces at s."""
         at, of_state, own = self.linearised(piece, s)
         return at.rate.by_x + at.rate.by_l @ of_state, at.rate.by_p + at.rate.by_l @ own
+
+    def nearest_turn(self) -> Turn | None:
+        """The least value, to about a percent, that a condition has inside the run and not at its own switch."""
+        piece = np.repeat(np.arange(len(self.ends)), TURN_POINTS)
+        s = (self.ends[:, None] * np.arange(1, TURN_POINTS + 1) / TURN_POINTS).ravel()
+        t, nearest = self.pieces.t[piece] + self.pieces.tau[piece] * s, None
+        for name, values in self._conditions(piece, s):
+            before, here, after = values[:-2], values[1:-1], values[2:]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                turns = np.flatnonzero((here < before) & (here <= after))
+                least = here - (after - before) ** 2 / (8 * (before - 2 * here + after))  # Of the parabola through the three.
+            turns = turns[here[turns] > TURN_ROUNDING * np.nanmax(values, initial=0.0)]
+            if not turns.size:
+                continue
+            k = turns[int(least[turns].argmin())]
+            found = Turn(name, float(t[k + 1]), max(float(least[k]), 0.0) / float(np.nanmax(values)))
+            nearest = found if nearest is None or found.distance < nearest.distance else nearest
+        return nearest
+
+    def _conditions(self, piece: np.ndarray, s: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+        """Name and values of each, NaN where it is none, and where it becomes 0 as its own switch."""
+        n, m, equations = self._n, self._m, self.equations
+        both = evaluate_polynomials(self._series, piece, s)
+        curved = {i for rows in equations.curved.values() for i in range(rows.start, rows.stop)}
+        for i in (i for i in range(m) if i not in curved):
+            l, y, code = both[:, n + i], both[:, n + m + i], self.codes[piece, i]
+            own = _ends_of_runs(self.codes[:, i], piece)
+            for values, holds in ((np.abs(y), code != 0), *((np.abs(end[i] - l), code == 0) for end in equations.ends)):
+                if np.isfinite(values).all():
+                    yield equations.problem.rows[i], np.where(holds & ~own, values, np.nan)
+        if equations.branches:
+            watched = equations.watched(*self.values(piece, s), self.choices[piece])
+            for b, branch in enumerate(equations.branches):
+                own = _ends_of_runs(self.choices[:, b], piece)
+                if branch.kind == "side":
+                    yield equations.branch_names[b], np.where(own, np.nan, np.abs(watched[:, b]))
 
     def maps(self, parts: TangentParts) -> TangentMaps:
         """One step of Radau IIA over each part."""

@@ -75,7 +75,8 @@ class Sensitivity:
         before: (K, r, q) just before each time; other than ``jacobian`` where ``t`` is on an event.
         switches: what the run passes up to the last time, in order.
         margins: {"transversality": the least rate of a condition at its switch, beside its size over the length of the piece
-            before it; "at": the least distance of ``t`` to a switch whose time moves; "growth": the largest entry of S, each
+            before it; "graze": the least value at which a condition turns back before a switch, beside its largest, to about a
+            percent; "at": the least distance of ``t`` to a switch whose time moves; "growth": the largest entry of S, each
             state and number in its own size}.
         warnings: what is one-sided, nearly grazing, or lost in rounding.
         run: the trajectory.

@@ -440,12 +440,27 @@ def _report(
                     f"{_list(other)} by {', '.join(names)}: each order of the two has its own derivative; here both move "
                     f"with '{jump.name}'"
                 )
+    turn = tangents.nearest_turn()
+    if turn is not None and turn.distance < NEARLY_GRAZING:
+        warnings.append(
+            f"t = {turn.t:.6g}: '{turn.name}' comes to {turn.distance:.1g} of its largest value from a switch, and turns back: a "
+            "little further a switch comes, and derivatives are others"
+        )
     growth = float((np.abs(along.at_begin[:, :, columns]) / sizes * np.where(numbers > 0, numbers, 1.0)).max(initial=0.0))
     if growth * EPS > LARGE_GROWTH:
         warnings.append(
             f"S is {growth:.2g} times as large as what it is between: rounding in it is {growth * EPS:.1g} of the run"
         )
-    return tuple(switches), {"transversality": least, "at": nearest, "growth": growth}, tuple(warnings)
+    return (
+        tuple(switches),
+        {
+            "transversality": least,
+            "graze": np.inf if turn is None else turn.distance,
+            "at": nearest,
+            "growth": growth,
+        },
+        tuple(warnings),
+    )
 
 
 def _start_warnings(along: RunTangents, jump: SwitchJump, columns: Sequence[int]) -> list[str]:

@@ -164,13 +164,16 @@ class TangentEquations:
         other.values = np.array(values, float)
         return other
 
+    def watched(self, t: np.ndarray, x: np.ndarray, l: np.ndarray, choices: np.ndarray) -> np.ndarray:
+        """What the branches look at (K, b) at K points."""
+        return self._watched(np.column_stack([t, x, l, np.tile(self.values, (len(t), 1)), choices]))
+
     def choices(self, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The choices of the branches (K, b) at points inside of pieces; a branch may look at what others before it chose."""
         count, kinds = len(t), [branch.kind for branch in self.branches]
         chosen = np.ones((count, len(kinds)))
-        given = np.column_stack([t, x, l, np.tile(self.values, (count, 1))])
         for _ in kinds:
-            watched = self._watched(np.column_stack([given, chosen]))
+            watched = self.watched(t, x, l, chosen)
             found = np.column_stack([_choice(kind, column) for kind, column in zip(kinds, watched.T, strict=True)])
             if (found == chosen).all():
                 break

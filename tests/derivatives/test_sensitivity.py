@@ -115,6 +115,25 @@ def test_a_run_that_touches_a_switch_has_no_derivative_or_a_large_one():
     assert np.isfinite(sensitivity(model, by="x_0(0)", rtol=1e-12, compiled=False).jacobian).all()
 
 
+def test_how_near_a_condition_comes_to_a_switch_that_it_does_not_reach():
+    """A parabola over the edge of |y|; a force that friction holds; none where conditions are 0 at their own switches alone."""
+    x, gap, t = ca.SX.sym("x", 2), ca.SX.sym("gap"), ca.SX.sym("t")
+    model = FirstOrderSystem(x=x, f=[1, ca.fabs((x[0] - 1) ** 2 + gap)], x0=[0, 0], parameters={gap: 1e-6}, t_end=3.0, step=0.01)
+    near = sensitivity(model, by="gap")
+    assert 2.4e-7 < near.margins["graze"] < 2.6e-7  # 1e-6 of 4
+    (warning,) = near.warnings
+    assert "'a switch in f' comes to 2" in warning
+    far = sensitivity(model, by="gap", parameters={"gap": 0.1})
+    np.testing.assert_allclose(far.margins["graze"], 0.1 / 4.1, rtol=0.02)
+    assert not far.warnings
+    held = LureSystem(A=[[0]], B=[1], C=[1], f=[A * ca.sin(t)], t=t, law=relay(1), x0=[0], parameters={A: 0.9}, t_end=9, step=0.1)
+    np.testing.assert_allclose(sensitivity(held, by="a").margins["graze"], 0.1 / 1.9, rtol=0.02)
+    decays = LureSystem(A=[[-3]], B=[1], C=[1], law=relay(1, -A, A), D=[1], x0=[2], parameters={A: 0.3}, t_end=20, step=0.1)
+    assert sensitivity(decays, by="a").margins["graze"] > 1e-3
+    crosses = LureSystem(A=[[0]], B=[1], C=[1], f=[2], law=relay(1), x0=[-1.0], t_end=2.0, step=0.1)
+    assert sensitivity(crosses, by="x(0)").margins["graze"] == np.inf
+
+
 def test_growth_is_warned_of():
     x = ca.SX.sym("x")
     model = FirstOrderSystem(x=x, f=[12 * (x - 1)], x0=[1.0], t_end=3.2, step=0.1)
