@@ -2,6 +2,8 @@
 
 What follows from a model alone is computed once: models, and problems made of them, do not change.
 
+What is near where a name is none.
+
 Packages that not everybody needs, imported when something asks for them.
 
 What a notebook asks of results: their HTML, and whether there is one at all.
@@ -19,6 +21,8 @@ from __future__ import annotations
 
 import builtins
 import contextlib
+import difflib
+import inspect
 import os
 import re
 import sys
@@ -39,6 +43,8 @@ import numpy as np
 
 from nsmodel.errors import MissingExtraError
 
+T = TypeVar("T", bound=Callable[..., Any])
+
 
 def lazy_attributes(package: str, names: Mapping[str, Sequence[str]]) -> None:
     """Let a package have names that are taken from its modules at their first use.
@@ -54,7 +60,7 @@ def lazy_attributes(package: str, names: Mapping[str, Sequence[str]]) -> None:
     class LazyPackage(ModuleType):
         def __getattr__(self, name: str) -> Any:
             if name not in module_of:
-                raise AttributeError(f"module {package!r} has no attribute {name!r}")
+                raise AttributeError(f"module {package!r} has no attribute {name!r}{did_you_mean(name, dir(self))}")
             value = vars(self)[name] = getattr(import_module(module_of[name]), name)
             return value
 
@@ -66,6 +72,38 @@ def lazy_attributes(package: str, names: Mapping[str, Sequence[str]]) -> None:
             return sorted({*vars(self), *module_of})
 
     sys.modules[package].__class__ = LazyPackage
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A question with what is near among the names that there are, as the end of a message; "" where nothing is."""
+    near = difflib.get_close_matches(str(name), [str(one) for one in known], 1, 0.5)
+    return f". Did you mean '{near[0]}'?" if near else ""
+
+
+def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse a keyword argument that is none.
+
+    Raises:
+        TypeError: with the name that is near.
+    """
+    known = tuple(known)
+    for name in given:
+        if name not in known:
+            raise TypeError(f"{what}() got an unexpected keyword argument {name!r}{did_you_mean(name, known)}")
+
+
+def checks_keywords(function: T) -> T:
+    """The function, which answers a keyword argument that it does not have by what is near."""
+    known = tuple(inspect.signature(function).parameters)
+
+    @wraps(function)
+    def checked(*positional: Any, **given: Any) -> Any:
+        if not known_names.issuperset(given):
+            check_keywords(function.__name__, given, known)
+        return function(*positional, **given)
+
+    known_names = frozenset(known)
+    return checked  # pyright: ignore[reportReturnType]
 
 
 def former_names(module: str, **names: str) -> Callable[[str], Any]:
@@ -82,9 +120,6 @@ def former_names(module: str, **names: str) -> Callable[[str], Any]:
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
 
     return __getattr__
-
-
-T = TypeVar("T", bound=Callable[..., Any])
 
 
 def cached_per_object(function: T) -> T:

@@ -5,7 +5,6 @@ By: a parameter ("a", or its symbol), a start ("x(0)"), a number of a signal ("u
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.derivatives.known_times import SignalNumber
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
@@ -79,11 +79,10 @@ def _names_of(one: Any) -> list[str]:
 
 
 def _unknown_direction(name: str, known: Sequence[str]) -> str:
-    near = [start_name(name)] if start_name(name) in known else difflib.get_close_matches(name, known, 1)
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
-    hint = f" Did you mean '{near[0]}'?" if near else ""
+    hint = did_you_mean(name, [start_name(name)] if start_name(name) in known else known)
     return (
-        f"by: '{name}' is no parameter, start or number of a signal of this model; there are {listed or 'none'}.{hint} A "
+        f"by: '{name}' is no parameter, start or number of a signal of this model; there are {listed or 'none'}{hint or '.'} A "
         "constant of the model file becomes a parameter by a symbol: k = ca.SX.sym('k'), and parameters={k: 2.0} in the model"
     )
 

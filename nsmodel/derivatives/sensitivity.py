@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object_and_key
+from nsmodel._utils import cached_per_object_and_key, checks_keywords
 from nsmodel.derivatives.known_times import KnownTimes
 from nsmodel.derivatives.piece_tangents import PieceTangents
 from nsmodel.derivatives.quantities import read_directions, read_times
@@ -43,6 +43,7 @@ NEARLY_GRAZING = 1e-4  # The rate of a guard beside its largest value on the pie
 SAME_ANSWER = 1e-6  # Two guards at once: answers that differ by less of the largest entry are one.
 
 
+@checks_keywords
 def sensitivity(
     model: Model,
     *,

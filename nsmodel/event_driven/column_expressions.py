@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
 
+from nsmodel._utils import did_you_mean
 from nsmodel.errors import UsageError
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.modeling.base import Model
@@ -76,6 +76,4 @@ def read_outputs(
 
 
 def _unknown_output(name: str, known: Mapping[str, ca.SX], label: str) -> str:
-    near = difflib.get_close_matches(name, list(known), 1)
-    hint = f". Did you mean '{near[0]}'?" if near else ""
-    return f"{label}: '{name}' is no column of runs of this model; there are {', '.join(known)}{hint}"
+    return f"{label}: '{name}' is no column of runs of this model; there are {', '.join(known)}" + did_you_mean(name, known)

@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import checks_keywords
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import region as uniform
 from nsmodel.hypotheses.along_run import findings_along_run, time_limit_clauses
@@ -127,6 +128,7 @@ def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
     return HYPOTHESIS_CHECKS.of(kind).hypotheses
 
 
+@checks_keywords
 @np.errstate(all="ignore")  # A model is looked at where it overflows and where it has no value, too.
 def check(
     model: Model,

@@ -6,7 +6,6 @@ What ``help`` says of a class of models: its own arguments and those of all clas
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from typing import Any, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import html_repr, one_line
+from nsmodel._utils import check_keywords, did_you_mean, html_repr, one_line
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.modeling.conversion import Converter, declare
 from nsmodel.modeling.description import describe_model
@@ -150,6 +149,11 @@ class Model(Picklable):
         super().__init_subclass__(**options)
         cls.__doc__ = add_common_arguments(cls.__doc__, Model.__doc__)
 
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        """Refuse a keyword that is none, with what is near."""
+        check_keywords(cls.__name__, given, inspect.signature(cls.__init__).parameters)
+        return super().__new__(cls)
+
     __signature__ = OwnArgumentsFirst()
     __repr__ = describe_model
     _repr_html_ = html_repr("model_html")
@@ -250,8 +254,14 @@ class Model(Picklable):
             if symbol.name() not in allowed:
                 raise ModelError(
                     f"{label} depends on '{symbol.name()}', but may depend only on {', '.join(sorted(allowed)) or 'numbers'}; "
-                    + (self.of_time if symbol.name() in {str(s) for s in (self.t, *ca.symvar(self.u))} else MOVE_TERM_HINT)
+                    + self._where_to_put(symbol.name())
                 )
+
+    def _where_to_put(self, name: str) -> str:
+        """What to do with a symbol that an argument may not depend on."""
+        if name in {str(s) for s in ca.symvar(self.u)}:
+            return f"{self.of_time}; FirstOrderSystem takes inputs anywhere"
+        return self.of_time if name == str(self.t) else MOVE_TERM_HINT
 
     def _named_constraints(
         self, converter: Converter, constraints: Any, allow: Sequence[ca.SX]
@@ -384,10 +394,9 @@ class Model(Picklable):
                 {name, group} & {*known, *bounds, *self.has, *ARRAYS_WITH_UNITS, *RESERVED_RUN_NAMES}
                 or group.startswith(KINK_PREFIXES)
             ):
-                hint = difflib.get_close_matches(name, known, 1)
                 raise ModelError(
                     f"units: '{name}' is no state, multiplier or time; the model has {', '.join(dict.fromkeys(known))}"
-                    + (f". Did you mean '{hint[0]}'?" if hint else "")
+                    + did_you_mean(name, known)
                 )
 
     def _check_defined(self, given: str) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.pickling import Picklable
 
@@ -37,6 +37,7 @@ class Block(Picklable):
     __repr__ = short_repr
 
 
+@checks_keywords
 def sampled(
     name: str,
     *,
@@ -73,6 +74,7 @@ def sampled(
     return _make_block(name, float(period), float(offset), memory, outputs, update, start, values)
 
 
+@checks_keywords
 def each_step(
     name: str,
     *,

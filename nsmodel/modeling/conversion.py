@@ -85,7 +85,7 @@ def check_declared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None
             fix = (
                 f"'{whole}' is declared as one number; give parameters={{'{whole}': [...]}} as many as it has entries"
                 if whole in symbols
-                else "add it to parameters={...} or declare it as x=, t="
+                else "add it to parameters={...}, to inputs={...} if it is a signal, or declare it as x=, t="
             )
             raise ModelError(
                 f"{label} uses the symbol '{name}', which is not declared: {fix}; declared are {', '.join(symbols) or 'none'}"

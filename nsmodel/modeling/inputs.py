@@ -5,7 +5,6 @@ What drives a model: the inputs that it is given, and behind them what its block
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -14,6 +13,7 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.modeling.blocks import DeclaredBlock, declare_blocks, has_held_duty, held_signals, latched_pwm, make_model_blocks
 from nsmodel.modeling.conversion import Converter, DeclaredSymbols, declare, entry_names, is_casadi, is_sympy
@@ -92,10 +92,8 @@ def signals_by_name(given: Any, names: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in given.items():
         name = key if isinstance(key, str) else declare(key, "inputs").stem or ", ".join(declare(key, "inputs").names)
         if name not in names:
-            hint = difflib.get_close_matches(name, list(names), 1)
             raise UsageError(
-                f"input '{name}' is not declared; the model has {', '.join(names) or 'none'}"
-                + (f". Did you mean '{hint[0]}'?" if hint else "")
+                f"input '{name}' is not declared; the model has {', '.join(names) or 'none'}" + did_you_mean(name, names)
             )
         if name in found:
             raise UsageError(f"input '{name}' is given twice; keep one")

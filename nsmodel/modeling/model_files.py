@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import did_you_mean, short_repr
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.pickling import MODULE_PREFIX, current_path, execute_module, folder_importable, module_spec
@@ -158,10 +158,9 @@ def load_with_values(path: str | Path, values: Mapping[str, Any]) -> tuple[Model
     for name in values:
         if name not in own and name not in declared:
             _check_not_constant(name, path)
-            hint = difflib.get_close_matches(name, [*(taken or ()), *declared], 1)
             raise UsageError(
                 f"{path} takes no '{name}': arguments of model() are {', '.join(taken or ()) or 'none'}, parameters of the model "
-                f"{', '.join(declared) or 'none'}" + (f". Did you mean '{hint[0]}'?" if hint else "")
+                f"{', '.join(declared) or 'none'}" + did_you_mean(name, [*(taken or ()), *declared])
             )
     return model, {name: value for name, value in values.items() if name in declared}
 
@@ -236,7 +235,14 @@ def _run_file_code(action: Callable[[], Any], path: Path) -> Any:
         raise type(error)(f"{path}:{_error_line(error, path)}: {error}") from error
     except (Exception, SystemExit) as error:
         what = error.msg if isinstance(error, SyntaxError) else error
-        raise ModelError(f"{path}:{_error_line(error, path)}: {type(error).__name__}: {what}") from error
+        hint = SYMBOLIC_CONDITION if "truth value of a CasADi" in str(error) else ""
+        raise ModelError(f"{path}:{_error_line(error, path)}: {type(error).__name__}: {what}{hint}") from error
+
+
+SYMBOLIC_CONDITION = (
+    " A condition on a state has no value while the model is written: ca.if_else(x > 0, a, b) is a field that switches, a law "
+    "(relay, complementarity) says what holds on the switch, a block what an event sets"
+)
 
 
 def _error_line(error: BaseException, path: Path) -> int | str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.outputs import Quantity, parse_entry_name
@@ -77,10 +77,8 @@ def evaluate_quantity(quantity: Quantity, names: ColumnNames, arrays: ColumnArra
         if column is None:
             known = ["t", *names.states, *names.multipliers, *names.inputs, *names.parameters]
             known += [name for name in arrays if name not in ("t", "x", "inputs") and not name.startswith("piece_")]
-            hint = difflib.get_close_matches(name, known, 1)
             raise UsageError(
-                f"{label}: '{name}' is not there; there are {', '.join(dict.fromkeys(known))}"
-                + (f". Did you mean '{hint[0]}'?" if hint else "")
+                f"{label}: '{name}' is not there; there are {', '.join(dict.fromkeys(known))}" + did_you_mean(name, known)
             )
         given[:, k] = column
     return quantity(given)

@@ -7,7 +7,6 @@ Arguments that all classes share: units, names of the states, the steps.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import fields, is_dataclass, replace
@@ -17,6 +16,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.modeling.conversion import DeclaredSymbols, common_stem, declare
 
@@ -75,13 +75,11 @@ def scalar_values(values: Any, known: Mapping[str, Any], vectors: Mapping[str, n
             names = whole
         for name in names.ravel().tolist():
             if name not in known:
-                hint = difflib.get_close_matches(name, [*vectors, *known], 1)
                 raise UsageError(
                     f"parameter '{name}' is not declared; the model has {', '.join(gather_values(known, vectors)) or 'none'}"
                     + (
-                        f". Did you mean '{hint[0]}'?"
-                        if hint
-                        else f"; an argument of a file's model() goes to load(FILE, {name}=...)"
+                        did_you_mean(name, [*vectors, *known])
+                        or f"; an argument of a file's model() goes to load(FILE, {name}=...)"
                     )
                 )
             if name in found:

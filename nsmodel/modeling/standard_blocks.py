@@ -10,10 +10,12 @@ from typing import Any
 
 import casadi as ca
 
+from nsmodel._utils import checks_keywords
 from nsmodel.errors import ModelError
 from nsmodel.modeling.block import Block, each_step, sampled
 
 
+@checks_keywords
 def hysteresis(
     u: Any, y: Any, low: Any, high: Any, *, start: float, below: float = 1.0, above: float = 0.0, period: float | None = None
 ) -> Block:
@@ -29,6 +31,7 @@ def hysteresis(
     return _memory_block(f"hysteresis {u}", period, {u: start}, update, {u: (start, below, above)})
 
 
+@checks_keywords
 def latch(q: Any, set: Any, reset: Any, *, start: float = 0.0, period: float | None = None) -> Block:
     """``q`` is 0 once reset >= 0, else 1 once set > 0, and stays as it is between; reset wins.
 
@@ -41,6 +44,7 @@ def latch(q: Any, set: Any, reset: Any, *, start: float = 0.0, period: float | N
     return _memory_block(f"latch {q}", period, {q: start}, update, {q: (start, 0, 1)})
 
 
+@checks_keywords
 def thyristor(q: Any, gate: Any, current: Any, *, period: float | None = None) -> Block:
     """``q`` is 1 once gate > 0, and stays 1 until gate <= 0 and current <= 0.
 
@@ -55,6 +59,7 @@ def thyristor(q: Any, gate: Any, current: Any, *, period: float | None = None) -
     return _memory_block(f"thyristor {q}", period, {q: 0.0}, {q: fired}, {q: (0, 1)})
 
 
+@checks_keywords
 def delay(w: Any, y: Any, *, samples: int, period: float, start: float = 0.0) -> Block:
     """``w`` is what y was so many ticks ago.
 
@@ -73,6 +78,7 @@ def delay(w: Any, y: Any, *, samples: int, period: float, start: float = 0.0) ->
     return sampled(f"delay {w}", period=period, memory=dict.fromkeys(line, start), outputs={w: line[-1]}, update=follow)
 
 
+@checks_keywords
 def pid(
     w: Any,
     e: Any,
@@ -105,6 +111,7 @@ def pid(
     )  # fmt: skip
 
 
+@checks_keywords
 def dead_time(on: Any, off: Any, command: Any, t: Any, *, delay: float, period: float | None = None) -> Block:
     """Two switches of a leg, never both on: ``on`` follows command > 0, ``off`` the opposite, ``delay`` later each.
 

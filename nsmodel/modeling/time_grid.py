@@ -131,6 +131,8 @@ def make_grid(
         raise UsageError("no time step: give the model step=, or the run step=H (--step H)")
     T = float(model.t_end if t_end is None else t_end)
     ratio = T / h
+    if ratio < 1 - 1e-9:
+        raise UsageError(f"step = {h:g} is longer than the run, which ends at t_end = {T:g}; choose a step of at most {T:g}")
     if ratio > 1e12:
         raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
     drive = input_schedule(model, T) if driven else None

@@ -5,7 +5,6 @@ Starts as parameters: where runs begin becomes something that they are given.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from copy import copy
 from types import MappingProxyType
@@ -14,6 +13,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import has_held_duty, model_ticks
@@ -175,9 +175,8 @@ def with_start(model: M, starts: Mapping[str, Any]) -> M:
     fields: dict[str, ca.SX] = {}
     for state, value in starts.items():
         if state not in known:
-            hint = difflib.get_close_matches(state, list(known), 1)
             available = f"there are {', '.join(known)}" if known else f"{type(model).__name__} has its start in its own arguments"
-            raise UsageError(f"start: '{state}' is no state; {available}" + (f". Did you mean '{hint[0]}'?" if hint else ""))
+            raise UsageError(f"start: '{state}' is no state; {available}" + did_you_mean(state, known))
         field, entry = known[state]
         fields.setdefault(field, ca.SX(getattr(model, field)))[entry] = value
     other = model.__copy__()

@@ -15,7 +15,7 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, TypeVar, get_type_hints
 
-from nsmodel._utils import DEFAULT_TOLERANCE
+from nsmodel._utils import DEFAULT_TOLERANCE, check_keywords
 from nsmodel.errors import UsageError
 from nsmodel.modeling.inputs import Signals
 from nsmodel.modeling.parameters import Values
@@ -400,9 +400,7 @@ def takes_options(keywords: Any, before: str | None = None) -> Callable[[F], F]:
 
         @functools.wraps(function)
         def checked(*positional: Any, **given: Any) -> Any:
-            for name in given:
-                if name not in signature.parameters:
-                    raise TypeError(f"{function.__name__}() got an unexpected keyword argument {name!r}")
+            check_keywords(function.__name__, given, signature.parameters)
             return function(*positional, **given)
 
         documented: Any = checked

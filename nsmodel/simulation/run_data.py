@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.errors import StorageError, UsageError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.modeling.base import Model
@@ -137,7 +138,10 @@ class RunData:
 
     def _get_array(self, name: str) -> np.ndarray:
         if name not in self.arrays:
-            raise AttributeError(f"this run has no '{name}'; it has {', '.join(self._attribute_names())}")
+            known = self._attribute_names()
+            raise AttributeError(
+                f"this run has no '{name}'; it has {', '.join(known)}{did_you_mean(name, [*known, *dir(type(self))])}"
+            )
         return self.arrays[name]
 
     def _attribute_names(self) -> list[str]:

@@ -12,6 +12,7 @@ from itertools import product
 
 import numpy as np
 
+from nsmodel._utils import checks_keywords
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.hypotheses.along_run import CONTINUITY_HYPOTHESIS, QUALIFICATION_HYPOTHESIS
 from nsmodel.hypotheses.check import check, with_start
@@ -39,6 +40,7 @@ PREMISES = ("S-convex", "O-theta", "O-g", "4.1", "5.1", "5.2", "M-T", "M-C")  # 
 SINGLE_SOLVERS = ("daqp", "lemke", "ipopt")  # The first that applies is run alone.
 
 
+@checks_keywords
 def stress(
     model: Model,
     *,

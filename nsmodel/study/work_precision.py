@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import DEFAULT_TOLERANCE, has_live_display
+from nsmodel._utils import DEFAULT_TOLERANCE, checks_keywords, has_live_display
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.hypotheses.along_run import findings_along_run
 from nsmodel.hypotheses.check import check
@@ -209,6 +209,7 @@ EVENT_DRIVEN_WORK_RATIO = 2.0  # Of pieces.
 BUDGET_SHARES = {"reference": 1 / 3, SCHEME_LINE: 1 / 4, SOLVER_LINE: 1 / 16}  # Parts of the budget that one of these may take.
 
 
+@checks_keywords
 def study(
     model: Model,
     *,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, former_names, html_repr, import_extra
+from nsmodel._utils import did_you_mean, display, escape_invisible, former_names, html_repr, import_extra
 from nsmodel.errors import MissingExtraError, StepError, StorageError, UsageError
 from nsmodel.files.archive import StoredArrays, map_archive, write_npz
 from nsmodel.files.storage import dumps, replace_atomically, write_csv
@@ -216,7 +216,8 @@ class Sweep:
     def __getattr__(self, name: str) -> Variable:
         """Find a quantity by its name."""
         if name.startswith("_") or "cells" not in vars(self) or name not in self.cells:
-            raise AttributeError(f"this sweep has no '{name}'; it has {', '.join(vars(self).get('cells', ()))}")
+            known = vars(self).get("cells", ())
+            raise AttributeError(f"this sweep has no '{name}'; it has {', '.join(known)}{did_you_mean(name, known)}")
         return self[name]
 
     def __dir__(self) -> list[str]:

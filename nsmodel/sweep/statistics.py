@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import bdtr, ndtri, stdtrit
 
-from nsmodel._utils import escape_invisible, html_repr, one_line, short_repr
+from nsmodel._utils import checks_keywords, escape_invisible, html_repr, one_line, short_repr
 from nsmodel.errors import UsageError
 from nsmodel.sweep.variable import (
     Over,
@@ -135,6 +135,7 @@ class Share:
         return self.text
 
 
+@checks_keywords
 def share(condition: Any, over: Over = None, level: float | None = 0.95, replicates: str | None = None) -> Share:
     """Return the share of cells in which a condition holds, with its Wilson interval, and failed cells beside it.
 
@@ -297,6 +298,7 @@ class Statistics:
         return self.text
 
 
+@checks_keywords
 def statistics(
     variable: Any, over: Over = None, quantiles: Sequence[float] = (0.05, 0.5, 0.95), level: float | None = 0.95,
     replicates: str | None = None,

@@ -160,7 +160,7 @@ SYMBOLS = [
     (
         lure,
         {"A": [[k, 0], [0, 1]]},
-        "A uses the symbol 'k', which is not declared: add it to parameters={...} or declare it as x=, t=; declared are x_0, x_1",
+        "A uses the symbol 'k', which is not declared: add it to parameters={...}, to inputs={...} if it is a signal, or declare it as x=, t=; declared are x_0, x_1",
     ),
     (lure, {"B": [0, k]}, "B uses the symbol 'k', which is not declared"),
     (lure, {"f": [t, 0]}, "f uses the symbol 't', which is not declared"),
@@ -993,3 +993,43 @@ def test_index_sets_that_were_not_tried_are_no_proof():
     with pytest.raises(StepError) as failed:
         simulate(model)
     assert "index sets" not in str(failed.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: LureSystem(A=[[0]], B=[1], C=[1], laww=relay(1), x0=[1], t_end=1), r"LureSystem\(\) .* 'laww'. Did you mean 'law'"),
+        (lambda: relay(1, lowr=-1), "'lowr'. Did you mean 'lower'"),
+        (lambda: nsmodel.pwm(1.0, 0.5, phas=0.2), "'phas'. Did you mean 'phase'"),
+        (lambda: nsmodel.sampled("c", perod=1), "'perod'. Did you mean 'period'"),
+        (lambda: nsmodel.sensitivity(None, by="a", outputts="x"), "'outputts'. Did you mean 'outputs'"),
+        (lambda: nsmodel.simulate(None, rtoll=1e-6), "'rtoll'. Did you mean 'rtol'"),
+        (lambda: nsmodel.check(None, parametres={}), "'parametres'. Did you mean 'parameters'"),
+    ],
+)
+def test_a_misspelt_keyword_is_answered_by_what_is_near(call, message):
+    with pytest.raises(TypeError, match=message):
+        call()
+
+
+def test_misspelt_attributes_and_words_of_newcomers(tmp_path):
+    """Attributes of runs, sweeps and the package; a condition on a symbol; inputs in A; a step longer than the run."""
+    p, u, x = ca.SX.sym("p"), ca.SX.sym("u"), ca.SX.sym("x")
+    given = {"A": [[0]], "B": [1], "C": [1], "law": relay(1), "x0": [1], "t_end": 1.0}
+    model = LureSystem(**given, step=0.1, parameters={p: 1.0})
+    with pytest.raises(AttributeError, match="this run has no 'multiplers'; .* Did you mean 'multipliers'"):
+        _ = nsmodel.simulate(model).multiplers
+    with pytest.raises(AttributeError, match="this sweep has no 'sttaus'; .* Did you mean 'status'"):
+        _ = nsmodel.sweep(model, grid={"p": [1.0]}, keep="x").sttaus
+    with pytest.raises(AttributeError, match="Did you mean 'simulate'"):
+        _ = nsmodel.simulte
+    with pytest.raises(ModelError, match="A depends on 'u'.*FirstOrderSystem takes inputs anywhere"):
+        LureSystem(**given | {"A": [[u]]}, inputs={u: 1.0})
+    with pytest.raises(ModelError, match=r"'u', which is not declared: .* to inputs=\{...\} if it is a signal"):
+        nsmodel.FirstOrderSystem(x=x, f=[u - x], x0=[1], t_end=1.0)
+    with pytest.raises(UsageError, match="step = 5 is longer than the run, which ends at t_end = 1"):
+        nsmodel.simulate(model, step=5.0)
+    file = tmp_path / "condition.py"
+    file.write_text('import casadi as ca\nx = ca.SX.sym("x")\nf = -1 if x > 0 else 1\nmodel = None\n')
+    with pytest.raises(ModelError, match=r"condition.py:3: .*ca.if_else\(x > 0, a, b\)"):
+        nsmodel.load(file)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.laws.base import (
     STATE_UPPER,
@@ -161,6 +161,7 @@ class Ball(LawFactor):
         return {"radius": float(self.radius)}
 
 
+@checks_keywords
 def ball(m: int, radius: Any = 1) -> Law:
     """-y ∈ N(l) for {|l| <= radius} in R^m: isotropic Coulomb friction; l = -radius y/|y| where y != 0.
 

@@ -25,7 +25,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import join_within_width
+from nsmodel._utils import checks_keywords, join_within_width
 from nsmodel.errors import ModelError
 from nsmodel.modeling.pickling import Picklable
 
@@ -525,6 +525,7 @@ class Law(Picklable):
         return found
 
 
+@checks_keywords
 def product(*laws: Law) -> Law:
     """Several laws side by side: l and y are stacked in the order given.
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.laws.base import (
     STATE_LOWER,
@@ -155,16 +155,19 @@ def _interval_latex(low: str, high: str) -> str:
     return rf"\left{left}{low},\ {high}\right{right}"
 
 
+@checks_keywords
 def equality(m: int) -> Law:
     """y = 0 with l free, m components."""
     return make_box_law("equality", m, -np.inf, np.inf)
 
 
+@checks_keywords
 def complementarity(m: int) -> Law:
     """0 <= y ⟂ l >= 0, m components."""
     return make_box_law("complementarity", m, 0, np.inf)
 
 
+@checks_keywords
 def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
     """Relay: l = upper where y < 0, l = lower where y > 0, anything between where y = 0 (l ∈ -Sgn(y) for [-1, 1]).
 
@@ -173,6 +176,7 @@ def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
     return make_box_law("relay", m, lower, upper)
 
 
+@checks_keywords
 def box(lower: Any, upper: Any) -> Law:
     """-y ∈ N_[lower, upper](l); an infinite end is allowed on one or both sides. The longer argument gives m.
 

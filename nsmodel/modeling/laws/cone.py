@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.modeling.laws.base import (
     STATE_NOTHING,
     STATE_UPPER,
@@ -129,6 +129,7 @@ class Cone(LawFactor):
         return {}
 
 
+@checks_keywords
 def second_order_cone(m: int) -> Law:
     """K = {l : |(l_2, ..., l_m)| <= l_1}, self-dual: K ∋ l ⟂ y ∈ K. For m = 1 this is complementarity."""
     m = check_count("second_order_cone", m)

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.laws.base import (
     STATE_NOTHING,
@@ -311,6 +311,7 @@ def shifted_at_rows(y: np.ndarray, mu: Any) -> np.ndarray:
     return np.hstack([y[:, :1] + mu * np.linalg.norm(y[:, 1:], axis=1, keepdims=True), y[:, 1:]])
 
 
+@checks_keywords
 def coulomb(mu: Any, slip: int = 1) -> Law:
     """Unilateral contact with Coulomb friction: l = (P_N, P_T), y = (y_N, y_T), 1 + ``slip`` rows each.
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.laws.base import (
     STATE_UPPER,
@@ -208,6 +208,7 @@ def _rational_root(number: Fraction) -> Fraction | None:
     return Fraction(over, under) if (over**2, under**2) == (number.numerator, number.denominator) else None
 
 
+@checks_keywords
 def ellipsoid(Q: Any) -> Law:
     """-y ∈ N(l) for {l : l'Q l <= 1}, anisotropic Coulomb friction; l = -Q^-1 y / sqrt(y'Q^-1 y) where y != 0.
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.laws.base import (
     Halfspaces,
@@ -86,6 +86,7 @@ class Polyhedron(LawFactor):
         return {"H": self.H, "K": self.K}
 
 
+@checks_keywords
 def polyhedron(H: Any, K: Any) -> Law:
     """-y ∈ N(l) for {l : H l >= K}; H (r, m), K (r,), numbers.
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.modeling.pickling import Picklable
 
@@ -293,6 +293,7 @@ def read_numbers(label: str, what: str, value: Any, *dimensions: int) -> np.ndar
     return array
 
 
+@checks_keywords
 def within(low: Any, high: Any, rate: Any = None, *, start: Any = None) -> Within:
     """All signals u with low <= u(t) <= high; with ``rate`` those that are Lipschitz, |u(t) - u(s)| <= rate |t - s|.
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object, short_repr
+from nsmodel._utils import cached_per_object, checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
     ROUND_UP_FACTOR,
@@ -165,6 +165,7 @@ def function_values(function: Callable[[Any], Any], t: float, label: str) -> np.
     return read_numbers(label, f"its value at t = {t:.10g}", value, 0, 1).ravel()
 
 
+@checks_keywords
 def signal(function: Any, *, edges: Edges = (), name: str | None = None) -> Signal:
     """A signal that a Python function t -> number or (nu,) gives, or an expression of the model's time.
 

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
     NEAR_TOLERANCE,
@@ -202,6 +202,7 @@ def _is_expression(value: Any) -> bool:
     return isinstance(value, ca.SX | ca.MX) or hasattr(value, "free_symbols")
 
 
+@checks_keywords
 def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high: float = 1.0, kind: str = "trailing") -> Pwm:
     """A signal that is ``high`` for the part ``duty`` of each ``period``, and ``low`` for the rest; its edges are exact.
 

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from nsmodel._utils import cached_per_object, short_repr
+from nsmodel._utils import cached_per_object, checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
     NEAR_TOLERANCE,
@@ -231,6 +231,7 @@ def _spline_extremes(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return low, high, slope
 
 
+@checks_keywords
 def table(t: Any, values: Any, kind: str = "hold", *, after: str = "hold", period: float | None = None) -> Table:
     """A signal given by rows.
 
@@ -323,6 +324,7 @@ class Steps(Signal):
         return rows, rows
 
 
+@checks_keywords
 def steps(values: Any) -> Steps:
     """A signal that is held over each step of the run's grid: values (N,), or (N, nu), a row a step.
 

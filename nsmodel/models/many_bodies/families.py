@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import short_repr
+from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.parameters import describe_argument
 from nsmodel.modeling.pickling import Picklable
@@ -185,6 +185,7 @@ class Family(Picklable):
         return -ca.substitute(self.g, ca.vertcat(q, p), ca.SX.zeros(2 * q.numel())) if is_distance(self.g, q, p) else None
 
 
+@checks_keywords
 def neighbours(count: int) -> np.ndarray:
     """The pairs (0, 1), (1, 2), ... of a chain (count - 1, 2)."""
     return np.column_stack([np.arange(count - 1), np.arange(1, count)])
