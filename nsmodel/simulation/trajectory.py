@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class Trajectory(RunData):
 
     The state is also an attribute under the user's own symbols (``run.q``, (N+1, k); (N+1,) for a scalar symbol), each
     state under its name, each further array under its own (``run.energy``), and each multiplier that the model names
-    (``run.friction``); AttributeError lists what there is.
+    (``run.friction``); AttributeError lists what there is. ``run["name"]`` finds any column, an output among them, by its name.
     """
 
     arrays: dict[str, np.ndarray]
@@ -61,6 +61,23 @@ class Trajectory(RunData):
             raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
         whole = self.is_event_driven and len(self.arrays["piece_start"]) > 0
         return dense_output.evaluate_pieces(self.arrays, times) if whole else dense_output.interpolate_rows(self.arrays, times)
+
+    __iter__: ClassVar[None] = None  # Columns are found by their names alone.
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a column by its name: a state or a symbol of several, a multiplier, an input, an array, an output.
+
+        Raises:
+            UsageError: no column is called so.
+        """
+        if not isinstance(name, str):
+            raise UsageError(f"run[{name!r:.40}]: expected the name of a column, such as run['x']; run.x has the rows")
+        if isinstance(found := getattr(self, name, None), np.ndarray):
+            return found
+        try:
+            return self.multiplier(name)
+        except (UsageError, AttributeError):
+            return np.asarray(self.evaluate(name))
 
     def evaluate(self, given: Any, units: Mapping[str, str] | None = None) -> Any:
         """Return the values of an expression at the rows, (N+1,) or (N+1, k); or the run with further columns.

@@ -265,9 +265,13 @@ class _DifferentiatedRun:
             slopes = [found.of(part, by) for part in (parts if like[0].size > 1 else [column])]
             self._columns[name] = np.stack(slopes, axis=1).reshape(like.shape)
 
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A derivative, or a column of the run."""
+        return self._columns[name] if name in self._columns else self._run[name]
+
     def __getattr__(self, name: str) -> Any:
-        """A derivative, or what the run has."""
-        return self._columns[name] if name in self._columns else getattr(self._run, name)
+        """What the run has."""
+        return getattr(self._run, name)
 
 
 def _simulate_cell(

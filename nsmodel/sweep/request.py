@@ -66,15 +66,8 @@ class Reduction:
 
 
 def run_column(run: Any, name: str) -> np.ndarray:
-    """A column of a run by its name: a state or a symbol of several, a multiplier, an input, an array, an output."""
-    try:
-        return np.asarray(getattr(run, name))
-    except AttributeError:
-        pass
-    try:
-        return np.asarray(run.multiplier(name))
-    except (UsageError, AttributeError):
-        return np.asarray(run.evaluate(name))
+    """A column of a run by its name, a derivative among them."""
+    return np.asarray(run[name])
 
 
 def read_outputs(given: Mapping[str, Any] | None) -> dict[str, Callable[[Any], Any]]:

@@ -160,7 +160,8 @@ SYMBOLS = [
     (
         lure,
         {"A": [[k, 0], [0, 1]]},
-        "A uses the symbol 'k', which is not declared: add it to parameters={...}, to inputs={...} if it is a signal, or declare it as x=, t=; declared are x_0, x_1",
+        "A uses the symbol 'k', which is not declared: add it to parameters={...}, to inputs={...} if it is a signal, or "
+        "declare it as x=, t=; declared are x_0, x_1",
     ),
     (lure, {"B": [0, k]}, "B uses the symbol 'k', which is not declared"),
     (lure, {"f": [t, 0]}, "f uses the symbol 't', which is not declared"),
@@ -998,7 +999,10 @@ def test_index_sets_that_were_not_tried_are_no_proof():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: LureSystem(A=[[0]], B=[1], C=[1], laww=relay(1), x0=[1], t_end=1), r"LureSystem\(\) .* 'laww'. Did you mean 'law'"),
+        (
+            lambda: LureSystem(A=[[0]], B=[1], C=[1], laww=relay(1), x0=[1], t_end=1),
+            r"LureSystem\(\) .* 'laww'. Did you mean 'law'",
+        ),
         (lambda: relay(1, lowr=-1), "'lowr'. Did you mean 'lower'"),
         (lambda: nsmodel.pwm(1.0, 0.5, phas=0.2), "'phas'. Did you mean 'phase'"),
         (lambda: nsmodel.sampled("c", perod=1), "'perod'. Did you mean 'period'"),
@@ -1017,13 +1021,13 @@ def test_misspelt_attributes_and_words_of_newcomers(tmp_path):
     p, u, x = ca.SX.sym("p"), ca.SX.sym("u"), ca.SX.sym("x")
     given = {"A": [[0]], "B": [1], "C": [1], "law": relay(1), "x0": [1], "t_end": 1.0}
     model = LureSystem(**given, step=0.1, parameters={p: 1.0})
-    with pytest.raises(AttributeError, match="this run has no 'multiplers'; .* Did you mean 'multipliers'"):
+    with pytest.raises(AttributeError, match=r"this run has no 'multiplers'; .* Did you mean 'multipliers'"):
         _ = nsmodel.simulate(model).multiplers
-    with pytest.raises(AttributeError, match="this sweep has no 'sttaus'; .* Did you mean 'status'"):
+    with pytest.raises(AttributeError, match=r"this sweep has no 'sttaus'; .* Did you mean 'status'"):
         _ = nsmodel.sweep(model, grid={"p": [1.0]}, keep="x").sttaus
     with pytest.raises(AttributeError, match="Did you mean 'simulate'"):
         _ = nsmodel.simulte
-    with pytest.raises(ModelError, match="A depends on 'u'.*FirstOrderSystem takes inputs anywhere"):
+    with pytest.raises(ModelError, match=r"A depends on 'u'.*FirstOrderSystem takes inputs anywhere"):
         LureSystem(**given | {"A": [[u]]}, inputs={u: 1.0})
     with pytest.raises(ModelError, match=r"'u', which is not declared: .* to inputs=\{...\} if it is a signal"):
         nsmodel.FirstOrderSystem(x=x, f=[u - x], x0=[1], t_end=1.0)

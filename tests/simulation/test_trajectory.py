@@ -92,6 +92,23 @@ def test_status_title_active_length_and_repr(run):
     assert repr(make_bare()) == "Trajectory('untitled', model, 3 steps, t = 0 to 3, unknown)"
 
 
+def test_any_column_by_its_name():
+    """States, symbols of several, multipliers with names of words, arrays, outputs; other keys are refused."""
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l")
+    model = FirstOrderSystem(x=x, lam=l, f=[x[1], -x[0]], g=[0, l], h=x[1], law=relay(1), x0=[1, 0], t_end=1.0, step=0.1,
+                             names=["position", "speed"], outputs={"power": l * x[1]})  # fmt: skip
+    run = simulate(model)
+    for name, expected in {"position": run.x[:, 0], "x": run.x, "l_0": run.multipliers[:, 0], "residual": run.residual}.items():
+        np.testing.assert_array_equal(run[name], expected)
+    np.testing.assert_array_equal(run["power"], run.multipliers[:, 0] * run.x[:, 1])
+    with pytest.raises(UsageError, match=r"'positon' is not there; .*Did you mean 'position'"):
+        run["positon"]
+    with pytest.raises(UsageError, match=r"run\[0\]: expected the name of a column"):
+        run[0]
+    with pytest.raises(TypeError):
+        iter(run)
+
+
 def test_unknown_attribute_lists_what_there_is(run):
     with pytest.raises(AttributeError, match=r"this run has no 'velocity'; it has q, z, q_0, q_1, t, x, multipliers"):
         _ = run.velocity
@@ -125,7 +142,7 @@ def test_multiplier_by_name(run):
     np.testing.assert_array_equal(run.disc, run.multipliers[:, 0])
     np.testing.assert_array_equal(run.wall, run.multipliers[:, 1:])
     assert {"disc", "wall"} <= set(dir(run))
-    with pytest.raises(AttributeError, match=r"has no 'wal'; it has .*, disc, wall$"):
+    with pytest.raises(AttributeError, match=r"has no 'wal'; it has .*, disc, wall. Did you mean 'wall'"):
         run.wal  # noqa: B018
     with pytest.raises(UsageError, match=r"no multiplier is called 'l_0'; this run has none"):
         make_bare().multiplier("l_0")
