@@ -159,12 +159,12 @@ class PieceTangents:
         for name, values in self._conditions(piece, s):
             before, here, after = values[:-2], values[1:-1], values[2:]
             with np.errstate(invalid="ignore", divide="ignore"):
-                turns = np.flatnonzero((here < before) & (here <= after))
+                minima = np.flatnonzero((here < before) & (here <= after))
                 least = here - (after - before) ** 2 / (8 * (before - 2 * here + after))  # Of the parabola through the three.
-            turns = turns[here[turns] > TURN_ROUNDING * np.nanmax(values, initial=0.0)]
-            if not turns.size:
+            minima = minima[here[minima] > TURN_ROUNDING * np.nanmax(values, initial=0.0)]
+            if not minima.size:
                 continue
-            k = turns[int(least[turns].argmin())]
+            k = minima[int(least[minima].argmin())]
             found = Turn(name, float(t[k + 1]), max(float(least[k]), 0.0) / float(np.nanmax(values)))
             nearest = found if nearest is None or found.distance < nearest.distance else nearest
         return nearest

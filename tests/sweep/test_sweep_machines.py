@@ -69,7 +69,9 @@ def until(condition, process, what):
 def test_a_sweep_on_workers_of_which_one_is_killed(tmp_path):
     address = f"tcp://127.0.0.1:{free_port()}"
     (tmp_path / "friction.py").write_text(fenced(r"python model-file friction\.py"))
-    (tmp_path / "script.py").write_text(fenced("py").replace("tcp://head:8786", address))
+    text = fenced("py").replace("tcp://head:8786", address)
+    assert "1.5, 40)" in text
+    (tmp_path / "script.py").write_text(text.replace("1.5, 40)", "1.5, 160)"))  # It lasts until the worker is killed.
     (tmp_path / "scratch").mkdir()
     with ExitStack() as stack:
         begun = ["-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"]
@@ -89,7 +91,7 @@ def test_a_sweep_on_workers_of_which_one_is_killed(tmp_path):
     a, k = (axis.ravel() for axis in np.meshgrid(found.coords["a"], found.coords["k"], indexing="ij"))
     error = np.abs(found["rest"].values.ravel() - stopped(a, k, 5.3)[0])
     assert np.median(error) < 1e-3
-    assert "done            120 of 120" in (tmp_path / "script.log").read_text()
-    grid = {"a": np.linspace(0.5, 1.5, 40), "k": [0.8, 1.0, 1.2]}
+    assert "done            480 of 480" in (tmp_path / "script.log").read_text()
+    grid = {"a": np.linspace(0.5, 1.5, 160), "k": [0.8, 1.0, 1.2]}
     sweep(tmp_path / "friction.py", grid=grid, outputs={"rest": "x1[-1]"}, workers=1, out=tmp_path / "here")
     assert (tmp_path / "here" / "sweep.npz").read_bytes() == (tmp_path / "springs" / "sweep.npz").read_bytes()
