@@ -192,7 +192,7 @@ def agrees(found: nsmodel.Trajectory, run: Run, truth: tuple[np.ndarray, np.ndar
 
 
 @IN_C
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", ["first order", pytest.param("Lur'e", marks=pytest.mark.long)])
 def test_random_converters_run_in_c_alone(form, c_alone):
     continuous = discontinuous = 0
     for kind in KINDS:

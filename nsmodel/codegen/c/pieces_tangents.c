@@ -272,7 +272,7 @@ static void take_flow(model_tangents *d, const model_linearised *at)
 }
 
 /* S over a part of a piece whose flow is constant: exp(h A) S and the integral of exp((1 - c) h A) h b, by the nodes of Radau IIA. */
-static int exponential_step(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
+static int by_exponential(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
 {
     const double h = (end - begin)*s->piece[AT_TAU];
     const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *weights = nodes + stages;
@@ -307,7 +307,7 @@ static int exponential_step(const model_pieces *s, model_tangents *d, int stages
 #endif
 
 /* S over a part of the last piece by one step of Radau IIA; whether that is possible. */
-static int radau_step(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
+static int by_radau(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
 {
     const double h = (end - begin)*s->piece[AT_TAU];
     const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *inverse = nodes + 2*stages;
@@ -347,7 +347,7 @@ static int radau_step(const model_pieces *s, model_tangents *d, int stages, doub
 }
 
 /* What steps of two orders may differ by. */
-static double allowed_of_step(const model_pieces *s) { return max_of(min_of(TANGENT_SHARE*s->rtol/LOCAL, TANGENT_LOOSEST), TANGENT_ROUNDING); }
+static double allowed_difference(const model_pieces *s) { return max_of(min_of(TANGENT_SHARE*s->rtol/LOCAL, TANGENT_LOOSEST), TANGENT_ROUNDING); }
 
 /* Whether two S differ by what is allowed of the largest entry of each column. */
 static int are_near(const model_pieces *s, const model_tangents *d, const double *one, const double *two)
@@ -358,14 +358,14 @@ static int are_near(const model_pieces *s, const model_tangents *d, const double
             off = worse_of(fabs(one[a*BY + c] - two[a*BY + c])/d->size[a], off);
             size = max_of(max_of(fabs(d->S[a*BY + c]), fabs(two[a*BY + c]))/d->size[a], size);
         }
-        if (!(off <= allowed_of_step(s)*size || off == 0))
+        if (!(off <= allowed_difference(s)*size || off == 0))
             return 0;
     }
     return 1;
 }
 
 /* S over a part of the last piece by steps of two orders: the higher one, and whether they agree; -1: there is none. */
-static int try_step(const model_pieces *s, model_tangents *d, double begin, double end, double *next)
+static int try_part(const model_pieces *s, model_tangents *d, double begin, double end, double *next)
 {
     double low[N*BY];
 #if AFFINE_FLOW
@@ -373,12 +373,12 @@ static int try_step(const model_pieces *s, model_tangents *d, double begin, doub
     if (SHORT_PACE < pace && pace <= CUT_PACE)
         return 0;
     if (pace <= SHORT_PACE) {
-        const int found = exponential_step(s, d, MOST_TANGENT_STAGES - 1, begin, end, low) && exponential_step(s, d, MOST_TANGENT_STAGES, begin, end, next);
+        const int found = by_exponential(s, d, MOST_TANGENT_STAGES - 1, begin, end, low) && by_exponential(s, d, MOST_TANGENT_STAGES, begin, end, next);
         return found ? are_near(s, d, low, next) : -1;
     }
 #endif
-    const int stages = allowed_of_step(s) < TANGENT_LOOSEST ? MOST_TANGENT_STAGES : FEWEST_TANGENT_STAGES + 1;
-    const int found = radau_step(s, d, stages - 1, begin, end, low) && radau_step(s, d, stages, begin, end, next);
+    const int stages = allowed_difference(s) < TANGENT_LOOSEST ? MOST_TANGENT_STAGES : FEWEST_TANGENT_STAGES + 1;
+    const int found = by_radau(s, d, stages - 1, begin, end, low) && by_radau(s, d, stages, begin, end, next);
     return found ? are_near(s, d, low, next) : -1;
 }
 
@@ -390,7 +390,7 @@ static int follow(model_pieces *s, model_tangents *d, double begin, double until
     ends[0] = until;
     while (top >= 0) {
         const double end = ends[top];
-        const int found = try_step(s, d, begin, end, next);
+        const int found = try_part(s, d, begin, end, next);
         if (found < 0)
             return MODEL_NOT_SOLVED;
         if (found) {
