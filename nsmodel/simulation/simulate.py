@@ -231,8 +231,6 @@ def _fixed_grid_propagator(
         resumed_backend,
         *([symbolic_model] if own is FixedGridPropagator and symbolic_model.p.numel() else []),
     )
-    if options.step is not None and options.step > (end := grid.time(grid.N)):
-        propagator.warnings.append(f"step = {options.step:g} is longer than the whole run, {end:g}: no step has that length")
     propagator.plan = plan_with_inputs(plan_with_known_times(propagator.plan, model, ends=False), grid.drive)
     return propagator
 

@@ -138,9 +138,10 @@ def test_quiet_prints_nothing(run):
     assert Path("results/trajectory.npz").is_file()
 
 
-def test_a_step_longer_than_the_run_is_told(run):
+def test_a_step_longer_than_the_run_is_refused(run):
     status, _, err = run("relay.py", RELAY, "--step", "100")
-    assert (status, err) == (0, "nsmodel: warning: step = 100 is longer than the whole run, 2: no step has that length\n")
+    assert status == 2
+    assert err == "nsmodel: error: step = 100 is longer than the run, which ends at t_end = 2; choose a step of at most 2\n"
     assert run("relay.py", None, "--step", "2")[2] == ""
 
 

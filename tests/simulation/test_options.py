@@ -146,7 +146,7 @@ def test_what_has_an_entry_of_its_own_is_told_there():
 def test_python_refuses_what_a_function_does_not_take(call, name):
     with pytest.raises(TypeError) as caught:
         call()
-    assert str(caught.value) == name
+    assert str(caught.value).partition(". Did you mean")[0] == name
 
 
 def test_own_parameters_may_stand_around_the_options():
