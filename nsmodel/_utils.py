@@ -28,7 +28,7 @@ import re
 import sys
 import textwrap
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from importlib import import_module
@@ -80,13 +80,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f". Did you mean '{near[0]}'?" if near else ""
 
 
-def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+def check_keywords(what: str, given: Iterable[str], known: Collection[str]) -> None:
     """Refuse a keyword argument that is none.
 
     Raises:
         TypeError: with the name that is near.
     """
-    known = tuple(known)
     for name in given:
         if name not in known:
             raise TypeError(f"{what}() got an unexpected keyword argument {name!r}{did_you_mean(name, known)}")
@@ -94,15 +93,13 @@ def check_keywords(what: str, given: Iterable[str], known: Iterable[str]) -> Non
 
 def checks_keywords(function: T) -> T:
     """The function, which answers a keyword argument that it does not have by what is near."""
-    known = tuple(inspect.signature(function).parameters)
+    known = inspect.signature(function).parameters
 
     @wraps(function)
     def checked(*positional: Any, **given: Any) -> Any:
-        if not known_names.issuperset(given):
-            check_keywords(function.__name__, given, known)
+        check_keywords(function.__name__, given, known)
         return function(*positional, **given)
 
-    known_names = frozenset(known)
     return checked  # pyright: ignore[reportReturnType]
 
 

@@ -184,7 +184,9 @@ def _step_grid(model: Model, lengths: tuple[float, ...], *, any_step: bool) -> T
             model, {name: np.zeros(len(model.input_groups[name])) for name in model.inputs if model.inputs[name] is None}
         )
     driven = bool(model.inputs) and None not in model.inputs.values()
-    grid = make_grid(model, lengths[0] if lengths else None, None, None, driven=driven)
+    step = lengths[0] if lengths else model.step
+    t_end = step if step is not None and model.steps is None and step > model.t_end else None  # A library has no end.
+    grid = make_grid(model, lengths[0] if lengths else None, None, t_end, driven=driven)
     return replace(grid, any_step=any_step or grid.any_step or len(set(lengths)) > 1)
 
 

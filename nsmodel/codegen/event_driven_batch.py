@@ -32,6 +32,7 @@ from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
 
 MAX_PIECES = 1_000_000  # Pieces of a cell.
+MAX_TANGENT_ROWS = 32  # States and rows of runs that are differentiated: the matrices of a step are dense.
 BY = " by "  # "x by k" is the column of dx/dk.
 
 _PieceCellsStruct = PIECE_BATCH_CELLS.ctypes_structure()
@@ -80,7 +81,7 @@ class PieceBatch:
     Raises:
         CodegenError: the model has no parameters, or no pieces in C that are those of all their values (blocks; a curved law;
             many bodies; more than LARGE operations; what time stepping alone takes), or there is no compiler, or it fails.
-        UsageError: a time, rtol or atol that is none.
+        UsageError: a time, rtol or atol that is none; ``by``: what is no parameter.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class PieceBatch:
         rtol, atol = checked_tolerances(problem, rtol, atol)
         known = switch_times_of(model, self._T)
         fixed = () if problem.held else known.times
-        self._by = tuple(by)
+        self._by = tuple(dict.fromkeys([by] if isinstance(by, str) else by))
         entries = self._differentiated_entries()
         compiled = PieceLibrary.of(problem, piece_library_mark(problem, fixed, entries), fixed, entries)
         self.way = f"{compiled.way}, one library for all values"
@@ -124,6 +125,9 @@ class PieceBatch:
         """The entries of p that runs are differentiated by."""
         if unknown := next((name for name in self._by if name not in self.names), None):
             raise UsageError(f"by: '{unknown}' is no parameter; there are {', '.join(self.names)}")
+        rows = max(self._p.x.numel(), self._p.l.numel())
+        if self._by and rows > MAX_TANGENT_ROWS:
+            raise CodegenError(f"{rows} states or rows are more than the {MAX_TANGENT_ROWS} that derivatives in C have room for")
         if self._by and (curved := next((block for _, block in self._p.law.parts() if not block.separable), None)):
             raise CodegenError(f"derivatives in C are not there for the law '{curved.label}', whose rows act together")
         return [self.names.index(name) for name in self._by]
@@ -202,7 +206,6 @@ class PieceBatch:
                 break
         at_start = self._times == 0
         work.kept[:, at_start] = self._blank_step_columns(work.kept[:, at_start])
-        work.slopes[:, at_start, self._p.x.numel() :] = np.nan
         return work.cells({name: self._kept_array(name, work, given) for name in keep})
 
     def _are_admitted(self, given: np.ndarray) -> np.ndarray:
@@ -261,7 +264,8 @@ class PieceBatch:
         found = self._slopes[name](
             np.tile(self._times, len(given))[None], x_l[:n], x_l[n:], np.repeat(given, rows, axis=0).T, moved
         )
-        return np.array(found).T.reshape(len(given), rows, *self.columns()[name])
+        slopes = np.array(found).T.reshape(len(given), rows, *self.columns()[name])
+        return np.where(np.isnan(self._kept_array(column, work, given)), np.nan, slopes)
 
     @cached_property
     def _input_columns(self) -> dict[str, np.ndarray]:

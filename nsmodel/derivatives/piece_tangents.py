@@ -172,7 +172,10 @@ class PieceTangents:
     def _conditions(self, piece: np.ndarray, s: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         """Name and values of each, NaN where it is none, and where it becomes 0 as its own switch."""
         n, m, equations = self._n, self._m, self.equations
-        both = evaluate_polynomials(self._series, piece, s)
+        both, size = np.empty((len(s), n + 2 * m)), POINTS_AT_ONCE // TURN_POINTS
+        for k in range(0, len(self.ends), size):
+            here = slice(k * TURN_POINTS, (k + size) * TURN_POINTS)
+            both[here] = evaluate_polynomials(self._series[k : k + size], piece[here] - k, s[here])
         curved = {i for rows in equations.curved.values() for i in range(rows.start, rows.stop)}
         for i in (i for i in range(m) if i not in curved):
             l, y, code = both[:, n + i], both[:, n + m + i], self.codes[piece, i]
@@ -181,7 +184,8 @@ class PieceTangents:
                 if np.isfinite(values).all():
                     yield equations.problem.rows[i], np.where(holds & ~own, values, np.nan)
         if equations.branches:
-            watched = equations.watched(*self.values(piece, s), self.choices[piece])
+            t, more = self.pieces.t[piece] + self.pieces.tau[piece] * s, np.zeros((len(s), equations.n - n))
+            watched = equations.watched(t, np.hstack([both[:, :n], more]), both[:, n : n + m], self.choices[piece])
             for b, branch in enumerate(equations.branches):
                 own = _ends_of_runs(self.choices[:, b], piece)
                 if branch.kind == "side":

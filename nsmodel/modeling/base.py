@@ -151,7 +151,8 @@ class Model(Picklable):
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
         """Refuse a keyword that is none, with what is near."""
-        check_keywords(cls.__name__, given, inspect.signature(cls.__init__).parameters)
+        if given:  # a copy has none
+            check_keywords(cls.__name__, given, inspect.signature(cls.__init__).parameters)
         return super().__new__(cls)
 
     __signature__ = OwnArgumentsFirst()

@@ -144,7 +144,7 @@ class ErrorControlledPropagator(SchemePropagator):
         self._spans = _known_time_spans(model, T, drive)
         self._start, self._length = self._spans.pop()
         h = (model.step if options.step is None else options.step) or T / 2**FIRST_LEVEL
-        make_grid(model, h, None, options.t_end)  # refuses a step far too small for the run
+        make_grid(model, min(h, T), None, options.t_end)  # refuses a step far too small for the run
         self.rtol, self.atol = _checked_rtol_atol(model, options.rtol, options.atol)
         self._limited = options.method == METHODS[0]
         _check_no_fixed_steps(model)

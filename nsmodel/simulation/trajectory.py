@@ -72,7 +72,8 @@ class Trajectory(RunData):
         """
         if not isinstance(name, str):
             raise UsageError(f"run[{name!r:.40}]: expected the name of a column, such as run['x']; run.x has the rows")
-        if isinstance(found := getattr(self, name, None), np.ndarray):
+        is_attribute = name in self._attribute_names() or isinstance(getattr(type(self), name, None), property)
+        if is_attribute and isinstance(found := getattr(self, name, None), np.ndarray):
             return found
         try:
             return self.multiplier(name)

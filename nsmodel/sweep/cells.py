@@ -262,8 +262,9 @@ class _DifferentiatedRun:
             column, _, by = name.rpartition(BY)
             like = run_column(run, column)
             parts = list(model.names) if column == "x" and whole else [f"{column}_{i}" for i in range(like[0].size)]
-            slopes = [found.of(part, by) for part in (parts if like[0].size > 1 else [column])]
-            self._columns[name] = np.stack(slopes, axis=1).reshape(like.shape)
+            places = [found.outputs.index(part) for part in (parts if like[0].size > 1 else [column])]
+            slopes = found.before[:, places, found.by.index(by)].reshape(like.shape)  # A row has the values before its time.
+            self._columns[name] = np.where(np.isnan(like), np.nan, slopes)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A derivative, or a column of the run."""

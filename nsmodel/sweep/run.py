@@ -193,11 +193,11 @@ class _SweepRun:
     def settings(self) -> dict[str, Any]:
         """All that its numbers depend on but what varies."""
         first, request = self.groups.first, self.choice.request
-        steps = not request.is_event_driven or any(h is not None for h in (first.step, first.model.step, first.model.steps))
-        grid = request.grid(first.model, first.step) if steps else EVENT_DRIVEN_GRID
+        grid = EVENT_DRIVEN_GRID if request.is_event_driven else request.grid(first.model, first.step)
+        names, steady = first.steady
         return {
             "model": fingerprint(first.model, grid),
-            "step": first.step if first.step is not None else grid.h if steps else None,
+            "step": first.step if request.is_event_driven or first.step is not None else grid.h,
             "columns": list(request.keep),
             "rows": f"{len(first.rows.times)} rows, {content_digest([first.rows.times])}",
             "outputs": {name: describe_output(one) for name, one in request.outputs.items()},
@@ -205,6 +205,7 @@ class _SweepRun:
             **{name: _to_json_value(value) for name, value in request.options.items() if name not in ("compiled", "times")},
             "way": self.choice.way,
             "versions": versions(),
+            **({"fixed values of what derivatives are by": content_digest([names, steady.serialize()])} if names else {}),
         }
 
     def open_folder(self, folder: Path, *, resume: bool) -> SweepStore:

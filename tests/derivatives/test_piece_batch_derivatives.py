@@ -181,6 +181,34 @@ def test_sweeps_of_one_model_that_keep_other_derivatives():
             np.testing.assert_allclose(np.asarray(swept.cells[name])[0, 0, 0], exact[name], rtol=1e-12)
 
 
+def test_a_folder_goes_on_with_the_same_fixed_values_alone(tmp_path):
+    """What runs are differentiated by and does not vary is a setting: another number, or another start, is refused."""
+    given: dict[str, Any] = {"grid": {"p": [1.0, 1.2]}, "keep": ["x by q", "x by x(0)"], "times": [2.0], "rtol": 1e-8}
+
+    def model(start: float) -> LureSystem:
+        return LureSystem(A=[[-1]], B=[1], C=[1], f=[Q], law=relay(1, -P, P), x0=[start], parameters={P: 1.0, Q: 2.0}, t_end=2.0)
+
+    nsmodel.sweep(model(1.0), out=tmp_path / "kept", **given)
+    nsmodel.sweep(model(1.0), out=tmp_path / "kept", resume=True, **given)
+    for other, numbers in ((model(1.0), {"q": 3.0}), (model(1.5), {"q": 2.0})):
+        with pytest.raises(NsmodelError, match="fixed values of what derivatives are by"):
+            nsmodel.sweep(other, parameters=numbers, out=tmp_path / "kept", resume=True, **given)
+
+
+def test_rows_on_edges_and_at_the_start_are_the_same_in_both_ways():
+    """At an edge a row has the values before it, and so have its derivatives; where a row has no value it has none."""
+    u = ca.SX.sym("u")
+    model = LureSystem(A=[[0, 1], [-P, -0.2]], B=[0, 1], C=[0, 1], f=[0, u], law=complementarity(1), D=[0.5], x0=[P, 1],
+                       inputs={u: pwm(1.0, 0.5)}, parameters={P: 1.0}, t_end=4.0)  # fmt: skip
+    names = ["x by p", "y by p", "l_0 by p", "l_0 by x_1(0)"]
+    given: dict[str, Any] = {"grid": {"p": [0.9, 1.1]}, "times": [0, 0.5, 1.0, 1.5, 2.25], "rtol": 1e-10}
+    together, alone = (nsmodel.sweep(model, keep=names, compiled=compiled, **given) for compiled in (True, False))
+    assert (together.cells["way"] == IN_C).all()
+    for name in names:
+        np.testing.assert_allclose(together.cells[name], alone.cells[name], rtol=0, atol=1e-10, err_msg=name)
+    assert np.isnan(together.cells["l_0 by p"][:, 0]).all()
+
+
 def test_bad_input():
     model = LureSystem(A=[[0]], B=[1], C=[1], f=[2], law=relay(1, -P, P), x0=[Q], parameters={P: 1.0, Q: -1.0}, t_end=2.0)
     given: dict[str, Any] = {"grid": {"p": [1.0, 1.2]}, "times": [2.0], "rtol": 1e-8}
@@ -195,6 +223,12 @@ def test_bad_input():
             nsmodel.sweep(model, **{**given, **more})
     with pytest.raises(UsageError, match="by: 'w' is no parameter; there are p, q"):
         PieceBatch(model, None, 1e-8, None, [2.0], by=["w"])
+    twice = PieceBatch(model, None, 1e-8, None, [2.0], by=["p", "p"]).run(np.array([[1.0, -1.0]]), ["x by p"])
+    np.testing.assert_allclose(twice.arrays["x by p"].item(), -14 / 9, rtol=1e-12)
+    wide = LureSystem(A=-np.eye(33), B=np.zeros((33, 1)), C=np.zeros((1, 33)), D=[1], f=[P] * 33, law=relay(1), x0=[1] * 33,
+                      parameters={P: 1.0}, t_end=1.0)  # fmt: skip
+    with pytest.raises(CodegenError, match="33 states or rows are more than the 32"):
+        PieceBatch(wide, None, 1e-8, None, [1.0], by=["p"])
     x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
     ball = FirstOrderSystem(x=x, lam=l, f=[P, 0], g=l, h=x, law=nsmodel.ball(2, 1.0), x0=[1, 1], parameters={P: 1.0}, t_end=1.0)
     with pytest.raises((CodegenError, NsmodelError), match="law"):

@@ -1033,6 +1033,13 @@ def test_misspelt_attributes_and_words_of_newcomers(tmp_path):
         nsmodel.FirstOrderSystem(x=x, f=[u - x], x0=[1], t_end=1.0)
     with pytest.raises(UsageError, match="step = 5 is longer than the run, which ends at t_end = 1"):
         nsmodel.simulate(model, step=5.0)
+    short = {
+        "t_end": 0.05,
+        "rtol": 1e-3,
+    }  # Steps under error control begin with one; pieces, and libraries of steps, have no end.
+    assert nsmodel.simulate(model, method="time-stepping", **short).t[-1] == 0.05
+    assert nsmodel.sweep(model, grid={"p": [1.0]}, keep="x", times=[0.05], **short).status.tolist() == [0]
+    nsmodel.codegen.write(model, tmp_path / "library", step=5.0)
     file = tmp_path / "condition.py"
     file.write_text('import casadi as ca\nx = ca.SX.sym("x")\nf = -1 if x > 0 else 1\nmodel = None\n')
     with pytest.raises(ModelError, match=r"condition.py:3: .*ca.if_else\(x > 0, a, b\)"):

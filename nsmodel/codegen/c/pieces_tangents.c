@@ -1,5 +1,6 @@
 /*
- * Derivatives along pieces and through switches: S = dx/dp, column by column (derivatives/piece_tangents.py, run_tangents.py).
+ * Derivatives along pieces and through switches: S = dx/dp, column by column (derivatives/piece_tangents.py, run_tangents.py). A piece
+ * is cut into parts on which steps of two orders agree: of Radau IIA, or by the exponential of a matrix that is the same all along.
  *
  * What these do not go on with has a status: a jump of the state, a switch that is only touched, several at once whose order matters,
  * multipliers that are not unique. Known times do not move here.
@@ -14,7 +15,7 @@
 #define SHORT_PACE 2.0 /* steps of which the exponential is a sum of powers, |h A| at most */
 #define CUT_PACE 4.0 /* parts that are cut into such ones; beyond it they are stiff */
 #endif
-#define TANGENT_PARTS 200000L /* halvings in a run, at most */
+#define TANGENT_PARTS (200000L/N) /* halvings in a run, at most */
 #define TANGENT_SHARE 0.1 /* of rtol: what steps of two orders may differ by, beside the largest entry of a column */
 #define TANGENT_LOOSEST 1e-9 /* the most of that: up to here few stages do, and what they err by is far below it */
 #define TANGENT_ROUNDING 3e-14 /* what rounding leaves of it */
