@@ -154,8 +154,20 @@ class SwitchJumps:
                     value = lambda y, l, w, i=i, end=end[i]: l[i] - end  # noqa: E731
                     moved = start.own[i] - self._widened(slope[i])
                     found.append(_guard(p.rows[i], start.by_state[i], moved, start, start.l_rate[i], value))
+        found += self._guards_of_branches(start, self._jumping_branches(start))
         length = float(self._tangents.pieces.tau[0] * self._tangents.ends[0])
         return [one for one in found if one.off <= AT_ONCE * length]
+
+    def _jumping_branches(self, side: _Side) -> list[int]:
+        """The branches on whose other side the rate is another here; over a kink nothing of S jumps."""
+        pieces, found, here = self._tangents.pieces, [], self._tangents.choices[side.number]
+        for j in (j for j, branch in enumerate(self._equations.branches) if branch.kind == "side"):
+            other = here.copy()
+            other[j] = -here[j]
+            rate = self._equations(pieces.t[[side.number]], side.x[None], side.l[None], other[None]).rate.value[0]
+            if (np.abs(rate - side.at.rate.value) > SAME_RATE * (np.abs(rate) + np.abs(side.at.rate.value))).any():
+                found.append(j)
+        return found
 
     def _jump(self, before: _Side, after: _Side) -> SwitchJump:
         pieces, n, q = self._tangents.pieces, self._equations.n, self._q

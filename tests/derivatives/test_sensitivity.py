@@ -115,6 +115,20 @@ def test_a_run_that_touches_a_switch_has_no_derivative_or_a_large_one():
     assert np.isfinite(sensitivity(model, by="x_0(0)", rtol=1e-12, compiled=False).jacobian).all()
 
 
+def test_a_start_on_the_switch_of_a_branch_is_said_where_the_rate_jumps():
+    """x' is 1 above p and 2 below, from x = p = 0.2: by p x(1) goes with 1/2 from below and 0 from above; not so over a kink."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    given = {"x": x, "x0": [0.2], "parameters": {p: 0.2}, "t_end": 1.0, "step": 0.01}
+    jump = sensitivity(FirstOrderSystem(f=[ca.if_else(x >= p, 1, 2)], **given), by="p")
+    (warning,) = jump.warnings
+    assert "the run starts on the switch of 'a switch in f': the derivative is one-sided" in warning
+    assert jump.jacobian.item() == pytest.approx(0.0, abs=1e-12)
+    assert not sensitivity(FirstOrderSystem(f=[1 + ca.fabs(x - p)], **given), by="p").warnings
+    away = sensitivity(FirstOrderSystem(f=[ca.if_else(x >= p, 1, 2)], **given | {"x0": [0.1]}), by="p")
+    assert not away.warnings
+    assert away.jacobian.item() == pytest.approx(0.5, abs=1e-12)
+
+
 def test_how_near_a_condition_comes_to_a_switch_that_it_does_not_reach():
     """A parabola over the edge of |y|; a force that friction holds; none where conditions are 0 at their own switches alone."""
     x, gap, t = ca.SX.sym("x", 2), ca.SX.sym("gap"), ca.SX.sym("t")
