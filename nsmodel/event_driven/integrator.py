@@ -50,7 +50,7 @@ from nsmodel.event_driven.modes import (
     update_scales,
     without_rounding,
 )
-from nsmodel.event_driven.multipliers import MultiplierSolver
+from nsmodel.event_driven.multipliers import MultiplierSolver, RowScales
 from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector
 from nsmodel.event_driven.piece_bounds import MAX_STILL_PIECES, SchwarzBound, piece_end
 from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes, reaches_time
@@ -118,6 +118,7 @@ class Integrator:
         self.accumulation = ZenoDetector()
         self._acted: list[Any] = [None] * len(system.updates)  # The sides of comparisons as blocks acted last.
         self._still = 0  # Pieces, one after the other, that hardly moved time.
+        self.piece_scales: RowScales | None = None  # Along the last piece, before what ends it.
         self._pending_event: StartEvent | None = None  # The event that the next piece begins with.
         self._selected_solver: MultiplierSolver | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
@@ -144,6 +145,7 @@ class Integrator:
         """
         if self.stopped is not None:
             raise self.final_error or StepError(self.stopped)
+        self.piece_scales = None
         if self._still >= STILL and self._try_rest_at_zero():
             self._still = 0
         if self._still >= MAX_STILL_PIECES:
@@ -175,6 +177,7 @@ class Integrator:
         self._pending_event = self._pending_event if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         update_scales(system, s, min(longest, tau * s))
+        self.piece_scales = system.row_scales()
         self._still = self._still + 1 if 0 < tau * s <= HARDLY * abs(place.t) else 0
         place.x, place.open, place.crossed = last, set(), set()
         place.pass_time(tau * s)

@@ -217,6 +217,7 @@ ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
+NO_ERRORS = (0.0,) * (ORDERS + 1)
 FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])
 
 
@@ -376,7 +377,7 @@ def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]
         return UNDECIDED, ""
     before, codes = _mode_state(system, place), [_switch_code(system, place, switch) for switch in sorted(place.open)]
     own, pushed, share = [row[: ORDERS + 1] for row in system.x], system.pushed(), germ_time_share(system, germ_rounding(system))
-    l, verdict, split = [row[0] for row in system.l], UNDECIDED if _holds_coupled_rows(system, place) else AGREE, ""
+    l, verdict = [row[0] for row in system.l], UNDECIDED if _holds_coupled_rows(system, place) else AGREE
     for how in _all_modes(system, place, before, codes):
         if _holds_coupled_rows(system, place):
             verdict = UNDECIDED
@@ -384,24 +385,49 @@ def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]
             continue
         its = min(share, germ_time_share(system, germ_rounding(system)))
         rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, system.pushed(), system.sizes.x, strict=True)]
-        if any(_germs_differ(a, b[: ORDERS + 1], its, least) for a, b, least in zip(own, system.x, rounding, strict=True)):
-            verdict, split = SPLIT, f"{before[0]} and {place.codes}"
-            break
+        other, valid = [row[: ORDERS + 1] for row in system.x], list(place.codes)
+        differ = [i for i, (a, b) in enumerate(zip(own, other, strict=True)) if _germs_differ(a, b, its, rounding[i])]
+        if not differ:
+            continue
+        errors = _state_rounding(system)
+        _take_up_mode(system, place, before, l)
+        errors += _state_rounding(system)
+        if any(_germs_differ(own[i], other[i], its, rounding[i], errors[i]) for i in differ):
+            return SPLIT, f"{before[0]} and {valid}"
+    _take_up_mode(system, place, before, l)
+    return verdict, ""
+
+
+def _take_up_mode(system: ModeSystem, place: PieceStart, before: tuple, l: list[float]) -> None:
+    """Go back to a mode whose l begin with these."""
     _restore_mode(system, place, before)
     for row, guess in zip(system.l, l, strict=True):
         row[0] = guess
     _expand_germs(system, place)
-    return verdict, split
+
+
+def _state_rounding(system: ModeSystem) -> np.ndarray:
+    """What rounding leaves open of the coefficients of x (n, ORDERS + 1), to first order at the place; balls say nothing."""
+    if system.blocks.all or system.how is None:
+        return np.zeros((system.n, ORDERS + 1))
+    return np.nan_to_num(system.rounding(ORDERS)[0], nan=0.0, posinf=0.0)
 
 
 def _holds_coupled_rows(system: ModeSystem, place: PieceStart) -> bool:
     return system.are_coupled([i for i, code in enumerate(place.codes) if code == 0])
 
 
-def _germs_differ(a: list[float], b: list[float], share: float, least: float) -> bool:
-    """Whether two germs are not the same, in a share of the unit of time."""
-    a, b = ([v * share**k for k, v in enumerate(row)] for row in (a, b))
-    return max(abs(p - q) for p, q in zip(a, b, strict=True)) > GERM_DIFFERENCE * max(map(abs, a + b)) + least
+def _germs_differ(
+    a: Sequence[float],
+    b: Sequence[float],
+    share: float,
+    least: float,
+    errors: Sequence[float] | np.ndarray = (0.0,) * (ORDERS + 1),
+) -> bool:
+    """Whether two germs are not the same, in a share of the unit of time; ``errors``: what each order of them errs by."""
+    size = max(abs(v) * share**k for row in (a, b) for k, v in enumerate(row))
+    difference = max((abs(p - q) - error) * share**k for k, (p, q, error) in enumerate(zip(a, b, errors, strict=True)))
+    return bool(difference > GERM_DIFFERENCE * size + least)
 
 
 def germ_time_share(system: ModeSystem, known: GermRounding) -> float:

@@ -305,6 +305,13 @@ class StateScales:
     switches: list[float]
 
 
+class RowScales(NamedTuple):
+    """What y and l (m,) of rows whose y depends on l, or that are curved, are measured beside; of others 1."""
+
+    y: list[float]
+    l: list[float]
+
+
 class ZeroTest:
     """``of(t, x, l, sizes, time)``: a part of what x of these sizes move each x by in this time, to first order at a point.
 

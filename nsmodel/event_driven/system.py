@@ -32,6 +32,7 @@ from nsmodel.event_driven.multipliers import (
     TIE,
     ErrorPropagation,
     MultiplierSolver,
+    RowScales,
     SlopesAtPoint,
     StateScales,
     ZeroTest,
@@ -377,6 +378,12 @@ class ModeSystem(ModeSeries):
         terms = self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i)
         own = max(self.sizes.y[i], LITTLE * max(self.sizes.y[j] for j in self.problem.row_groups[i]), terms)
         return max(own, sum(a * self._solved_terms(j) for j, a in self._feedthrough_terms[i])) if self.feedthrough[i] else own
+
+    def row_scales(self) -> RowScales:
+        """Of all rows."""
+        feeds = [self.feedthrough[i] or self.blocks.is_curved(i) for i in range(self.m)]
+        of_y, of_l = ([of(i) if feeds[i] else 1.0 for i in range(self.m)] for of in (self.size_y, self.size_l))
+        return RowScales(of_y, of_l)
 
     def _push_scale(self, i: int) -> float:
         """|C_i| |B| |l|, with what l moves by in the unit of time."""

@@ -20,6 +20,7 @@ from nsmodel.errors import StepError
 from nsmodel.event_driven.fallback_steps import INITIAL_CHECKPOINT, HybridIntegrator
 from nsmodel.event_driven.integrator import Integrator
 from nsmodel.event_driven.modes import AGREE, PROVED, UNDECIDED, describe_undecided
+from nsmodel.event_driven.multipliers import RowScales
 from nsmodel.event_driven.piece import Piece, StartEvent
 from nsmodel.event_driven.problem import ContinuousProblem
 
@@ -229,8 +230,6 @@ class InterpretedPieces:
     def __init__(self, hybrid: HybridIntegrator, *, kept: bool) -> None:
         """``kept``: whether the place before the last pieces may be asked for; then they are made one by one."""
         self.hybrid, self.integrator, self._kept = hybrid, hybrid.integrator, kept
-        system = self.integrator.system
-        self._feeds = [system.feedthrough[i] or system.blocks.is_curved(i) for i in range(system.m)]
         self._before: tuple[dict[str, Any], dict[str, Any]] | None = None
         self._error: StepError | None = None  # After pieces that were made in the same call.
 
@@ -259,7 +258,7 @@ class InterpretedPieces:
         if self._error is not None:
             raise self._error
         pieces: list[Piece] = []
-        sizes: list[tuple[list[float], list[float]]] = []
+        sizes: list[RowScales] = []
         while not pieces or (len(pieces) < room and not self._kept and self.t < until):
             if self._kept:
                 self._before = self.checkpoint(), self.counts()
@@ -273,7 +272,7 @@ class InterpretedPieces:
             for piece in made:
                 if piece.end > piece.t and not (pieces and pieces[-1].end >= until):
                     pieces.append(piece)
-                    sizes.append(self._end_scales())
+                    sizes.append(self._scales())
         self.behind = len(pieces)
         return PieceBuffer.of(pieces, *zip(*sizes, strict=True))
 
@@ -287,11 +286,10 @@ class InterpretedPieces:
             return False
         return self.integrator.place.codes != place.codes
 
-    def _end_scales(self) -> tuple[list[float], list[float]]:
-        """What y and l are measured beside at the end of a piece that was just made."""
-        system, feeds = self.integrator.system, self._feeds
-        of_y = [system.size_y(i) if feeds[i] else 1.0 for i in range(system.m)]
-        return of_y, [system.size_l(i) if feeds[i] else 1.0 for i in range(system.m)]
+    def _scales(self) -> RowScales:
+        """What y and l of a piece that was just made are measured beside: along it, or after what ends it."""
+        along, after = self.integrator.piece_scales, self.integrator.system.row_scales()
+        return after if along is None else RowScales(*([*map(max, *both)] for both in zip(along, after, strict=True)))
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
         """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""

@@ -224,3 +224,28 @@ def test_four_hundred_edges(kind, form, c_alone):
     found = pieces(FORMS[form](run, 200), compiled=True)
     assert found.metadata["totals"]["events"] >= 399
     agrees(found, run, truth, 1e-9)
+
+
+def from_rest(kind: str, seed: int, part: float) -> Run:
+    """A random converter from i = v = 0, its first pulse after this part of a period: the diode may conduct nothing, or block."""
+    run = drawn(kind, seed)
+    return run._replace(x0=[0.0, 0.0], phase=part * run.period)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_from_rest(kind):
+    for seed, part in itertools.product(range(3), (0.0, 0.37)):
+        run = from_rest(kind, seed, part)
+        one, other = (pieces(FORMS[form](run, 3), compiled=False) for form in FORMS)
+        assert not [*one.metadata["warnings"], *other.metadata["warnings"]]
+        assert (np.abs(one.x[-1, :2] - other.x[-1, :2]) <= 1e-9 * np.abs(one.x[:, :2]).max(axis=0)).all()
+
+
+@IN_C
+def test_sizes_of_rows_at_rest_are_the_same_in_c():
+    """Rounding of i and of y = i - l, all that there is of them before the first pulse, is measured beside what l pushes by."""
+    model = as_lure(from_rest("buck-boost", 2, 0.37), 3)
+    for compiled in (False, True):
+        found = pieces(model, compiled=compiled)
+        assert not found.metadata["warnings"]
+        assert 0 < found.metadata["totals"]["worst_residual"] < 1e-15

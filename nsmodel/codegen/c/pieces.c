@@ -817,6 +817,23 @@ static int pass_event(model_pieces *s, const condition *hit, double known, doubl
     return accumulates(s) ? MODEL_NO_MODE : MODEL_OK;
 }
 
+/* The sizes that rows are measured beside, where they depend on l directly: along a piece, or after what ends it. */
+static void record_sizes(model_pieces *s)
+{
+#if LAW
+    for (int i = 0; i < M; i++) {
+#if FEED
+        s->piece[AT_SIZE_Y + i] = max_of(s->piece[AT_SIZE_Y + i], feeds[i] ? size_y(s, i) : 1);
+        s->piece[AT_SIZE_L + i] = max_of(s->piece[AT_SIZE_L + i], feeds[i] ? size_l(s, i) : 1);
+#else
+        s->piece[AT_SIZE_Y + i] = s->piece[AT_SIZE_L + i] = 1;
+#endif
+    }
+#else
+    UNUSED(s);
+#endif
+}
+
 /* What is written down of a piece, but where it ends. */
 static void record_piece(model_pieces *s, double length, double error)
 {
@@ -836,28 +853,13 @@ static void record_piece(model_pieces *s, double length, double error)
     for (int i = 0; i < M; i++) {
         piece[AT_IMPULSE + i] = s->at.begun != 0 ? s->at.impulse[i] : 0;
         piece[AT_CODES + i] = s->at.codes[i];
+        piece[AT_SIZE_Y + i] = piece[AT_SIZE_L + i] = 0;
     }
 #endif
+    record_sizes(s);
     memcpy(piece + AT_LAST, s->value, sizeof s->at.x);
     for (int k = 0; k <= s->order; k++)
         memcpy(piece + AT_C + k*ROWS, s->c[k], ROWS*sizeof *piece);
-}
-
-/* The sizes that rows are measured beside, where they depend on l directly. */
-static void record_sizes(model_pieces *s)
-{
-#if LAW
-    for (int i = 0; i < M; i++) {
-#if FEED
-        s->piece[AT_SIZE_Y + i] = feeds[i] ? size_y(s, i) : 1;
-        s->piece[AT_SIZE_L + i] = feeds[i] ? size_l(s, i) : 1;
-#else
-        s->piece[AT_SIZE_Y + i] = s->piece[AT_SIZE_L + i] = 1;
-#endif
-    }
-#else
-    UNUSED(s);
-#endif
 }
 
 /* All orders at the place; where they have no number, on the side of switches that rounding has passed. */
