@@ -15,6 +15,7 @@ library serves all signals of a degree. In an exported one inputs are parameters
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -102,7 +103,10 @@ def tangent_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
     }
     parts = [("linearised_on_sides", sided, slopes), ("rate_on_sides", sided, {"rate": rate}), ("start_slopes", own, starts)]
     parts += [("watched_on_sides", sided, looked)] if of.choices.numel() else []
-    return _tangent_tables() + "\n".join(
+    affine = _is_affine_in_each_mode(spec)
+    if affine:
+        parts.append(("forcing_on_sides", sided, {name: slopes[name] for name in ("F_p", "y_p", "rate_p")}))
+    return _tangent_tables(affine) + "\n".join(
         _piece_function(name, inputs, {key: ca.densify(e) for key, e in outputs.items()}) for name, inputs, outputs in parts
     )
 
@@ -113,13 +117,33 @@ def _is_affine_in_each_mode(spec: PieceSpec) -> bool:
     return not ca.depends_on(ca.veccat(*of.slopes), ca.veccat(p.t, p.x, p.l))
 
 
-def _tangent_tables() -> str:
-    """The nodes, the weights and the inverse of the matrix of each method."""
-    made = [(count, radau_collocation(count)) for count in TANGENT_STAGES]
-    numbers = {count: np.concatenate([of.nodes, np.linalg.inv(of.inverse)[-1], of.inverse.ravel()]) for count, of in made}
+def _tangent_tables(affine: bool) -> str:
+    """The nodes of each method, and the inverse of its matrix; where flows are ``affine`` what makes coefficients of Legendre's
+    polynomials on [0, 1] of values at the nodes, and these as sums of j! c^j.
+    """
+    made = {count: radau_collocation(count) for count in TANGENT_STAGES}
     text = f"#define FEWEST_TANGENT_STAGES {TANGENT_STAGES[0]}\n#define MOST_TANGENT_STAGES {TANGENT_STAGES[-1]}\n"
-    text += "".join(c_table(f"tangent_{count}", own, str(own.size)) for count, own in numbers.items())
-    return text + f"static const double *const tangent_tables[] = {{{', '.join(f'tangent_{count}' for count in numbers)}}};\n"
+    for count, of in made.items():
+        own = np.concatenate([of.nodes, (_legendre_parts(of) if affine else of.inverse).ravel()])
+        text += c_table(f"tangent_{count}", own, str(own.size))
+    text += f"static const double *const tangent_tables[] = {{{', '.join(f'tangent_{count}' for count in made)}}};\n"
+    if affine:
+        most = TANGENT_STAGES[-1]
+        table = [[c * math.factorial(j) for j, c in enumerate(_shifted_legendre(k, most))] for k in range(most)]
+        text += c_table("legendre", np.ravel(table), str(most**2))
+    return text
+
+
+def _shifted_legendre(k: int, size: int) -> list[int]:
+    """The coefficients of P_k(2 c - 1), 0 behind them."""
+    return [(-1) ** (k + j) * math.comb(k, j) * math.comb(k + j, j) for j in range(size)]
+
+
+def _legendre_parts(of: Collocation) -> np.ndarray:
+    """(stages, stages): (2 k + 1) w_j P_k(2 c_j - 1), whose rule is exact for products of two of these polynomials."""
+    stages, weights = len(of.nodes), np.linalg.inv(of.inverse)[-1]
+    values = np.polynomial.legendre.legvander(2 * of.nodes - 1, stages - 1).T
+    return (2 * np.arange(stages)[:, None] + 1) * values * weights
 
 
 def _end_slopes(ends: Any, chosen: ca.SX) -> ca.SX:

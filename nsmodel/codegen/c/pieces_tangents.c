@@ -7,13 +7,12 @@
  */
 
 #define BY @TANGENTS@ /* columns of S */
-#define TANGENT_UNKNOWNS (MOST_TANGENT_STAGES*N)
-#define TANGENT_WIDTH ((TANGENT_UNKNOWNS + BY + 3)/4*4) /* of a row of the equations of a step, right sides behind */
 #define DEEPEST 45 /* times that a piece is halved, at most */
 #if AFFINE_FLOW
-#define EXPONENTIAL_TERMS 24 /* of exp(A) where A is at most SHORT_PACE: the next one is rounding */
-#define SHORT_PACE 2.0 /* steps of which the exponential is a sum of powers, |h A| at most */
-#define CUT_PACE 4.0 /* parts that are cut into such ones; beyond it they are stiff */
+#define PHI_TERMS 16 /* of the last phi(Z), |Z| <= 1: the next one is rounding */
+#else
+#define TANGENT_UNKNOWNS (MOST_TANGENT_STAGES*N)
+#define TANGENT_WIDTH ((TANGENT_UNKNOWNS + BY + 3)/4*4) /* of a row of the equations of a step, right sides behind */
 #endif
 #define TANGENT_PARTS (200000L/N) /* halvings in a run, at most */
 #define TANGENT_SHARE 0.1 /* of rtol: what steps of two orders may differ by, beside the largest entry of a column */
@@ -38,7 +37,8 @@ typedef struct {
 
 typedef struct {
 #if AFFINE_FLOW
-    double flow[N*N], pace, moments[EXPONENTIAL_TERMS*N*BY]; /* S' = flow S + b on the last piece; its norm in units of the states */
+    double flow[N*N], pace, push[N*M + 1]; /* S' = flow S + F_p + push r on the last piece, r: right sides of its rows; |flow| in units of x */
+    double h, growth[N*N], phi[MOST_TANGENT_STAGES*N*N], psi[MOST_TANGENT_STAGES*N*N]; /* of parts of length h */
 #endif
     double S[N*BY], size[N]; /* at the time reached; of the states */
     double lower_p[M*BY + 1], upper_p[M*BY + 1]; /* ends of the law */
@@ -47,7 +47,10 @@ typedef struct {
     model_linearised at, then;
     long parts;
     int begun;
+#if AFFINE_FLOW
+#else
     double system[TANGENT_UNKNOWNS*TANGENT_WIDTH];
+#endif
 } model_tangents;
 
 /* A X = B by elimination, X (n, k) in place of B; whether A is regular, beside the largest entry of each of its rows. */
@@ -102,7 +105,7 @@ static int eliminate(int n, double *restrict A, int k, double *restrict B)
 }
 
 /* out (n, k) += factor A B, A (n, m). */
-static void add_product(int n, int m, int k, double factor, const double *A, const double *B, double *restrict out)
+static inline void add_product(int n, int m, int k, double factor, const double *A, const double *B, double *restrict out)
 {
     for (int i = 0; i < n; i++)
         for (int j = 0; j < m; j++)
@@ -158,22 +161,14 @@ static const double *end_slopes(const model_tangents *d, const double *piece, in
     return (piece[AT_CODES + row] < 0 ? d->lower_p : d->upper_p) + row*BY;
 }
 
-/* L = by_state S + own of all rows; whether it is unique. */
-static int solve_multipliers(const model_tangents *d, const double *piece, const model_mode_rows *rows, model_linearised *at)
+/* The equations of the active rows: A (n, n) by their multipliers, the right sides by x, row by row. */
+static void fill_mode_equations(const model_mode_rows *rows, const model_linearised *at, double *A, double *by_state)
 {
-    const int n = rows->n, k = N + BY;
-    const int *a = rows->active;
-    double A[M*M], right[M*(N + BY)];
-    memset(at->by_state, 0, sizeof at->by_state);
-    memset(at->own, 0, sizeof at->own);
-    for (int i = 0; i < M; i++)
-        if (piece[AT_CODES + i] != 0)
-            memcpy(at->own + i*BY, end_slopes(d, piece, i), BY*sizeof *at->own);
-    memset(A, 0, sizeof A);
-    memset(right, 0, sizeof right);
+    const int n = rows->n, *a = rows->active;
+    memset(A, 0, n*n*sizeof *A);
+    memset(by_state, 0, n*N*sizeof *by_state);
     for (int r = 0; r < n; r++) {
-        const int direct = r < rows->rank;
-        const double *by_x = direct ? at->y_x : at->rate_x, *by_l = direct ? at->y_l : at->rate_l, *by_p = direct ? at->y_p : at->rate_p;
+        const double *by_x = r < rows->rank ? at->y_x : at->rate_x, *by_l = r < rows->rank ? at->y_l : at->rate_l;
         for (int i = 0; i < n; i++) {
             const double share = rows->mix[r*n + i];
             if (share == 0)
@@ -181,20 +176,53 @@ static int solve_multipliers(const model_tangents *d, const double *piece, const
             for (int j = 0; j < n; j++)
                 A[r*n + j] += share*by_l[a[i]*M + a[j]];
             for (int j = 0; j < N; j++)
-                right[r*k + j] -= share*by_x[a[i]*N + j];
+                by_state[r*N + j] -= share*by_x[a[i]*N + j];
+        }
+    }
+}
+
+/* The right sides of these by p, and own of the rows that are at an end. */
+static void fill_own_sides(const model_tangents *d, const double *piece, const model_mode_rows *rows, model_linearised *at, double *right)
+{
+    const int n = rows->n, *a = rows->active;
+    memset(at->own, 0, sizeof at->own);
+    memset(right, 0, n*BY*sizeof *right);
+    for (int i = 0; i < M; i++)
+        if (piece[AT_CODES + i] != 0)
+            memcpy(at->own + i*BY, end_slopes(d, piece, i), BY*sizeof *at->own);
+    for (int r = 0; r < n; r++) {
+        const double *by_l = r < rows->rank ? at->y_l : at->rate_l, *by_p = r < rows->rank ? at->y_p : at->rate_p;
+        for (int i = 0; i < n; i++) {
+            const double share = rows->mix[r*n + i];
+            if (share == 0)
+                continue;
             for (int j = 0; j < BY; j++)
-                right[r*k + N + j] -= share*by_p[a[i]*BY + j];
+                right[r*BY + j] -= share*by_p[a[i]*BY + j];
             for (int j = 0; j < M; j++)
                 if (piece[AT_CODES + j] != 0 && by_l[a[i]*M + j] != 0)
                     for (int c = 0; c < BY; c++)
-                        right[r*k + N + c] -= share*by_l[a[i]*M + j]*at->own[j*BY + c];
+                        right[r*BY + c] -= share*by_l[a[i]*M + j]*at->own[j*BY + c];
         }
+    }
+}
+
+/* L = by_state S + own of all rows; whether it is unique. */
+static int solve_multipliers(const model_tangents *d, const double *piece, const model_mode_rows *rows, model_linearised *at)
+{
+    const int n = rows->n, k = N + BY;
+    double A[M*M], by_state[M*N], own[M*BY], right[M*(N + BY)];
+    fill_mode_equations(rows, at, A, by_state);
+    fill_own_sides(d, piece, rows, at, own);
+    memset(at->by_state, 0, sizeof at->by_state);
+    for (int r = 0; r < n; r++) {
+        memcpy(right + r*k, by_state + r*N, N*sizeof *right);
+        memcpy(right + r*k + N, own + r*BY, BY*sizeof *right);
     }
     if (!eliminate(n, A, k, right))
         return 0;
     for (int r = 0; r < n; r++) {
-        memcpy(at->by_state + a[r]*N, right + r*k, N*sizeof *right);
-        memcpy(at->own + a[r]*BY, right + r*k + N, BY*sizeof *right);
+        memcpy(at->by_state + rows->active[r]*N, right + r*k, N*sizeof *right);
+        memcpy(at->own + rows->active[r]*BY, right + r*k + N, BY*sizeof *right);
     }
     return 1;
 }
@@ -213,6 +241,143 @@ static int linearise(const model_pieces *s, const model_tangents *d, const doubl
 #endif
 }
 
+/* What steps of two orders may differ by. */
+static double allowed_difference(const model_pieces *s) { return max_of(min_of(TANGENT_SHARE*s->rtol/LOCAL, TANGENT_LOOSEST), TANGENT_ROUNDING); }
+
+/* The stages of the one of them that is kept. */
+static int highest_stages(const model_pieces *s) { return allowed_difference(s) < TANGENT_LOOSEST ? MOST_TANGENT_STAGES : FEWEST_TANGENT_STAGES + 1; }
+
+#if AFFINE_FLOW
+/* flow (N, N) of the last piece and how its rows push x, from its slopes at a point: they are the same all along. Whether L is unique. */
+static int take_flow(model_tangents *d, const model_linearised *at)
+{
+    memcpy(d->flow, at->F_x, sizeof d->flow);
+    d->h = 0;
+#if LAW
+    const int n = d->rows.n;
+    double A[M*M], by_state[M*N], inverse[M*M];
+    add_product(N, M, N, 1, at->F_l, at->by_state, d->flow);
+    fill_mode_equations(&d->rows, at, A, by_state);
+    for (int i = 0; i < n*n; i++)
+        inverse[i] = i % (n + 1) == 0;
+    if (!eliminate(n, A, n, inverse))
+        return 0;
+    memset(d->push, 0, sizeof d->push);
+    for (int i = 0; i < N; i++)
+        for (int r = 0; r < n; r++)
+            for (int j = 0; j < n; j++)
+                d->push[i*n + j] += at->F_l[i*M + d->rows.active[r]]*inverse[r*n + j];
+#endif
+    d->pace = 0;
+    for (int a = 0; a < N; a++) {
+        double sum = 0;
+        for (int b = 0; b < N; b++)
+            sum += fabs(d->flow[a*N + b])*d->size[b]/d->size[a];
+        d->pace = worse_of(sum, d->pace);
+    }
+    return is_finite(d->pace);
+}
+
+/* out (N, N) = one two + factor of the unit matrix. */
+static void multiply_square(const double *one, const double *two, double factor, double *restrict out)
+{
+    for (int i = 0; i < N*N; i++)
+        out[i] = i % (N + 1) == 0 ? factor : 0;
+    add_product(N, N, N, 1, one, two, out);
+}
+
+/*
+ * growth = exp(h A) - 1 and psi_k = the integral of exp((1 - c) h A) P_k(c) over c from 0 to 1, P_k Legendre's polynomials there, by
+ * phi_k = the integral of exp((1 - c) h A) c^(k - 1)/(k - 1)!: a sum of powers where |h A| <= 1, else doubled (Skaflestad and Wright, The
+ * scaling and modified squaring method for matrix functions related to the exponential, 2009). exp - 1 keeps the digits of slow motions.
+ */
+static void take_exponentials(model_tangents *d, int K, double h)
+{
+    enum { SIZE = N*N };
+    double Z[SIZE], next[SIZE], inverse[MOST_TANGENT_STAGES + 1] = {1}, halves[MOST_TANGENT_STAGES + 1] = {1}, last = 1, part = h;
+    int doublings = 0;
+    if (h == d->h)
+        return;
+    d->h = h;
+    for (; part*d->pace > 1; part /= 2)
+        doublings++;
+    for (int i = 0; i < SIZE; i++)
+        Z[i] = part*d->flow[i];
+    for (int k = 1; k <= K; k++) {
+        inverse[k] = inverse[k - 1]/k;
+        halves[k] = halves[k - 1]/2;
+    }
+    double terms[PHI_TERMS];
+    for (int k = 0; k < PHI_TERMS; k++)
+        last = terms[k] = k ? last/(K + k) : inverse[K];
+    double *top = d->phi + (K - 1)*SIZE;
+    memset(top, 0, sizeof next);
+    for (int k = PHI_TERMS - 1; k >= 0; k--) {
+        multiply_square(Z, top, terms[k], next);
+        memcpy(top, next, sizeof next);
+    }
+    for (int k = K - 1; k >= 1; k--)
+        multiply_square(Z, d->phi + k*SIZE, inverse[k], d->phi + (k - 1)*SIZE);
+    multiply_square(Z, d->phi, 0, d->growth);
+    for (; doublings > 0; doublings--) {
+        for (int k = K; k >= 1; k--) {
+            double *own = d->phi + (k - 1)*SIZE;
+            multiply_square(d->growth, own, 0, next);
+            for (int i = 0; i < SIZE; i++)
+                next[i] += own[i];
+            for (int j = 1; j <= k; j++)
+                for (int i = 0; i < SIZE; i++)
+                    next[i] += inverse[k - j]*d->phi[(j - 1)*SIZE + i];
+            for (int i = 0; i < SIZE; i++)
+                own[i] = next[i]*halves[k];
+        }
+        multiply_square(d->growth, d->growth, 0, next);
+        for (int i = 0; i < SIZE; i++)
+            d->growth[i] = 2*d->growth[i] + next[i];
+    }
+    memset(d->psi, 0, sizeof d->psi);
+    for (int k = 0; k < K; k++)
+        for (int j = 0; j <= k; j++)
+            for (int i = 0; i < SIZE; i++)
+                d->psi[k*SIZE + i] += legendre[k*MOST_TANGENT_STAGES + j]*d->phi[j*SIZE + i];
+}
+
+/* What S' has beside flow S at a point of the last piece. */
+static void forcing_at(const model_pieces *s, model_tangents *d, double where, double *rate)
+{
+    const double *piece = s->piece;
+    double value[ROWS];
+    values_at(piece + AT_C, ROWS, s->order, where, N + M, value);
+    const double t = piece[AT_T] + piece[AT_TAU]*where;
+    forcing_on_sides(s, &t, value, value + L, s->sides, rate, d->at.y_p, d->at.rate_p);
+#if LAW
+    double right[M*BY];
+    fill_own_sides(d, piece, &d->rows, &d->at, right);
+    add_product(N, M, BY, 1, d->at.F_l, d->at.own, rate);
+    add_product(N, d->rows.n, BY, 1, d->push, right, rate);
+#endif
+}
+
+/* S over a part of the last piece: exp(h A) S and the integral of exp((1 - c) h A) h b, b by its values at the nodes of Radau IIA. */
+static int step_over(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
+{
+    const double h = (end - begin)*s->piece[AT_TAU];
+    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *parts = nodes + stages;
+    double rate[N*BY], b[MOST_TANGENT_STAGES*N*BY] = {0};
+    take_exponentials(d, highest_stages(s), h);
+    for (int j = 0; j < stages; j++) {
+        forcing_at(s, d, begin + (end - begin)*nodes[j], rate);
+        for (int k = 0; k < stages; k++)
+            for (int i = 0; i < N*BY; i++)
+                b[k*N*BY + i] += parts[k*stages + j]*rate[i];
+    }
+    memcpy(next, d->S, sizeof rate);
+    add_product(N, N, BY, 1, d->growth, d->S, next);
+    for (int k = 0; k < stages; k++)
+        add_product(N, N, BY, h, d->psi + k*N*N, b + k*N*BY, next);
+    return all_finite(N*BY, next);
+}
+#else
 #if defined(__GNUC__) && !defined(__clang__)
 #define IN_VECTORS __attribute__((optimize("tree-vectorize"))) /* its loops are long */
 #else
@@ -255,63 +420,11 @@ IN_VECTORS static int solve_step(int n, double *restrict system)
     return 1;
 }
 
-#if AFFINE_FLOW
-/* flow (N, N) and its pace, of a piece that is linearised at a point. */
-static void take_flow(model_tangents *d, const model_linearised *at)
-{
-    memcpy(d->flow, at->F_x, sizeof d->flow);
-#if LAW
-    add_product(N, M, N, 1, at->F_l, at->by_state, d->flow);
-#endif
-    d->pace = 0;
-    for (int a = 0; a < N; a++) {
-        double sum = 0;
-        for (int b = 0; b < N; b++)
-            sum += fabs(d->flow[a*N + b])*d->size[b]/d->size[a];
-        d->pace = worse_of(sum, d->pace);
-    }
-}
-
-/* S over a part of a piece whose flow is constant: exp(h A) S and the integral of exp((1 - c) h A) h b, by the nodes of Radau IIA. */
-static int by_exponential(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
-{
-    const double h = (end - begin)*s->piece[AT_TAU];
-    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *weights = nodes + stages;
-    double rate[N*BY], sum[N*BY], last = 1;
-    int terms = 1;
-    while (terms < EXPONENTIAL_TERMS && last > EPS/8)
-        last *= h*d->pace/terms++;
-    memset(d->moments, 0, (size_t)terms*sizeof sum);
-    for (int j = 0; j < stages; j++) {
-        if (!linearise(s, d, s->piece, s->sides, &d->rows, begin + (end - begin)*nodes[j], &d->at))
-            return 0;
-        memcpy(rate, d->at.F_p, sizeof rate);
-#if LAW
-        add_product(N, M, BY, 1, d->at.F_l, d->at.own, rate);
-#endif
-        double share = h*weights[j];
-        for (int k = 0; k < terms && share != 0; k++) {
-            for (int i = 0; i < N*BY; i++)
-                d->moments[k*N*BY + i] += share*rate[i];
-            share *= 1 - nodes[j];
-        }
-    }
-    memset(next, 0, sizeof sum);
-    for (int k = terms - 1; k >= 0; k--) {
-        for (int i = 0; i < N*BY; i++)
-            sum[i] = d->S[i] + d->moments[k*N*BY + i];
-        add_product(N, N, BY, h/(k + 1), d->flow, next, sum);
-        memcpy(next, sum, sizeof sum);
-    }
-    return all_finite(N*BY, next);
-}
-#endif
-
 /* S over a part of the last piece by one step of Radau IIA; whether that is possible. */
-static int by_radau(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
+static int step_over(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
 {
     const double h = (end - begin)*s->piece[AT_TAU];
-    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *inverse = nodes + 2*stages;
+    const double *nodes = tangent_tables[stages - FEWEST_TANGENT_STAGES], *inverse = nodes + stages;
     const int unknowns = stages*N, width = (unknowns + BY + 3)/4*4;
     double rate[N*BY], flow[N*N];
     memset(d->system, 0, (size_t)unknowns*width*sizeof *d->system);
@@ -347,8 +460,7 @@ static int by_radau(const model_pieces *s, model_tangents *d, int stages, double
     return all_finite(N*BY, next);
 }
 
-/* What steps of two orders may differ by. */
-static double allowed_difference(const model_pieces *s) { return max_of(min_of(TANGENT_SHARE*s->rtol/LOCAL, TANGENT_LOOSEST), TANGENT_ROUNDING); }
+#endif
 
 /* Whether two S differ by what is allowed of the largest entry of each column. */
 static int are_near(const model_pieces *s, const model_tangents *d, const double *one, const double *two)
@@ -369,17 +481,8 @@ static int are_near(const model_pieces *s, const model_tangents *d, const double
 static int try_part(const model_pieces *s, model_tangents *d, double begin, double end, double *next)
 {
     double low[N*BY];
-#if AFFINE_FLOW
-    const double pace = (end - begin)*s->piece[AT_TAU]*d->pace;
-    if (SHORT_PACE < pace && pace <= CUT_PACE)
-        return 0;
-    if (pace <= SHORT_PACE) {
-        const int found = by_exponential(s, d, MOST_TANGENT_STAGES - 1, begin, end, low) && by_exponential(s, d, MOST_TANGENT_STAGES, begin, end, next);
-        return found ? are_near(s, d, low, next) : -1;
-    }
-#endif
-    const int stages = allowed_difference(s) < TANGENT_LOOSEST ? MOST_TANGENT_STAGES : FEWEST_TANGENT_STAGES + 1;
-    const int found = by_radau(s, d, stages - 1, begin, end, low) && by_radau(s, d, stages, begin, end, next);
+    const int stages = highest_stages(s);
+    const int found = step_over(s, d, stages - 1, begin, end, low) && step_over(s, d, stages, begin, end, next);
     return found ? are_near(s, d, low, next) : -1;
 }
 
@@ -605,7 +708,11 @@ static int write_tangents(const model_pieces *s, model_tangents *d, double where
 /* Begin with the start of a run. */
 static void begin_tangents(const model_pieces *s, model_tangents *d)
 {
-    memset(d, 0, offsetof(model_tangents, system));
+#if AFFINE_FLOW
+    memset(d, 0, sizeof *d);
+#else
+    memset(d, 0, offsetof(model_tangents, system)); /* it is filled before it is read */
+#endif
     start_slopes(s, d->S, d->lower_p, d->upper_p);
 }
 
@@ -638,9 +745,8 @@ static int follow_piece(model_pieces *s, model_tangents *d, long count, const do
     UNUSED(begins);
 #endif
 #if AFFINE_FLOW
-    if (status == MODEL_OK && !linearise(s, d, piece, s->sides, &rows, length/2, &d->at))
+    if (status == MODEL_OK && !(linearise(s, d, piece, s->sides, &rows, length/2, &d->at) && take_flow(d, &d->at)))
         return MODEL_NOT_SOLVED;
-    take_flow(d, &d->at);
 #endif
     for (long r = 0; status == MODEL_OK && r < count && times[r] <= end; r++) {
         const double where = times[r] == end ? length : (times[r] - piece[AT_T])/piece[AT_TAU];
