@@ -380,7 +380,7 @@ class ModeSystem(ModeSeries):
         return max(own, sum(a * self._solved_terms(j) for j, a in self._feedthrough_terms[i])) if self.feedthrough[i] else own
 
     def row_scales(self) -> RowScales:
-        """Of all rows."""
+        """What y and l of all rows are measured beside at the place."""
         feeds = [self.feedthrough[i] or self.blocks.is_curved(i) for i in range(self.m)]
         of_y, of_l = ([of(i) if feeds[i] else 1.0 for i in range(self.m)] for of in (self.size_y, self.size_l))
         return RowScales(of_y, of_l)
