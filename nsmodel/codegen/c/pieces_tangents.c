@@ -9,6 +9,7 @@
 #define BY @TANGENTS@ /* columns of S */
 #define DEEPEST 45 /* times that a piece is halved, at most */
 #if AFFINE_FLOW
+#define TANGENT_LEFT 1e-3 /* of S: of which S + growth S would have lost three digits */
 #define PHI_TERMS 16 /* of the last phi(Z), |Z| <= 1: the next one is rounding */
 #else
 #define TANGENT_UNKNOWNS (MOST_TANGENT_STAGES*N)
@@ -38,7 +39,7 @@ typedef struct {
 typedef struct {
 #if AFFINE_FLOW
     double flow[N*N], pace, push[N*M + 1]; /* S' = flow S + F_p + push r on the last piece, r: right sides of its rows; |flow| in units of x */
-    double h, growth[N*N], phi[MOST_TANGENT_STAGES*N*N], psi[MOST_TANGENT_STAGES*N*N]; /* of parts of length h */
+    double h, whole[N*N], growth[N*N], phi[MOST_TANGENT_STAGES*N*N], psi[MOST_TANGENT_STAGES*N*N]; /* of parts of length h */
 #endif
     double S[N*BY], size[N]; /* at the time reached; of the states */
     double lower_p[M*BY + 1], upper_p[M*BY + 1]; /* ends of the law */
@@ -287,9 +288,10 @@ static void multiply_square(const double *one, const double *two, double factor,
 }
 
 /*
- * growth = exp(h A) - 1 and psi_k = the integral of exp((1 - c) h A) P_k(c) over c from 0 to 1, P_k Legendre's polynomials there, by
+ * whole = exp(h A), growth = exp(h A) - 1, and psi_k = the integral of exp((1 - c) h A) P_k(c) over c from 0 to 1, P_k Legendre's polynomials there, by
  * phi_k = the integral of exp((1 - c) h A) c^(k - 1)/(k - 1)!: a sum of powers where |h A| <= 1, else doubled (Skaflestad and Wright, The
- * scaling and modified squaring method for matrix functions related to the exponential, 2009). exp - 1 keeps the digits of slow motions.
+ * scaling and modified squaring method for matrix functions related to the exponential, 2009). exp - 1 keeps the digits of slow motions,
+ * exp those of what has died away.
  */
 static void take_exponentials(model_tangents *d, int K, double h)
 {
@@ -319,6 +321,7 @@ static void take_exponentials(model_tangents *d, int K, double h)
     for (int k = K - 1; k >= 1; k--)
         multiply_square(Z, d->phi + k*SIZE, inverse[k], d->phi + (k - 1)*SIZE);
     multiply_square(Z, d->phi, 0, d->growth);
+    multiply_square(Z, d->phi, 1, d->whole);
     for (; doublings > 0; doublings--) {
         for (int k = K; k >= 1; k--) {
             double *own = d->phi + (k - 1)*SIZE;
@@ -331,6 +334,8 @@ static void take_exponentials(model_tangents *d, int K, double h)
             for (int i = 0; i < SIZE; i++)
                 own[i] = next[i]*halves[k];
         }
+        multiply_square(d->whole, d->whole, 0, next);
+        memcpy(d->whole, next, sizeof next);
         multiply_square(d->growth, d->growth, 0, next);
         for (int i = 0; i < SIZE; i++)
             d->growth[i] = 2*d->growth[i] + next[i];
@@ -358,6 +363,24 @@ static void forcing_at(const model_pieces *s, model_tangents *d, double where, d
 #endif
 }
 
+/* exp(h A) S, column by column as S + growth S or, where next to nothing is left of it, as whole S. */
+static void take_along(const model_tangents *d, double *restrict next)
+{
+    double product[N*BY] = {0};
+    memcpy(next, d->S, N*BY*sizeof *next);
+    add_product(N, N, BY, 1, d->growth, d->S, next);
+    add_product(N, N, BY, 1, d->whole, d->S, product);
+    for (int c = 0; c < BY; c++) {
+        double size = 0, left = 0;
+        for (int a = 0; a < N; a++) {
+            size = max_of(fabs(d->S[a*BY + c])/d->size[a], size);
+            left = worse_of(fabs(next[a*BY + c])/d->size[a], left);
+        }
+        for (int a = 0; a < N && left < TANGENT_LEFT*size; a++)
+            next[a*BY + c] = product[a*BY + c];
+    }
+}
+
 /* S over a part of the last piece: exp(h A) S and the integral of exp((1 - c) h A) h b, b by its values at the nodes of Radau IIA. */
 static int step_over(const model_pieces *s, model_tangents *d, int stages, double begin, double end, double *next)
 {
@@ -371,8 +394,7 @@ static int step_over(const model_pieces *s, model_tangents *d, int stages, doubl
             for (int i = 0; i < N*BY; i++)
                 b[k*N*BY + i] += parts[k*stages + j]*rate[i];
     }
-    memcpy(next, d->S, sizeof rate);
-    add_product(N, N, BY, 1, d->growth, d->S, next);
+    take_along(d, next);
     for (int k = 0; k < stages; k++)
         add_product(N, N, BY, h, d->psi + k*N*N, b + k*N*BY, next);
     return all_finite(N*BY, next);
