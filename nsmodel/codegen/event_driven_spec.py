@@ -29,10 +29,10 @@ from nsmodel._utils import cached_per_object, cached_per_object_and_key
 from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.recurrences import ANY_DEGREE, DiscTable, RecurrencePrinter, SeriesColumns, constant_factor_index
 from nsmodel.errors import CodegenError
+from nsmodel.event_driven.bernstein import ORDERS
 from nsmodel.event_driven.collocation import Collocation, radau_collocation
 from nsmodel.event_driven.friction_modes import with_stick_slip_modes
 from nsmodel.event_driven.integrator import MIN_RTOL
-from nsmodel.event_driven.modes import ORDERS
 from nsmodel.event_driven.multipliers import SHORT, SINGULAR, is_monotone
 from nsmodel.event_driven.problem import CONTINUOUS_PROBLEM, ContinuousProblem, NotEventDriven, with_input_states
 from nsmodel.event_driven.radau import FixedBranches, SlopeMatrix, fixed_branches, stage_count

@@ -2,16 +2,23 @@
 
 The coefficients in the Bernstein basis of [lo, hi] enclose the values there, and the number of roots is that of their changes of
 sign, less an even number (Farouki and Rajan, Computer Aided Geometric Design 4, 1987). Halving is de Casteljau's algorithm.
+
+The first coefficients of a polynomial, its germ at 0: which of them is the first that is not rounding.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, reduce
 from itertools import pairwise
 from math import comb
 from typing import Any
 
+GERM = 1e-9  # Coefficients below this share of the largest are rounding.
+ORDERS, HALF = 6, 3  # Of a germ, and the first ones, which the others are not to exceed.
+PACES, HALVED = 8, 0.5  # Iterations of their unit of time, until it is no more than halved.
+GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ.
+NO_ERRORS = (0.0,) * (ORDERS + 1)
 NONE = 2.0  # Of a root, where there is none.
 NARROW = 1e-13  # Two roots that are as near as this are one.
 ITERATIONS, EXACT = 80, 1e-9  # Of Newton's method, and the step after which the next would be rounding.
@@ -117,3 +124,62 @@ def simple_root(c: list[float], low: float, high: float, s: float) -> float:
             return new
         s = new
     return s
+
+
+def without_rounding(c: Sequence[float], known: Sequence[float]) -> list[float]:
+    """Coefficients, 0 where they are below what they are known to; of the orders of which that is said."""
+    return [0.0 if abs(v) <= least else v for v, least in zip(c, known, strict=False)]
+
+
+def shrink_time_share(c: list[float], so_far: float, share: float) -> float:
+    """A share of the unit of time in which the later half of orders is not larger than the first, or than ``so_far``."""
+    for _ in range(PACES):
+        own = [abs(a) * share**k for k, a in enumerate(c[1 : ORDERS + 1], 1)]
+        largest = max(so_far, *own[:HALF])
+        factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
+        share *= factor
+        if factor > HALVED:
+            break
+    return share
+
+
+def leading_order(c: list[float], least: float, share: float, known: Sequence[float] = ()) -> int | None:
+    """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are.
+
+    ``known``: what each coefficient is known to; ``share``: of the unit of time, see `germ_time_share`; where the condition
+    itself needs a shorter one, and is no rounding in it, that.
+    """
+    if known:
+        return lowest_order(c, least, known)
+    if len(c) > HALF + 1 and max(map(abs, c[HALF + 1 : ORDERS + 1])) > max(map(abs, c[: HALF + 1])):
+        own = shrink_time_share(c, abs(c[0]), share)
+        if max(abs(a) * own**k for k, a in enumerate(c[: HALF + 1])) > least:
+            share = own
+    decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
+    least = max(least, GERM * max(map(abs, decide)))
+    return next((k for k, a in enumerate(decide) if abs(a) > least), None)
+
+
+def lowest_order(c: list[float], least: float, known: Sequence[float] = ()) -> int | None:
+    """The same by rounding alone: the first order above ``least`` in a unit of time in which later ones are no larger."""
+    decide = without_rounding(c, known) if known else c[: ORDERS + 1]
+    return next((k for k, a in enumerate(decide) if a and abs(a) * dominant_time_share(decide, k) ** k > least), None)
+
+
+def dominant_time_share(c: list[float], k: int) -> float:
+    """The share of the unit of time, 1 at most, in which no later coefficient is larger than that of order k."""
+    size = abs(c[k])
+    return min([(size / abs(b)) ** (1 / (j - k)) for j, b in enumerate(c[k + 1 :], k + 1) if abs(b) > size], default=1.0)
+
+
+def germs_differ(
+    a: Sequence[float],
+    b: Sequence[float],
+    share: float,
+    least: float,
+    errors: Iterable[float] = NO_ERRORS,
+) -> bool:
+    """Whether two germs are not the same, in a share of the unit of time; ``errors``: what each order of them errs by."""
+    size = max(abs(v) * share**k for row in (a, b) for k, v in enumerate(row))
+    difference = max((abs(p - q) - error) * share**k for k, (p, q, error) in enumerate(zip(a, b, errors, strict=True)))
+    return bool(difference > GERM_DIFFERENCE * size + least)

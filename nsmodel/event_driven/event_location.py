@@ -21,11 +21,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.event_driven.bernstein import NONE, first_root, poly_slope, poly_value, poly_values, simple_root, taylor_shift
+from nsmodel.event_driven.bernstein import (
+    GERM,
+    NONE,
+    ORDERS,
+    dominant_time_share,
+    first_root,
+    leading_order,
+    lowest_order,
+    poly_slope,
+    poly_value,
+    poly_values,
+    simple_root,
+    taylor_shift,
+    without_rounding,
+)
 from nsmodel.event_driven.disc_arithmetic import EPS, EquationsOnDisc, TaylorForm, form_of_polynomial
 from nsmodel.event_driven.modes import (
-    GERM,
-    ORDERS,
     ROW,
     TIE,
     ULP,
@@ -35,16 +47,12 @@ from nsmodel.event_driven.modes import (
     condition_argument,
     condition_scale,
     condition_uncertainty,
-    dominant_time_share,
     germ_rounding,
     germ_time_share,
     has_own_row,
     is_same_condition,
     known_to,
-    leading_order,
-    lowest_order,
     mode_conditions,
-    without_rounding,
 )
 from nsmodel.event_driven.multipliers import MultiplierSolver
 from nsmodel.event_driven.step_size import power_of_two_unit

@@ -18,12 +18,11 @@ import numpy as np
 
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven import piece as lines
-from nsmodel.event_driven.bernstein import poly_value, poly_values
+from nsmodel.event_driven.bernstein import ORDERS, poly_value, poly_values, without_rounding
 from nsmodel.event_driven.event_location import NEAR, EventLocator, IsolatedRoot
 from nsmodel.event_driven.friction_modes import STOPS
 from nsmodel.event_driven.modes import (
     MAX_NUDGES,
-    ORDERS,
     ROW,
     TIE,
     ULP,
@@ -45,10 +44,8 @@ from nsmodel.event_driven.modes import (
     select_mode,
     set_initial_codes,
     set_switch,
-    switch_name,
     uniqueness_verdict,
     update_scales,
-    without_rounding,
 )
 from nsmodel.event_driven.multipliers import MultiplierSolver, RowScales
 from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector
@@ -469,7 +466,7 @@ class Integrator:
             self._pass_switch_time(known)
             return
         before_all, pending = ([place.x[i] for i in self.problem.updated], list(place.codes)), self._pending_event
-        self._select_next_mode("after " + switch_name(hit.of, self.problem.rows))
+        self._select_next_mode("after " + list_switch_names([hit.of], self.problem.rows))
         if hit.of[0] in self.problem.block_parts and before_all == ([place.x[i] for i in self.problem.updated], place.codes):
             self._pending_event = pending  # A comparison of a block that sets nothing new, and changes no mode, is no event.
         self._record_undecided(hit, found, rates)
@@ -560,7 +557,7 @@ class Integrator:
         return False
 
     def _accumulation_error(self, hit: SwitchCondition, *, parts_late: bool = False) -> StepError:
-        name = switch_name(hit.of, self.problem.rows)
+        name = list_switch_names([hit.of], self.problem.rows)
         reason = f"the switches of {name} accumulate; time steps go over them"
         if parts_late:
             orders = f"orders 0 to {ORDERS} of the series"

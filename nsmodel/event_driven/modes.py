@@ -21,7 +21,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.event_driven.bernstein import poly_values
+from nsmodel.event_driven.bernstein import (
+    HALF,
+    ORDERS,
+    germs_differ,
+    leading_order,
+    poly_values,
+    shrink_time_share,
+    without_rounding,
+)
 from nsmodel.event_driven.disc_arithmetic import EPS, DiscBall, DiscValues
 from nsmodel.event_driven.friction_modes import FrictionBlock
 from nsmodel.event_driven.multipliers import ROUNDING, MultiplierSolver, multiplier_solver
@@ -203,12 +211,8 @@ def _block_conditions(system: ModeSystem, block: FrictionBlock, code: int, known
         yield SwitchCondition((ROW, block.first), block.inner, -1.0, block.quadric[1], known, 1, "inside")
 
 
-GERM = 1e-9  # Coefficients below this share of the largest are rounding.
-ORDERS, HALF = 6, 3  # Of a germ, and the first ones, which the others are not to exceed.
-PACES, HALVED = 8, 0.5  # Iterations of their unit of time, until it is no more than halved.
 PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wrong rows at once.
 PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
-GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ.
 INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
 CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
 MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
@@ -217,7 +221,6 @@ ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
-NO_ERRORS = (0.0,) * (ORDERS + 1)
 FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])
 
 
@@ -386,13 +389,13 @@ def uniqueness_verdict(system: ModeSystem, place: PieceStart) -> tuple[str, str]
         its = min(share, germ_time_share(system, germ_rounding(system)))
         rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, system.pushed(), system.sizes.x, strict=True)]
         other, valid = [row[: ORDERS + 1] for row in system.x], list(place.codes)
-        differ = [i for i, (a, b) in enumerate(zip(own, other, strict=True)) if _germs_differ(a, b, its, rounding[i])]
+        differ = [i for i, (a, b) in enumerate(zip(own, other, strict=True)) if germs_differ(a, b, its, rounding[i])]
         if not differ:
             continue
         errors = _state_rounding(system)
         _take_up_mode(system, place, before, l)
         errors += _state_rounding(system)
-        if any(_germs_differ(own[i], other[i], its, rounding[i], errors[i]) for i in differ):
+        if any(germs_differ(own[i], other[i], its, rounding[i], errors[i]) for i in differ):
             return SPLIT, f"{before[0]} and {valid}"
     _take_up_mode(system, place, before, l)
     return verdict, ""
@@ -417,19 +420,6 @@ def _holds_coupled_rows(system: ModeSystem, place: PieceStart) -> bool:
     return system.are_coupled([i for i, code in enumerate(place.codes) if code == 0])
 
 
-def _germs_differ(
-    a: Sequence[float],
-    b: Sequence[float],
-    share: float,
-    least: float,
-    errors: Sequence[float] | np.ndarray = (0.0,) * (ORDERS + 1),
-) -> bool:
-    """Whether two germs are not the same, in a share of the unit of time; ``errors``: what each order of them errs by."""
-    size = max(abs(v) * share**k for row in (a, b) for k, v in enumerate(row))
-    difference = max((abs(p - q) - error) * share**k for k, (p, q, error) in enumerate(zip(a, b, errors, strict=True)))
-    return bool(difference > GERM_DIFFERENCE * size + least)
-
-
 def germ_time_share(system: ModeSystem, known: GermRounding) -> float:
     """The share of the unit of time in which coefficients of x, l and l'S l do not grow from order to order: that of germs.
 
@@ -451,54 +441,8 @@ def germ_time_share(system: ModeSystem, known: GermRounding) -> float:
             first = max(so_far, *own[:HALF])
             if (share == 1 and max(own[HALF:]) <= first) or (acts == "x" and first <= ROUNDING * system.pushed()[i]):
                 continue
-            share = _shrink_time_share(row, so_far, share)
+            share = shrink_time_share(row, so_far, share)
     return share
-
-
-def without_rounding(c: Sequence[float], known: Sequence[float]) -> list[float]:
-    """Coefficients, 0 where they are below what they are known to; of the orders of which that is said."""
-    return [0.0 if abs(v) <= least else v for v, least in zip(c, known, strict=False)]
-
-
-def _shrink_time_share(c: list[float], so_far: float, share: float) -> float:
-    """A share of the unit of time in which the later half of orders is not larger than the first, or than ``so_far``."""
-    for _ in range(PACES):
-        own = [abs(a) * share**k for k, a in enumerate(c[1 : ORDERS + 1], 1)]
-        largest = max(so_far, *own[:HALF])
-        factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
-        share *= factor
-        if factor > HALVED:
-            break
-    return share
-
-
-def leading_order(c: list[float], least: float, share: float, known: Sequence[float] = ()) -> int | None:
-    """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are.
-
-    ``known``: what each coefficient is known to; ``share``: of the unit of time, see `germ_time_share`; where the condition
-    itself needs a shorter one, and is no rounding in it, that.
-    """
-    if known:
-        return lowest_order(c, least, known)
-    if len(c) > HALF + 1 and max(map(abs, c[HALF + 1 : ORDERS + 1])) > max(map(abs, c[: HALF + 1])):
-        own = _shrink_time_share(c, abs(c[0]), share)
-        if max(abs(a) * own**k for k, a in enumerate(c[: HALF + 1])) > least:
-            share = own
-    decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
-    least = max(least, GERM * max(map(abs, decide)))
-    return next((k for k, a in enumerate(decide) if abs(a) > least), None)
-
-
-def lowest_order(c: list[float], least: float, known: Sequence[float] = ()) -> int | None:
-    """The same by rounding alone: the first order above ``least`` in a unit of time in which later ones are no larger."""
-    decide = without_rounding(c, known) if known else c[: ORDERS + 1]
-    return next((k for k, a in enumerate(decide) if a and abs(a) * dominant_time_share(decide, k) ** k > least), None)
-
-
-def dominant_time_share(c: list[float], k: int) -> float:
-    """The share of the unit of time, 1 at most, in which no later coefficient is larger than that of order k."""
-    size = abs(c[k])
-    return min([(size / abs(b)) ** (1 / (j - k)) for j, b in enumerate(c[k + 1 :], k + 1) if abs(b) > size], default=1.0)
 
 
 def _pivot_to_valid_mode(system: ModeSystem, place: PieceStart) -> MultiplierSolver | None:

@@ -12,7 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from nsmodel.errors import StepError
-from nsmodel.event_driven.modes import ORDERS, ROW, TIE, PieceStart, all_switches, is_condition_zero, mode_conditions, set_switch
+from nsmodel.event_driven.bernstein import ORDERS
+from nsmodel.event_driven.modes import ROW, TIE, PieceStart, all_switches, is_condition_zero, mode_conditions, set_switch
 from nsmodel.event_driven.multipliers import ROUNDING, generalised_inverse, least_motion
 from nsmodel.event_driven.step_size import initial_time_unit
 from nsmodel.event_driven.system import ModeSystem
