@@ -135,7 +135,7 @@ class RunRequest:
     def made(
         cls, rtol: float, atol: Sequence[float] | np.ndarray, held: tuple[np.ndarray, np.ndarray], *, residuals: bool
     ) -> Self:
-        """Of lists."""
+        """The request with its known times and their data as arrays that C can read."""
         times, data = (np.ascontiguousarray(part) for part in held)
         return cls(rtol, np.array(atol, float), times, data, residuals)
 

@@ -260,7 +260,7 @@ class PieceSpec:
 
     @cached_property
     def slopes(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """g_l, h_l, h_x."""
+        """The slopes g_l, h_l and h_x of the problem."""
         return self.problem.slopes
 
     @cached_property
@@ -505,7 +505,7 @@ def nonzero_pattern(A: SlopeMatrix) -> np.ndarray:
 
 
 def matrix_product(A: SlopeMatrix, B: SlopeMatrix) -> SlopeMatrix:
-    """A B."""
+    """The product of two slope matrices, of numbers or of expressions."""
     if isinstance(A, np.ndarray) and isinstance(B, np.ndarray):
         return A @ B
     return _as_numbers(ca.mtimes(ca.SX(A), ca.SX(B)))

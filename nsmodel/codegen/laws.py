@@ -26,7 +26,7 @@ class CText:
     text: str
 
     def __sub__(self, other: CText) -> CText:
-        """Of two names."""
+        """The text of the difference of two names."""
         return CText(f"{self.text} - {other.text}")
 
     def __lt__(self, other: float) -> CText:
@@ -38,7 +38,7 @@ class CText:
         return CText(f"{self.text} > {other:g}")
 
     def __str__(self) -> str:
-        """The C itself."""
+        """The expression in C."""
         return self.text
 
 

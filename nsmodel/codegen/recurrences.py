@@ -283,7 +283,7 @@ def constant_factor_index(line: Recurrence, degree: Mapping[int, int]) -> int | 
 
 
 def _as_factor(text: str) -> str:
-    """As a factor."""
+    """The text in parentheses, unless a name or a number."""
     return text if text.replace("_", "").replace("[", "").replace("]", "").isalnum() else f"({text})"
 
 
@@ -350,7 +350,7 @@ class DiscTable:
 
     @property
     def rows(self) -> int:
-        """How many."""
+        """The number of rows of the table."""
         return len(self.row) + len(self.numbers) + len(self.lines)
 
     def _add(self, printer: RecurrencePrinter) -> None:

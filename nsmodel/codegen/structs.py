@@ -20,7 +20,7 @@ class Status(NamedTuple):
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The status in words."""
         return ": ".join(filter(None, self[1:]))
 
 

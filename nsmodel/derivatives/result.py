@@ -263,7 +263,7 @@ class RunFunction(ca.Callback):
         return [self._run.at(arg[0]).value.ravel()]
 
     def has_jacobian(self) -> bool:
-        """It is exact."""
+        """True: the Jacobian is exact."""
         return True
 
     def get_jacobian(self, name: str, inames: list[str], onames: list[str], opts: dict[str, Any]) -> ca.Callback:  # pyright: ignore[reportIncompatibleMethodOverride]

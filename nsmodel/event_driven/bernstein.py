@@ -30,7 +30,7 @@ def poly_value(c: list[float], s: float) -> float:
 
 
 def poly_slope(c: list[float], s: float) -> float:
-    """c'(s)."""
+    """The derivative of the polynomial at s."""
     return _generated_evaluator(len(c), "slope")(c, s)
 
 

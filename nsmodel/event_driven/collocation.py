@@ -63,7 +63,7 @@ class Collocation:
 
     @property
     def stages(self) -> int:
-        """S."""
+        """The number of stages."""
         return len(self.nodes)
 
     @cached_property

@@ -55,7 +55,7 @@ class DiscBall:
         return DiscBall(other - self.c, self.r)
 
     def __gt__(self, other: float) -> bool:
-        """Of the centre."""
+        """Whether the centre is larger than a number."""
         return self.c > other
 
     def __neg__(self) -> DiscBall:
@@ -78,7 +78,7 @@ class DiscBall:
         return self.inverse() * other
 
     def inverse(self) -> DiscBall:
-        """1/u."""
+        """The enclosure of 1/u."""
         a, r = abs(self.c), self.r
         return DiscBall(1 / self.c, r / (a * (a - r))) if r < a else DiscBall(0.0, INF)
 
@@ -214,7 +214,7 @@ class TaylorForm:
         return -self + other
 
     def __gt__(self, other: float) -> bool:
-        """Of the centre."""
+        """Whether the value at the centre is larger than a number."""
         return bool(self.c[0] > other)
 
     def __neg__(self) -> TaylorForm:
@@ -239,7 +239,7 @@ class TaylorForm:
         return self.inverse() * other
 
     def inverse(self) -> TaylorForm:
-        """1/u."""
+        """The enclosure of 1/u."""
         a, v = float(self.c[0]), self.moves
         if not v < abs(a):
             return _unbounded_like(self)
@@ -510,7 +510,7 @@ class EquationsOnDisc:
         }
 
     def __call__(self, t: Any, x: Sequence[Any], l: Sequence[Any]) -> DiscValues:
-        """All of them."""
+        """The values of f, g and h, and of the arguments of their branches."""
         system, given = self._system, _input_table(t, x, l)
         found = {name: part(given) for name, part in self._parts.items()}
         free = found["f"][0]
@@ -522,7 +522,7 @@ class EquationsOnDisc:
         return DiscValues(rate, rate if "g" in found else free, y, looked)
 
     def f(self, t: Any, x: Sequence[Any], l: Sequence[Any]) -> list[Any]:
-        """F alone."""
+        """The value of f."""
         return self._parts["f"](_input_table(t, x, l))[0]
 
     def watched(self) -> list[list[float]]:

@@ -67,7 +67,7 @@ class FrictionBlock:
 
     @cached_property
     def quadric(self) -> tuple[np.ndarray, float]:
-        """(S, c)."""
+        """The matrix S and the bound c of the set l'S l <= c."""
         return self.curved.quadric(len(self.at)) if self.curved else (np.eye(1), 1.0)
 
     @cached_property
@@ -98,7 +98,7 @@ class FrictionBlock:
 
     @cached_property
     def _stick_expansion(self) -> TaylorExpansion:
-        """l'S l of l."""
+        """The function l'S l of l with its first derivatives."""
         l = ca.SX.sym("l", len(self.at))
         recurrences = taylor_decompose(ca.dot(l, ca.DM(self.quadric[0]) @ l), [l], "l'S l")
         return TaylorExpansion(recurrences, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.l)})

@@ -652,7 +652,7 @@ MAX_EVENT_DRIVEN_OPERATIONS = 10_000  # Operations of f, g and h up to which "au
 
 
 def operation_count(p: ContinuousProblem) -> int:
-    """Of f, g and h."""
+    """The number of operations of f, g and h."""
     return sum(ca.n_nodes(part) for part in (p.f, p.g, p.h))
 
 

@@ -216,23 +216,23 @@ class TracedNumber:
         self.tape, self.place = tape, place
 
     def __add__(self, other: Any) -> Any:
-        """+."""
+        """Note a sum, unless the other is 0."""
         return self if _equals_constant(other, 0) else self.tape.note("({} + {})", self, other)
 
     def __radd__(self, other: Any) -> Any:
-        """+."""
+        """Note a sum, unless the other is 0."""
         return self if _equals_constant(other, 0) else self.tape.note("({} + {})", other, self)
 
     def __sub__(self, other: Any) -> Any:
-        """-."""
+        """Note a difference, unless the other is 0."""
         return self if _equals_constant(other, 0) else self.tape.note("({} - {})", self, other)
 
     def __rsub__(self, other: Any) -> Any:
-        """-."""
+        """Note the difference of a constant and this number."""
         return self.tape.note("({} - {})", other, self)
 
     def __mul__(self, other: Any) -> Any:
-        """*."""
+        """Note a product, unless the other is 0 or 1."""
         return (
             0.0
             if _equals_constant(other, 0)
@@ -242,7 +242,7 @@ class TracedNumber:
         )
 
     def __rmul__(self, other: Any) -> Any:
-        """*."""
+        """Note a product, unless the other is 0 or 1."""
         return (
             0.0
             if _equals_constant(other, 0)
@@ -252,15 +252,15 @@ class TracedNumber:
         )
 
     def __truediv__(self, other: Any) -> Any:
-        """/."""
+        """Note a quotient, unless the divisor is 1."""
         return self if _equals_constant(other, 1) else self.tape.note("({} / {})", self, other)
 
     def __rtruediv__(self, other: Any) -> Any:
-        """/."""
+        """Note the quotient of a constant and this number, unless the constant is 0."""
         return 0.0 if _equals_constant(other, 0) else self.tape.note("({} / {})", other, self)
 
     def __neg__(self) -> TracedNumber:
-        """-."""
+        """Note the number with the other sign."""
         return self.tape.note("(-{})", self)
 
     def __gt__(self, other: Any) -> Any:
@@ -268,11 +268,11 @@ class TracedNumber:
         return self.tape.note("({} > {})", self, other)
 
     def __eq__(self, other: object) -> Any:
-        """Noted."""
+        """Note a comparison."""
         return self.tape.note("({} == {})", self, other)
 
     def __ne__(self, other: object) -> Any:
-        """Noted."""
+        """Note a comparison."""
         return self.tape.note("({} != {})", self, other)
 
     __hash__ = None  # pyright: ignore[reportAssignmentType]

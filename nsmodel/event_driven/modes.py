@@ -76,7 +76,7 @@ def is_same_condition(one: SwitchCondition, other: SwitchCondition) -> bool:
 
 
 def all_switches(system: ModeSystem) -> set[Switch]:
-    """All of them."""
+    """The switches of all rows and branches."""
     return {(ROW, system.blocks.rows_of(i)[0]) for i in range(system.m)} | set(system.branches)
 
 

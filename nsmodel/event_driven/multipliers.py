@@ -249,7 +249,7 @@ def is_p_matrix(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int]
 
 
 def matrix_times_vector(A: MatrixRows, v: list[float]) -> list[float]:
-    """A v."""
+    """The product of a matrix and a vector."""
     return [sum(map(mul, row, v)) for row in A]
 
 

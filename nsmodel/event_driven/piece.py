@@ -54,7 +54,7 @@ class Piece(NamedTuple):
 
     @property
     def end(self) -> float:
-        """The last time."""
+        """The time at which the piece ends."""
         return self.t + self.tau * self.s
 
     def moved(self, t: float, x: list[float], error: float) -> Piece:

@@ -158,7 +158,7 @@ class CollocationFit(NamedTuple):
 
     @property
     def last(self) -> list[float]:
-        """X at the end."""
+        """The state at the end of the step."""
         return self.x[-1].tolist()
 
 
@@ -195,7 +195,7 @@ class RadauMethod:
 
     @cached_property
     def table(self) -> Collocation:
-        """The matrices."""
+        """The matrices of the collocation method."""
         return radau_collocation(self.stages)
 
     @cached_property

@@ -31,12 +31,12 @@ TWO_OVER_ROOT_PI = 2 / math.sqrt(math.pi)
 
 
 def product(a: SeriesRow, b: SeriesRow, k: int) -> float:
-    """y = a b."""
+    """Coefficient k of the product of two series."""
     return sum(map(mul, a[: k + 1], b[k::-1]))
 
 
 def square(a: SeriesRow, k: int) -> float:
-    """y = a^2."""
+    """Coefficient k of the square of a series."""
     return sum(map(mul, a[: k + 1], a[k::-1]))
 
 

@@ -52,7 +52,7 @@ def rewrite_without_overflow(expr: ca.SX) -> ca.SX:
 
 
 class ExponentialTerm(NamedTuple):
-    """r exp(s)."""
+    """A term r exp(s) of a sum of exponentials."""
 
     r: ca.SX
     s: Exponent
@@ -141,7 +141,7 @@ class _ExponentialRewriter:
         return replace(node, terms=(ExponentialTerm(ca.SX(1), ((u.base, u.factor),)),))
 
     def general_power(self, node: ExponentialNode, a: ExponentialNode, u: ExponentialNode) -> ExponentialNode | None:
-        """a^u and u^a."""
+        """Powers in which the exponent, or the base, is constant."""
         if u.value is not None:
             return self.power(node, a, u.value)
         if a.value is None or a.value <= 0 or a.value == 1:
@@ -152,7 +152,7 @@ class _ExponentialRewriter:
         return self.sum(node, self.exp(node, u), self.number(-1.0))
 
     def hyperbolic(self, node: ExponentialNode, u: ExponentialNode, sign: float) -> ExponentialNode:
-        """Sinh and cosh."""
+        """The hyperbolic sine (sign -1) or cosine (sign 1) as a sum of exponentials."""
         terms = (ExponentialTerm(ca.SX(0.5), ((u.base, u.factor),)), ExponentialTerm(ca.SX(sign / 2), ((u.base, -u.factor),)))
         return replace(node, terms=terms)
 
@@ -332,7 +332,7 @@ def _sum_node(node: ExponentialNode, terms: Sequence[ExponentialTerm]) -> Expone
 
 
 def _add_exponents(a: Exponent, b: Exponent, times: float = 1.0) -> Exponent:
-    """A + times b."""
+    """The exponent a + times b."""
     total = dict(a)
     for base, factor in b:
         total[base] = total.get(base, 0.0) + times * factor

@@ -145,7 +145,7 @@ class ModelEquations:
         self._buffer, self._call = attach_buffers(function, [self._given], [self._found])
 
     def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[list[float], list[float]]:
-        """The two."""
+        """The derivatives x' and the values y of the model at a point."""
         self._given[:] = [time, *state, *multipliers]
         self._call()
         found = self._found.tolist()

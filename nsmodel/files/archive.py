@@ -198,7 +198,7 @@ class ArchivedArray:
 
     @property
     def size(self) -> int:
-        """Its bytes."""
+        """The number of bytes of the array."""
         return prod(self.shape) * self.dtype.itemsize
 
     def blocks(self, stream: IO[bytes]) -> Iterator[bytes]:
@@ -354,7 +354,7 @@ class StoredArrays(Mapping[str, np.ndarray]):
         return cls(parts, {})
 
     def only(self, names: Iterable[str], checks: Mapping[str, Callable[[np.ndarray], None]]) -> StoredArrays:
-        """Some of them."""
+        """The arrays of these names, with checks of their own."""
         return StoredArrays({name: self._parts[name] for name in names}, checks)
 
     def part(self, name: str) -> ArrayPartOnDisk:
@@ -477,7 +477,7 @@ def _member_places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
 
 
 def _read_metadata(stream: IO[bytes], begin: int, size: int, crc: int) -> dict[str, Any]:
-    """The metadata."""
+    """The metadata of a file, whose checksum is verified."""
     stream.seek(begin)
     text = stream.read(size)
     if zlib.crc32(text) != crc:

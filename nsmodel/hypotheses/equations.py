@@ -112,7 +112,7 @@ def entry_formulas(expr: ca.SX, names: SymbolNames) -> list[str]:
 
 
 def space_latex(n: int) -> str:
-    """R^n."""
+    """The space R^n in LaTeX."""
     return r"\mathbb{R}" if n == 1 else rf"\mathbb{{R}}^{{{n}}}"
 
 
@@ -169,11 +169,11 @@ class _LatexWriter:
     """What laws write their sets with."""
 
     def number(self, expression: ca.SX) -> str:
-        """A scalar."""
+        """A scalar expression in LaTeX."""
         return entry_formulas(expression, SymbolNames({}, {}))[0]
 
     def matrix(self, matrix: Any) -> str:
-        """A matrix."""
+        """A matrix in LaTeX."""
         return matrix_latex(ca.SX(matrix), SymbolNames({}, {}))
 
     def column(self, numbers: Sequence[float] | np.ndarray) -> str:
@@ -181,5 +181,5 @@ class _LatexWriter:
         return vector_latex([number_latex(float(value)) for value in numbers])
 
     def space(self, m: int) -> str:
-        """R^m."""
+        """The space R^m in LaTeX."""
         return space_latex(m)

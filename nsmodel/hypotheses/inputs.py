@@ -46,7 +46,7 @@ class InputJump(NamedTuple):
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The jump in words."""
         return f"'{self.name}' jumps at t = {self.jump.t:.6g}"
 
 

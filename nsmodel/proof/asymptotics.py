@@ -104,14 +104,14 @@ def value_interval(value: AsymptoticOrder, k: int) -> IntervalPair:
 
 @np.errstate(all="ignore")
 def add_orders(a: AsymptoticOrder | None, b: AsymptoticOrder | None, k: int) -> AsymptoticOrder | None:
-    """a + b."""
+    """The order of the sum of two terms."""
     both = bring_to_common_order(a, b, k)
     return both and make_order(both[0], both[1], arithmetic.add(both[2], both[3]))
 
 
 @np.errstate(all="ignore")
 def multiply_orders(a: AsymptoticOrder | None, b: AsymptoticOrder | None) -> AsymptoticOrder | None:
-    """a b."""
+    """The order of the product of two terms."""
     if a is None or b is None:
         return None
     return make_order(a.p + b.p, a.l + b.l, arithmetic.mul(coefficient_interval(a), coefficient_interval(b)))

@@ -23,7 +23,7 @@ from nsmodel.proof.verdict import not_none
 
 
 def zero_cone(size: int) -> Any:
-    """The cone {0}."""
+    """Clarabel's cone {0} of a dimension."""
     return _import_clarabel().ZeroConeT(size)
 
 

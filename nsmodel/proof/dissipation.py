@@ -49,7 +49,7 @@ class BalancedCoordinates:
 
     @property
     def free(self) -> int:
-        """Size of Y."""
+        """The number of rows of the free block Y."""
         return len(self.left) - self.r
 
     def middle(self, Y: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ class BalancedCoordinates:
         return (2 * omega * P - P @ J - J.T @ P) / self.scale
 
     def to_hat(self, Y: np.ndarray) -> np.ndarray:
-        """Y_hat of Y."""
+        """The block Y in balanced coordinates."""
         back = self.back[self.r :, self.r :]
         return back.T @ Y @ back
 

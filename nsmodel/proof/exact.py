@@ -262,7 +262,7 @@ def is_psd(matrix: Any) -> bool:
 
 
 def _symmetric_part(matrix: Any) -> np.ndarray:
-    """M + M'."""
+    """The sum M + M' in exact numbers."""
     M = rational(matrix)
     S = M.copy()
     for i, j in zip(*np.nonzero(M.T), strict=True):

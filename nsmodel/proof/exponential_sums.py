@@ -91,7 +91,7 @@ def _drop_zero_terms(a: ExponentialSum) -> ExponentialSum:
 
 
 def add_sums(a: ExponentialSum, b: ExponentialSum, sign: int = 1) -> ExponentialSum:
-    """A + sign B."""
+    """The exponential sum a + sign b."""
     out = dict(a)
     for key, (top, bottom) in b.items():
         if key in out:
@@ -120,7 +120,7 @@ def multiply_keys(a: ExponentialKey, b: ExponentialKey, sign: int = 1) -> tuple[
 
 
 def multiply_sums(a: ExponentialSum, b: ExponentialSum) -> ExponentialSum:
-    """A B."""
+    """The product of two exponential sums."""
     out: ExponentialSum = {}
     for left, (n, d) in a.items():
         for right, (top, bottom) in b.items():
@@ -168,7 +168,7 @@ def power_of_term(a: ExponentialSum, exponent: Fraction, line: OpenInterval) -> 
 
 
 def _power_term(u: tuple[Fraction, ...], p: Fraction) -> ExponentialSum:
-    """u^p."""
+    """The power u^p of a polynomial, its whole part multiplied out."""
     whole = p.numerator // p.denominator
     if abs(whole) * len(u) > MAX_SUM_DEGREE:
         raise UndecidedSign

@@ -78,7 +78,7 @@ def power_of_sum(a: MonomialSum, q: Fraction, *, below: bool) -> MonomialSum:
 
 
 def add_terms(a: tuple[QuotientTerm, ...] | None, b: tuple[QuotientTerm, ...] | None) -> tuple[QuotientTerm, ...] | None:
-    """The sum."""
+    """The sum of two quotients as a list of terms."""
     return None if a is None or b is None else a + b
 
 

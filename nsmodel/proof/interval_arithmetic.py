@@ -118,18 +118,18 @@ def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def add(x: IntervalPair, y: IntervalPair) -> IntervalPair:
-    """Return x + y."""
+    """Return an enclosure of x + y."""
     (lo, below), (hi, above) = _two_sum(x[0], y[0]), _two_sum(x[1], y[1])
     return np.where(below >= 0, lo, next_down(lo)), np.where(above <= 0, hi, next_up(hi))
 
 
 def neg(x: IntervalPair) -> IntervalPair:
-    """Return -x."""
+    """Return the exact -x."""
     return -x[1], -x[0]
 
 
 def sub(x: IntervalPair, y: IntervalPair) -> IntervalPair:
-    """Return x - y."""
+    """Return an enclosure of x - y."""
     return add(x, neg(y))
 
 
@@ -167,12 +167,12 @@ def div(x: IntervalPair, y: IntervalPair) -> IntervalPair:
 
 
 def inv(x: IntervalPair) -> IntervalPair:
-    """Return 1 / x."""
+    """Return an enclosure of 1 / x."""
     return div(ONE, x)
 
 
 def square(x: IntervalPair) -> IntervalPair:
-    """Return x^2."""
+    """Return an enclosure of x^2."""
     lo, hi = magnitude(x)
     exact = has_short_significands(*x)
     return make_interval(np.where(exact, lo * lo, np.maximum(next_down(lo * lo), 0)), np.where(exact, hi * hi, next_up(hi * hi)))

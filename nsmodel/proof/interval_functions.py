@@ -382,11 +382,11 @@ class Interval:
         return self.lo / 2 + self.hi / 2
 
     def __neg__(self) -> Interval:
-        """Return -x."""
+        """Return the exact -x."""
         return Interval(-self.hi, -self.lo)
 
     def __add__(self, other: Operand) -> Interval:
-        """Return x + y."""
+        """Return an enclosure of x + y."""
         if _is_exact_zero(self):
             return as_interval(other)
         return self if _is_exact_zero(other) else Interval(*arithmetic.add(_as_interval_pair(self), _as_interval_pair(other)))
@@ -394,15 +394,15 @@ class Interval:
     __radd__ = __add__
 
     def __sub__(self, other: Operand) -> Interval:
-        """Return x - y."""
+        """Return an enclosure of x - y."""
         return self if _is_exact_zero(other) else Interval(*arithmetic.sub(_as_interval_pair(self), _as_interval_pair(other)))
 
     def __rsub__(self, other: Operand) -> Interval:
-        """Return y - x."""
+        """Return an enclosure of y - x."""
         return -self + other
 
     def __mul__(self, other: Operand) -> Interval:
-        """Return x y."""
+        """Return an enclosure of x y."""
         return (
             ZERO_INTERVAL
             if _is_exact_zero(self) or _is_exact_zero(other)
@@ -412,11 +412,11 @@ class Interval:
     __rmul__ = __mul__
 
     def __truediv__(self, other: Operand) -> Interval:
-        """Return x / y."""
+        """Return an enclosure of x / y."""
         return Interval(*arithmetic.div(_as_interval_pair(self), _as_interval_pair(other)))
 
     def __rtruediv__(self, other: Operand) -> Interval:
-        """Return y / x."""
+        """Return an enclosure of y / x."""
         return (
             ZERO_INTERVAL
             if _is_exact_zero(other)

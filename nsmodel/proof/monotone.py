@@ -300,7 +300,7 @@ def _is_nondecreasing_between(h: ca.SX, s: ca.SX, low: Fraction | None, high: Fr
 
 
 def _quotient_derivative_numerator(top: list[Fraction], bottom: list[Fraction]) -> list[Fraction]:
-    """N'D - N D'."""
+    """The numerator N'D - N D' of the derivative of N/D."""
     one, two = (_multiply_coefficients(polynomial_signs.derivative_coefficients(x), y) for x, y in ((top, bottom), (bottom, top)))
     size = max(len(one), len(two))
     return [(one[k] if k < len(one) else Fraction(0)) - (two[k] if k < len(two) else Fraction(0)) for k in range(size)]

@@ -172,7 +172,7 @@ def variables(p: Polynomial) -> list[int]:
 
 
 def add_multiple(a: Polynomial, b: Polynomial, factor: Fraction = Fraction(1)) -> Polynomial:
-    """a + factor b."""
+    """The polynomial a + factor b."""
     total = dict(a)
     for monomial, number in b.items():
         value = total.pop(monomial, Fraction(0)) + factor * number

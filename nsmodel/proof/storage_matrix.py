@@ -38,7 +38,7 @@ class Pairing(NamedTuple):
 
     @property
     def free(self) -> int:
-        """Size of Y."""
+        """The number of rows of the free block Y."""
         return len(self.T) - len(self.G)
 
     def storage_matrix(self, Y: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ class Pairing(NamedTuple):
         return exact.matrix_product(self.T_inverse.T, self.middle(Y), self.T_inverse)
 
     def middle(self, Y: np.ndarray) -> np.ndarray:
-        """diag(G, Y)."""
+        """The block-diagonal matrix diag(G, Y)."""
         r = len(self.G)
         middle = exact.zeros(len(self.T), len(self.T))
         middle[:r, :r], middle[r:, r:] = self.G, Y

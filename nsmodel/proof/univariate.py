@@ -58,7 +58,7 @@ class Jet(NamedTuple):
 
 
 def add_jets(a: Jet, b: Jet, factor: int) -> Jet:
-    """a + factor b."""
+    """The jet a + factor b."""
     return Jet(
         *(
             None if x is None or y is None else add_quotients(x, scale_quotient(y, abs(factor)), 1 if factor > 0 else -1)
@@ -178,7 +178,7 @@ def _exponential_jet(op: int, x: ExponentialQuotient, line: OpenInterval) -> Jet
 
 
 def scale_quotient(a: ExponentialQuotient, factor: Fraction | int) -> ExponentialQuotient:
-    """factor a."""
+    """The quotient times a factor."""
     return ExponentialQuotient(multiply_sums(a.top, constant_sum(Fraction(factor))), a.bottom)
 
 
@@ -190,7 +190,7 @@ def _multiply_quotients(a: ExponentialQuotient, b: ExponentialQuotient) -> Expon
 
 
 def add_quotients(a: ExponentialQuotient, b: ExponentialQuotient, sign: int) -> ExponentialQuotient:
-    """a + sign b."""
+    """The quotient a + sign b."""
     bottom = dict(a.bottom)
     for name, (part, power) in b.bottom.items():
         bottom[name] = part, max(power, bottom[name][1] if name in bottom else 0)

@@ -225,7 +225,7 @@ class ErrorControlledPropagator(SchemePropagator):
 
     @property
     def bar(self) -> dict[str, Any]:
-        """Per cent."""
+        """Progress in per cent of the time."""
         return PERCENT_PROGRESS
 
     @property

@@ -296,7 +296,7 @@ class EventDrivenPropagator:
 
     @property
     def bar(self) -> dict[str, Any]:
-        """Per cent."""
+        """Progress in per cent of the time."""
         return PERCENT_PROGRESS
 
     @property

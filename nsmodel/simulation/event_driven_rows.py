@@ -57,7 +57,7 @@ class RowProperties:
 
 @cached_per_object
 def row_properties(p: ContinuousProblem) -> RowProperties:
-    """Return them."""
+    """Return what rows of runs of the problem hold."""
     m = p.l.numel()
     direct = set(ca.jacobian_sparsity(p.h, p.l).row()) if m else set()
     x0, lower, upper = (np.array(ca.DM(column)).ravel() for column in (p.x0, p.law.lower, p.law.upper))

@@ -77,12 +77,12 @@ class PieceBuffer:
         return first if len(blocks) == 1 else cls(np.concatenate([block.rows for block in blocks]), first.layout)
 
     def cut(self, part: slice) -> Self:
-        """Some of them."""
+        """The pieces of a slice."""
         return type(self)(self.rows[part], self.layout)
 
     @property
     def count(self) -> int:
-        """K."""
+        """The number of pieces."""
         return len(self.rows)
 
     @property
@@ -163,7 +163,7 @@ class PieceBuffer:
         return self.rows[:, self.layout.last.stop :].reshape(self.count, coefficients, n + 2 * m).transpose(0, 2, 1)
 
     def pieces(self) -> list[Piece]:
-        """One by one."""
+        """The pieces as objects, one by one."""
         n, m, _ = self.layout
         found = []
         for row, codes, last, impulse, c in zip(
@@ -245,12 +245,12 @@ class InterpretedPieces:
 
     @property
     def x(self) -> np.ndarray:
-        """Its state."""
+        """The state where the next piece starts."""
         return np.array(self.hybrid.x)
 
     @property
     def order(self) -> int:
-        """Of the series."""
+        """The order of the Taylor series."""
         return self.integrator.order
 
     def make_pieces(self, until: float, room: int) -> PieceBuffer:
@@ -303,7 +303,7 @@ class InterpretedPieces:
         }  # fmt: skip
 
     def checkpoint(self, *, before: bool = False) -> dict[str, Any]:
-        """The course's."""
+        """The checkpoint of the integrator, now or before the last pieces."""
         return self._before[0] if before and self._before is not None else self.hybrid.checkpoint()
 
     def restore(self, saved: dict[str, Any]) -> None:
@@ -353,7 +353,7 @@ class CompiledPieces:
 
     @property
     def x(self) -> np.ndarray:
-        """Its state."""
+        """The state where the next piece starts."""
         return self.steps.at["x"].copy() if self._fallback_step is None else np.array(self._fallback_step["x"])
 
     @property
@@ -364,7 +364,7 @@ class CompiledPieces:
 
     @property
     def order(self) -> int:
-        """Of the series."""
+        """The order of the Taylor series."""
         return self.steps.order
 
     def make_pieces(self, until: float, room: int) -> PieceBuffer:

@@ -137,12 +137,12 @@ class GridProgress:
 
     @property
     def bar(self) -> dict[str, Any]:
-        """Steps."""
+        """Progress in steps."""
         return {"total": self.N, "initial": self.k, "unit": "step"}
 
     @property
     def progress(self) -> int:
-        """Steps taken."""
+        """The number of steps taken."""
         return self.k
 
     @property
@@ -152,12 +152,12 @@ class GridProgress:
 
     @property
     def time(self) -> float:
-        """t_k."""
+        """The time t_k reached."""
         return self.grid.time(self.k)
 
     @property
     def h(self) -> float:
-        """h_k."""
+        """The length h_k of the next step."""
         return self.grid.step(self.k)
 
 

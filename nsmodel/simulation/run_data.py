@@ -47,7 +47,7 @@ class RunData:
 
     @property
     def t(self) -> np.ndarray:
-        """Times (N+1,)."""
+        """The times (N+1,) of the rows."""
         return self._get_array("t")
 
     @property

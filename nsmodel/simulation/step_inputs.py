@@ -243,7 +243,7 @@ class FreeInput(ConstantSignal):
 
     @property
     def values_taken(self) -> None:
-        """Any."""
+        """None: any value may be given."""
         return
 
 

@@ -79,12 +79,12 @@ def check_window(run: RunData, t0: float | None, t1: float | None) -> tuple[floa
 
 
 def weighted_integral(found: WeightedSamples) -> np.ndarray:
-    """() or (size,)."""
+    """The integral over the window, () or (size,)."""
     return found.weights @ found.values
 
 
 def weighted_mean(found: WeightedSamples) -> np.ndarray:
-    """() or (size,)."""
+    """The mean over the window, () or (size,)."""
     return weighted_integral(found) / found.weights.sum()
 
 
@@ -121,7 +121,7 @@ class _StepColumns(Mapping[str, np.ndarray]):
         return (self._arrays["inputs_begin"][self._end] != self._arrays["inputs"][self._before]).any(axis=1)
 
     def __iter__(self) -> Iterator[str]:
-        """The names."""
+        """The names of the columns."""
         return iter(self._arrays)
 
     def __len__(self) -> int:

@@ -112,7 +112,7 @@ class LinearisedStep:
         return z, StepContext(t, h, state, guess, np.abs(E_guess))
 
     def guess(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> np.ndarray:
-        """The first z."""
+        """The values z that Newton's method starts from."""
         return self.start(t, h, state, l)[0]
 
     def known(self, t: float, h: float, state: np.ndarray) -> StepContext:

@@ -100,7 +100,7 @@ def block_scale(W: np.ndarray, law: NumericLaw) -> np.ndarray:
 
 
 def project_on_law(law: NumericLaw, u: np.ndarray) -> np.ndarray:
-    """P_K(u)."""
+    """The projection P_K(u) of u on the set of the law."""
     l = np.clip(u, law.lower, law.upper)
     for rows, K in law.curved:
         l[rows] = K.project(u[rows])

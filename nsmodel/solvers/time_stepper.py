@@ -446,7 +446,7 @@ class ModewiseStepper:
         self, problem: OneStepProblem, at: Sequence[int], names: Sequence[str], solver: str, tolerance: float,
         *, h: float, state: np.ndarray, few_steps: bool = True,
     ) -> None:  # fmt: skip
-        """As `Stepper`."""
+        """Prepare the modes, see `Stepper`."""
         self.problem, self._at, self._how = problem, np.array(at), (solver, tolerance)
         self._options: dict[str, Any] = {"h": h, "few_steps": few_steps}
         self._steppers: dict[bytes, Stepper] = {}

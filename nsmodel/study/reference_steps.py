@@ -92,7 +92,7 @@ class BallAtRows:
         return np.where(self.radius >= 0, np.maximum(np.linalg.norm(l, axis=1, keepdims=True) - self.radius, 0), np.inf)
 
     def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """-r y/|y|."""
+        """The points -r y/|y| with the least product with y."""
         size = np.linalg.norm(y, axis=1, keepdims=True)
         return (-self.radius * y / np.where(size > 0, size, 1))[None]
 

@@ -81,7 +81,7 @@ class CellTask:
 
 
 def never_stop() -> bool:
-    """Go on."""
+    """False: no run is asked to stop."""
     return False
 
 

@@ -53,7 +53,7 @@ class Engine(Protocol):
     description: str
 
     def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
-        """Begin a chunk."""
+        """Begin a chunk of cells; ``attempt`` is another number each time that it is begun."""
         ...
 
     def close(self, *, wait: bool) -> None:
@@ -103,7 +103,7 @@ class ThreadEngine:
         self._pool = ThreadPoolExecutor(workers)
 
     def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
-        """Begin a chunk."""
+        """Begin a chunk of cells in a thread of this process."""
         return self._pool.submit(run_timed_chunk, self._request, tasks, attempt, self._stop)
 
     def close(self, *, wait: bool) -> None:
@@ -157,7 +157,7 @@ class UserEngine:
             check_picklable(request)
 
     def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
-        """Begin a chunk."""
+        """Begin a chunk of cells in the user's engine."""
         return self._engine.submit(run_timed_chunk, self._request, list(tasks), attempt)
 
     def close(self, *, wait: bool) -> None:

@@ -57,7 +57,7 @@ class Reduction:
         return found[:, 0] if found.ndim == 2 and found.shape[1] == 1 else found
 
     def __call__(self, run: Any) -> np.ndarray:
-        """Of a run."""
+        """The reduced column of a run."""
         if self.how in WINDOW_REDUCTIONS:
             found = np.asarray(getattr(run, self.how)(self.name))
             return found[0] if found.shape == (1,) else found

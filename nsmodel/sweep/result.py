@@ -49,7 +49,7 @@ def sweep_metadata(sweep: Sweep) -> dict[str, Any]:
 
 
 def write_sweep(sweep: Sweep, path: Path) -> None:
-    """One npz file."""
+    """Write a sweep to one npz file."""
     messages = {str(cell): sweep.messages[cell] for cell in sorted(sweep.messages)}
     write_npz(path, {**design_arrays(sweep), **sweep.cells}, {**sweep_metadata(sweep), "messages": messages})
 
@@ -98,7 +98,7 @@ def sweep_dataset(sweep: Sweep) -> Any:
 
 
 def write_netcdf(sweep: Sweep, path: Path) -> None:
-    """A netCDF file."""
+    """Write a sweep to a netCDF file."""
     found = sweep_dataset(sweep)
     if not any(map(_is_installed, ("netCDF4", "h5netcdf"))):
         raise MissingExtraError("netCDF files need netCDF4 or h5netcdf; pip install netCDF4, or keep the npz file")
@@ -107,7 +107,7 @@ def write_netcdf(sweep: Sweep, path: Path) -> None:
 
 
 def write_zarr(sweep: Sweep, path: Path) -> None:
-    """A zarr store."""
+    """Write a sweep to a zarr store."""
     import_extra("zarr")
     try:
         sweep_dataset(sweep).to_zarr(path, mode="w", zarr_format=2)

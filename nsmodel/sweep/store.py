@@ -391,7 +391,7 @@ class CellsInMemory:
         return self.found.arrays["status"]
 
     def read(self) -> CellResults:
-        """All cells."""
+        """The results of all cells."""
         return self.found
 
     def put(self, cells: np.ndarray, found: CellResults) -> None:
@@ -441,7 +441,7 @@ class _CellArrayOnDisk:
                 file.write(given[first:last].tobytes())
 
     def blocks(self) -> Iterator[bytes]:
-        """Its bytes."""
+        """The bytes of the array, block by block."""
         with self._path.open("rb") as file:
             while block := file.read(_BLOCK_BYTES):
                 yield block

@@ -53,15 +53,15 @@ class BallSet(CurvedSet):
         return (self.radius / size) * (np.eye(u.size) - np.outer(e, e))
 
     def code(self, u: np.ndarray) -> int:
-        """Stick or slip."""
+        """The code 0 of stick, 1 of slip."""
         return 1 if safe_norm(u) > self.radius else 0
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
-        """Along the ray."""
+        """The point of the boundary on the ray through l."""
         return self.project(l * 2)
 
     def support_point(self, y: np.ndarray) -> np.ndarray:
-        """-r y/|y|."""
+        """The point -r y/|y| of the set in which -y is normal."""
         return -self.radius * y / safe_norm(y)
 
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
@@ -69,12 +69,12 @@ class BallSet(CurvedSet):
         return ca.dot(l, y) + self.radius * ca.sqrt(ca.sumsqr(y) + tiny), [self.radius**2 - ca.sumsqr(l)]
 
     def slip(self, y: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """-r y/|y|, |y|."""
+        """The multiplier -r y/|y| of slip, and |y|."""
         size = ca.sqrt(ca.sumsqr(y))
         return -self.radius * y / size, size
 
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
-        """r^2 - |l|^2."""
+        """The identity and r^2, of the set |l|^2 <= r^2."""
         return np.eye(m), self.radius**2
 
 
@@ -93,7 +93,7 @@ class Ball(LawFactor):
 
     @property
     def numbers(self) -> dict[str, ca.SX]:
-        """The radius."""
+        """The radius by its name."""
         return {"radius": self.radius}
 
     def scaled(self, u: float) -> Ball:
@@ -120,22 +120,22 @@ class Ball(LawFactor):
         return RewrittenLaw(law, l, r * l, names, y, (ends,), ca.repmat(r, self.size, 1))
 
     def c_numbers(self) -> ca.SX:
-        """The radius."""
+        """The radius as a column for generated C."""
         return self.radius
 
     def shape(self) -> RoundSet:
-        """Itself."""
+        """The ball as an exact set."""
         return RoundSet(
             [[Fraction(int(i == j)) for j in range(self.size)] for i in range(self.size)], Fraction(float(self.radius))
         )
 
     @property
     def width(self) -> float:
-        """The diameter."""
+        """The diameter of the ball."""
         return 2 * float(self.radius)
 
     def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """A cube."""
+        """The ends of the cube around the ball."""
         return np.full(self.size, -float(self.radius)), np.full(self.size, float(self.radius))
 
     def excess(self, l: np.ndarray) -> np.ndarray:
@@ -143,21 +143,21 @@ class Ball(LawFactor):
         return np.maximum(np.linalg.norm(l, axis=1, keepdims=True) - float(self.radius), 0)
 
     def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """-r y/|y|."""
+        """The points -r y/|y| with the least product with y."""
         size = np.linalg.norm(y, axis=1, keepdims=True)
         return (-float(self.radius) * y / np.where(size > 0, size, 1))[None]
 
     @property
     def extent(self) -> float:
-        """The radius."""
+        """The radius of the ball."""
         return float(self.radius)
 
     def latex(self, write: LatexNumberWriter) -> list[str]:
-        """|lambda| <= r."""
+        """The set |lambda| <= r in LaTeX."""
         return [product_set(write, self.size, rf"\left\Vert \lambda \right\Vert \leq {write.number(self.radius)}")]
 
     def data(self) -> dict[str, Any]:
-        """The radius."""
+        """The radius for reports."""
         return {"radius": float(self.radius)}
 
 

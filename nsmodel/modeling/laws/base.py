@@ -120,7 +120,7 @@ class CurvedSet(ABC):
 
     @abstractmethod
     def project(self, u: np.ndarray) -> np.ndarray:
-        """P_K(u), (m,)."""
+        """The projection P_K(u) (m,)."""
 
     @abstractmethod
     def jacobian(self, u: np.ndarray) -> np.ndarray:
@@ -253,7 +253,7 @@ class SecondOrder(NamedTuple):
 
 
 class Halfspaces(NamedTuple):
-    """{H l >= K}."""
+    """The polyhedron {l: H l >= K}."""
 
     H: np.ndarray
     K: np.ndarray
@@ -286,11 +286,11 @@ class LatexNumberWriter(Protocol):
     """Writes numbers and matrices in LaTeX."""
 
     def number(self, expression: ca.SX) -> str:
-        """A scalar."""
+        """A scalar expression in LaTeX."""
         ...
 
     def matrix(self, matrix: Any) -> str:
-        """A matrix."""
+        """A matrix in LaTeX."""
         ...
 
     def column(self, numbers: Sequence[float] | np.ndarray) -> str:
@@ -298,7 +298,7 @@ class LatexNumberWriter(Protocol):
         ...
 
     def space(self, m: int) -> str:
-        """R^m."""
+        """The space R^m in LaTeX."""
         ...
 
 

@@ -53,16 +53,16 @@ class Box(LawFactor):
 
     @property
     def numbers(self) -> dict[str, ca.SX]:
-        """Both ends."""
+        """Both ends by their names."""
         return {"lower": self.lower, "upper": self.upper}
 
     @property
     def ends(self) -> tuple[ca.SX, ca.SX]:
-        """As they are."""
+        """The ends as declared."""
         return self.lower, self.upper
 
     def moves(self, moving: ca.SX) -> list[bool]:
-        """Row by row."""
+        """Whether an end moves, row by row."""
         if not ca.depends_on(ca.vertcat(*self.ends), moving):
             return [False] * self.size
         return [ca.depends_on(ca.vertcat(*ends), moving) for ends in zip(*map(ca.vertsplit, self.ends), strict=True)]
@@ -96,15 +96,15 @@ class Box(LawFactor):
         return RewrittenLaw(Law((replace(self, lower=lower, upper=upper),)), l, whole, names, y, tuple(ends), scale)
 
     def shape(self) -> Intervals:
-        """Itself."""
+        """The box as an exact set."""
         return Intervals(*self._end_numbers())
 
     def bounding_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Itself."""
+        """The box is its own bounding box."""
         return self._end_numbers()
 
     def excess(self, l: np.ndarray) -> np.ndarray:
-        """Beyond an end."""
+        """How far l lies beyond an end, row by row."""
         lower, upper = self._end_numbers()
         return np.maximum(np.maximum(lower - l, l - upper), 0)
 
@@ -141,7 +141,7 @@ class Box(LawFactor):
         return simple.get(ends.pop(), "") if len(ends) == 1 else ""
 
     def data(self) -> dict[str, Any]:
-        """The ends."""
+        """Both ends for reports."""
         return {"lower": self.lower, "upper": self.upper}
 
     def _end_numbers(self) -> tuple[np.ndarray, np.ndarray]:

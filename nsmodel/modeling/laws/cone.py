@@ -93,7 +93,7 @@ class Cone(LawFactor):
     __repr__ = short_repr
 
     def scaled(self, u: float) -> Cone:
-        """Itself."""
+        """A cone is the same in all units."""
         return self
 
     def curved(self) -> ConeSet:
@@ -101,7 +101,7 @@ class Cone(LawFactor):
         return ConeSet()
 
     def shape(self) -> SecondOrder:
-        """Itself."""
+        """The second-order cone as an exact set."""
         return SecondOrder(self.size)
 
     def excess(self, l: np.ndarray) -> np.ndarray:

@@ -82,11 +82,11 @@ class EllipsoidSet(CurvedSet):
         return self.V @ (np.diag(a) - np.outer(an, an) / (n @ an)) @ self.V.T
 
     def code(self, u: np.ndarray) -> int:
-        """Stick or slip."""
+        """The code 0 of stick, 1 of slip."""
         return 1 if self._q_norm(u) > 1 else 0
 
     def onto_boundary(self, l: np.ndarray) -> np.ndarray:
-        """Along the ray."""
+        """The point of the boundary on the ray through l."""
         return l / self._q_norm(l)
 
     def support_point(self, y: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class EllipsoidSet(CurvedSet):
         return -(ca.DM(self.V) @ (v / ca.DM(np.sqrt(self.d)))) / size, size
 
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
-        """1 - l'Q l."""
+        """The matrix S and the bound 1 of the set l'S l <= 1."""
         return self.V @ np.diag(self.d) @ self.V.T, 1.0
 
     def _q_norm(self, l: np.ndarray) -> float:
@@ -130,11 +130,11 @@ class Ellipsoid(LawFactor):
         return EllipsoidSet(*np.linalg.eigh(self.Q))
 
     def scaled(self, u: float) -> Ellipsoid:
-        """Q / u^2."""
+        """The ellipsoid with Q / u^2 in place of Q."""
         return replace(self, Q=self.Q / u**2)
 
     def curved(self) -> EllipsoidSet:
-        """With its axes."""
+        """The ellipsoid in its eigenvector axes."""
         return self._eigen_axes
 
     def c_numbers(self) -> ca.SX:
@@ -188,7 +188,7 @@ class Ellipsoid(LawFactor):
         return [product_set(write, self.size, rf"\lambda^{{\mathsf{{T}}}} {write.matrix(self.Q)} \lambda \leq 1")]
 
     def data(self) -> dict[str, Any]:
-        """Q."""
+        """The matrix Q for reports."""
         return {"Q": self.Q}
 
 

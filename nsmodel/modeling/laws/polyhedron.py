@@ -37,7 +37,7 @@ class Polyhedron(LawFactor):
     __repr__ = short_repr
 
     def scaled(self, u: float) -> Polyhedron:
-        """K times u."""
+        """The polyhedron with u K in place of K."""
         return replace(self, K=u * self.K)
 
     def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> RewrittenLaw:
@@ -49,11 +49,11 @@ class Polyhedron(LawFactor):
         return RewrittenLaw(product(equality(self.size), complementarity(len(self.K))), ca.vertcat(l, n), l, rows, outputs)
 
     def shape(self) -> Halfspaces:
-        """Itself."""
+        """The half-spaces as an exact set."""
         return Halfspaces(np.asarray(self.H, float), np.asarray(self.K, float))
 
     def excess(self, l: np.ndarray) -> np.ndarray:
-        """Beyond a face."""
+        """How far l lies beyond each face."""
         return np.maximum(self.K - l @ self.H.T, 0)
 
     def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -78,11 +78,11 @@ class Polyhedron(LawFactor):
         return float(np.abs(self.K).max(initial=0.0))
 
     def latex(self, write: LatexNumberWriter) -> list[str]:
-        """H lambda >= K."""
+        """The set H lambda >= K in LaTeX."""
         return [product_set(write, self.size, rf"{write.matrix(self.H)} \lambda \geq {write.column(self.K)}")]
 
     def data(self) -> dict[str, Any]:
-        """H and K."""
+        """The matrices H and K for reports."""
         return {"H": self.H, "K": self.K}
 
 

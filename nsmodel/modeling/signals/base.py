@@ -126,7 +126,7 @@ class Signal(Picklable):
         raise NotImplementedError
 
     def before(self, t: np.ndarray) -> np.ndarray:
-        """u(t-)."""
+        """u(t-) at times (K,): (K, size)."""
         raise NotImplementedError
 
     @property
@@ -190,33 +190,33 @@ class ConstantSignal(Signal):
 
     @property
     def size(self) -> int:
-        """Those given."""
+        """The number of values given."""
         return self.values.size
 
     @property
     def flat(self) -> bool:
-        """It is."""
+        """True: the signal never changes."""
         return True
 
     @property
     def values_taken(self) -> int | None:
-        """One."""
+        """One value, for all times."""
         return 1
 
     def in_time(self, tau: float) -> Self:
-        """The same."""
+        """The same signal: it does not depend on time."""
         del tau
         return self
 
     def after(self, t: np.ndarray) -> np.ndarray:
-        """The values."""
+        """The values, at each of the times."""
         return np.tile(self.values, (t.size, 1))
 
     before = after
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Its values."""
+        """The values, by their entries."""
         return {"": self.values[0]} if self.size == 1 else {f"[{i}]": v for i, v in enumerate(self.values.tolist())}
 
     def with_number(self, number: str, value: float) -> ConstantSignal:
@@ -231,7 +231,7 @@ class ConstantSignal(Signal):
         return {number: row[None] for number, row in zip(self.numbers, np.eye(self.size), strict=True)}
 
     def within(self, t_end: float) -> Within | None:
-        """Its values."""
+        """Bounds that are the values."""
         del t_end
         return constant_bounds(self.values)
 

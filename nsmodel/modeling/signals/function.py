@@ -46,7 +46,7 @@ class EdgeDeclaredSignal(Signal):
         return found[(found >= 0) & (found <= t_end)]
 
     def after(self, t: np.ndarray) -> np.ndarray:
-        """The value."""
+        """The value of the function just after each time."""
         return self._values(np.where(self._at_edge(t), just_after(t), t) if self.rounded else t)
 
     def before(self, t: np.ndarray) -> np.ndarray:
@@ -74,7 +74,7 @@ class EdgeDeclaredSignal(Signal):
 
 @dataclass(frozen=True, eq=False)
 class Function(EdgeDeclaredSignal):
-    """See `signal`."""
+    """A signal by a Python function, see `signal`."""
 
     function: Callable[[Any], Any]
     width: int
@@ -112,7 +112,7 @@ class Expression(EdgeDeclaredSignal):
 
     @property
     def size(self) -> int:
-        """Its entries."""
+        """The number of entries of the expression."""
         return self.column.numel()
 
     def in_time(self, tau: float) -> Expression:

@@ -57,7 +57,7 @@ PWM_KINDS = ("trailing", "leading", "centre")
 
 @dataclass(frozen=True, eq=False)
 class Pwm(Signal):
-    """See `pwm`."""
+    """A signal by pulse-width modulation, see `pwm`."""
 
     period: float
     duty: Any  # A signal; of a PWM that a model has not read yet, an expression.
@@ -70,12 +70,12 @@ class Pwm(Signal):
 
     @property
     def flat(self) -> bool:
-        """It is."""
+        """True: the signal is constant between edges."""
         return True
 
     @property
     def values_taken(self) -> int:
-        """Low and high."""
+        """Two values, low and high."""
         return 2
 
     @property

@@ -46,12 +46,12 @@ class Table(Signal):
 
     @property
     def size(self) -> int:
-        """Its columns."""
+        """The number of columns of the table."""
         return self.values.shape[1]
 
     @property
     def flat(self) -> bool:
-        """A held one is."""
+        """Whether values are held between rows."""
         return self.kind == "hold"
 
     def in_time(self, tau: float) -> Table:
@@ -68,7 +68,7 @@ class Table(Signal):
 
     @property
     def degree(self) -> int:
-        """By its kind."""
+        """The degree between rows, by the kind of interpolation."""
         return {"hold": 0, "linear": 1, "cubic": 3}[self.kind]
 
     def joints(self, t_end: float) -> np.ndarray:
@@ -288,12 +288,12 @@ class Steps(Signal):
 
     @property
     def size(self) -> int:
-        """Its columns."""
+        """The number of columns of the table."""
         return self.values.shape[1]
 
     @property
     def count(self) -> int:
-        """Its rows."""
+        """The number of rows, one for each step."""
         return len(self.values)
 
     @property

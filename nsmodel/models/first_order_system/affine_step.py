@@ -76,7 +76,7 @@ class AffineStep:
         return exact.matrix_product(self.N, x) + self.b_0
 
     def next(self, x: np.ndarray, l: np.ndarray) -> np.ndarray:
-        """x_{k+1}."""
+        """The state x_{k+1} after the step."""
         return exact.matrix_product(self.X_x, x) + exact.matrix_product(self.X_l, l) + self.x_0
 
     def bounds(self, index: np.ndarray) -> np.ndarray:

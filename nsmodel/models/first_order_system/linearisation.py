@@ -250,7 +250,7 @@ def constant_matrix_values(matrix: ca.SX) -> np.ndarray:
 
 
 def system_jacobians(model: FirstOrderSystem) -> Jacobians:
-    """Of f, h and g."""
+    """The Jacobians of f, h and g by x and lambda."""
     return Jacobians(*(ca.simplify(ca.jacobian(e, s)) for e, s in (
         (model.f, model.x), (model.h, model.x), (model.h, model.lam), (model.g, model.x), (model.g, model.lam),
     )))  # fmt: skip

@@ -40,7 +40,7 @@ class UndecidedDomain(Exception):
 
 
 class EmptyDomain(UndecidedDomain):
-    """An empty set."""
+    """A domain without a point."""
 
 
 @dataclass

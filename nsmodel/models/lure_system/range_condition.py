@@ -391,7 +391,7 @@ def is_polyhedral_law(law: Law) -> bool:
 
 
 def _recession_cone(shape: ExactSet) -> ExactSet:
-    """K_inf."""
+    """The recession cone K_inf of a set."""
     if isinstance(shape, Intervals):
         return Intervals(*(np.where(np.isfinite(end), 0.0, end) for end in shape))
     if isinstance(shape, RoundSet):

@@ -61,7 +61,7 @@ class ContactGroup:
         self.B = sp.csr_matrix((np.hstack([rows.G, rows.H])[is_present], columns[is_present], indptr), (len(rows.g), hf.size))
 
     def y(self, d: np.ndarray) -> np.ndarray:
-        """g + G d (R,)."""
+        """The gaps g + G d (R,) after a displacement."""
         return self.rows.g + self.B @ d.ravel()
 
     def d(self, m: np.ndarray) -> np.ndarray:

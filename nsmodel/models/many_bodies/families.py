@@ -85,7 +85,7 @@ class Items(Picklable):
 
     @property
     def made_of(self) -> Mapping[str, Any]:
-        """The numbers."""
+        """The numbers of the items."""
         return self.numbers
 
     def member(self, name: str) -> GroupMember:

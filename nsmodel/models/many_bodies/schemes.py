@@ -234,7 +234,7 @@ class _PairReach:
         self._values = self._compute(0.0) if self._fixed else None
 
     def largest(self, t: float) -> float:
-        """The largest c."""
+        """The largest reach c of a pair at a time."""
         return (self._values or self._compute(t))[0]
 
     def halves(self, t: float) -> np.ndarray:

@@ -57,7 +57,7 @@ class PolynomialCurve(NamedTuple):
         return self.coefficients.shape[1] - 1
 
     def at(self, t: float) -> np.ndarray:
-        """The point."""
+        """The point of the curve at a time."""
         return self.coefficients @ t ** np.arange(self.power + 1)
 
     def orders(self, k: int) -> list[AsymptoticOrder]:
@@ -509,7 +509,7 @@ def require_values(part: HypothesisPart, field: SelectedField) -> HypothesisPart
 
 
 def linear_growth(field: SelectedField, region: tuple[np.ndarray, np.ndarray], *, quick: bool) -> HypothesisPart:
-    """(A2) on C."""
+    """The finding (A2), linear growth of the field on C."""
     return require_values(_linear_growth(field, region, quick), field)
 
 

@@ -116,7 +116,7 @@ def catching_up_problem(model: MonotoneInclusion) -> OneStepProblem:
 
 
 def initial_rows(model: MonotoneInclusion, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """x_0."""
+    """The row of the start x_0."""
     return [(np.array(ca.DM(model.x0)).ravel(), {})]
 
 

@@ -53,7 +53,7 @@ class PartialSweepingProcess(NamedTuple):
 
     @property
     def z(self) -> ca.SX:
-        """(t, q)."""
+        """The symbols (t, q) in one column."""
         return ca.vertcat(self.t, self.q)
 
     @property

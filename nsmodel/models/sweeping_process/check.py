@@ -471,7 +471,7 @@ def _velocity_finding(
 
 
 def start_finding(model: SweepingProcess) -> Finding:
-    """S-start alone."""
+    """The finding of S-start, without the others."""
     nowhere = np.zeros(len(model.names))
     return _decide_start_signs(
         model, _constraints_on_region(model, Region(nowhere, nowhere, 0.0, 0.0, tuple(model.names), "the start"))

@@ -58,7 +58,7 @@ class Constraint:
 
     @property
     def z(self) -> ca.SX:
-        """(t, q)."""
+        """The symbols (t, q) in one column."""
         return ca.vertcat(self.t, self.q)
 
     @property

@@ -89,17 +89,17 @@ class ConstraintShape:
 
 
 def add_offsets(a: Offset, b: Offset) -> Offset:
-    """a + b."""
+    """The sum of two offsets."""
     return a + b if isinstance(a, Fraction) and isinstance(b, Fraction) else offset_expression(a) + offset_expression(b)
 
 
 def scale_offset(c: Fraction, a: Offset) -> Offset:
-    """c a."""
+    """The offset times an exact number."""
     return c * a if isinstance(a, Fraction) else float(c) * a
 
 
 def square_offset(a: Offset) -> Offset:
-    """a a."""
+    """The square of an offset."""
     return a * a if isinstance(a, Fraction) else a**2
 
 
@@ -109,7 +109,7 @@ def offset_expression(a: Offset) -> ca.SX:
 
 
 def combine_affine(a: AffineForm, c: Fraction, b: AffineForm) -> AffineForm:
-    """a + c b."""
+    """The affine form a + c b."""
     row = dict(a.row)
     for i, value in b.row.items():
         row[i] = row.get(i, _ZERO_FRACTION) + c * value

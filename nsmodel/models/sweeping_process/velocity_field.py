@@ -54,7 +54,7 @@ class FieldBlock(NamedTuple):
 
     @property
     def z(self) -> ca.SX:
-        """(t, q, s)."""
+        """The symbols (t, q, s) in one column."""
         return ca.vertcat(self.t, self.q, self.s)
 
     def box(self, everywhere: bool) -> tuple[np.ndarray, np.ndarray]:

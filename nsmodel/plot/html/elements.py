@@ -255,7 +255,7 @@ def facts_table(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
 
 
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
-    """A table."""
+    """A table in HTML, its header first."""
     head = element("thead", element("tr", *(element("th", one) for one in header)))
     body = [element("tr", *(element("td", one) for one in row)) for row in rows]
     return element("div", element("table", head, element("tbody", *body)), cls="wide")

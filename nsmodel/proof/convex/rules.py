@@ -76,7 +76,7 @@ def power_curvature(exponent: float) -> CurvatureRule:
 
 
 def inverse_curvature(low: float, high: float) -> tuple[int, int] | None:
-    """1/x."""
+    """The signs of the second and of the first derivative of 1/x on an interval; None where 0 may be in it."""
     return (1, -1) if low > 0 else (-1, -1) if high < 0 else None
 
 
