@@ -100,7 +100,7 @@ def _prune_definitions(text: str) -> str:
 
 
 BOX_CONSTANTS: Sequence[tuple[str, str]] = (
-    ("solvers.residuals", "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH UNSEEN CLEAR STRICTER"),
+    ("solvers.residuals", "ROUNDING NEGLIGIBLE_MULTIPLIER:NEGLIGIBLE UNRESOLVED REACH GROWTH UNSEEN CLEAR STRICTER"),
     ("solvers.rounding_errors", "PROBES FRAGILE WORTH INSIDE SUM_ERROR SPREAD MIXED STIRRED"),
     (
         "solvers.active_set",
@@ -160,7 +160,7 @@ PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
     ),
     ("event_driven.piece", "NEAR_0 STEEPER"),
     ("event_driven.collocation", "SMALLEST COVER_RADIUS COVER_DEGREE"),
-    ("event_driven.multipliers", "ROUNDING NEGLIGIBLE"),
+    ("event_driven.multipliers", "ROUNDING NEGLIGIBLE_MOTION:NEGLIGIBLE"),
     ("event_driven.multipliers", "HIDDEN SINGULAR MAX_MINOR_ROWS:MOST_MINORS BALANCING NOTHING SHORT"),
     ("event_driven.system", "NEWTON NEWTON_CONVERGED:SETTLED HELD_ORDERS LITTLE RESTS AT_ZERO"),
     ("event_driven.system", "STAYS"),

@@ -291,7 +291,7 @@ class SlopesAtPoint:
 
 
 TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
-NEGLIGIBLE = 1e-6  # Of what moves a state on a piece.
+NEGLIGIBLE_MOTION = 1e-6  # Of what moves a state on a piece.
 ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
 
 
@@ -334,7 +334,7 @@ class ZeroTest:
         given, found, _, call = self._compiled_motion
         given[:] = [t, *x, *l, *sizes]
         call()
-        part = NEGLIGIBLE * time
+        part = NEGLIGIBLE_MOTION * time
         return [part * v if math.isfinite(v) else 0.0 for v in found.tolist()]
 
 

@@ -32,7 +32,7 @@ from nsmodel.solvers.residuals import (
     CASADI_OPERATIONS,
     EPS,
     GROWTH,
-    NEGLIGIBLE,
+    NEGLIGIBLE_MULTIPLIER,
     ROUNDING,
     STRICTER,
     UNRESOLVED,
@@ -399,7 +399,7 @@ def _symbolic_law_scales(
         w = [ca.if_else(ca.logic_or(l[i] != 0, free[i]), w[i], 1) for i in range(m)]
     root = [ca.sqrt(w_i) for w_i in w]
     weighed = ca.mmax(stack_column([ca.if_else(root[i] > 0, ca.fabs(b[i]) / root[i], 0) for i in range(m)]))
-    most = NEGLIGIBLE * ca.mmax(stack_column([ca.fabs(l[i]) * root[i] for i in range(m)]))
+    most = NEGLIGIBLE_MULTIPLIER * ca.mmax(stack_column([ca.fabs(l[i]) * root[i] for i in range(m)]))
     size, s_y, s_l = largest_bound(law), [], []
     for i in range(m):
         own = ca.fabs(b[i])

@@ -33,7 +33,7 @@ from nsmodel.solvers.rounding_errors import INSIDE
 
 EPS = np.finfo(float).eps
 ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
-NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
+NEGLIGIBLE_MULTIPLIER = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
 REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
@@ -163,7 +163,7 @@ def largest_bound(law: NumericLaw) -> np.ndarray:
 def multiplier_scale(law: NumericLaw, l: Any, s_y: Any, w_max: np.ndarray, op: ResidualOperations = NUMPY_OPERATIONS) -> Any:
     """s_l (m,): s_y / w, at most max(|l_i|, its finite bounds, 1e-6 max_j |l_j| sqrt(w_j / w_i)); a radius counts as a bound."""
     size, root, acts = op.abs(l), np.sqrt(w_max), w_max > 0
-    others = op.choose(acts, NEGLIGIBLE * op.largest(root >= 0, size * root) / root, np.zeros(w_max.size))
+    others = op.choose(acts, NEGLIGIBLE_MULTIPLIER * op.largest(root >= 0, size * root) / root, np.zeros(w_max.size))
     scale = op.max(op.max(size, largest_bound(law)), others)
     if op is NUMPY_OPERATIONS:
         for rows, K in law.curved:
