@@ -98,6 +98,7 @@ class StepBatch:
         self.way += f", {LANES_NOTE}" if in_lanes else ""
         rows = symbolic_initial_rows(model, self._spec.problem.h)
         self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
+        row[:, self._layout.newton] = 0.0
         start = ca.SX(row)
         for k, (state, records) in enumerate(rows):
             start[k, : state.numel()] = state

@@ -148,6 +148,7 @@ class RowRecord:
         """Add a row that no step computed: the start."""
         r = self.filled
         self.rows[r], self.index[r] = np.nan, UNSET_INDEX
+        self.rows[r, self.layout.newton] = 0.0
         self.rows[r, : state.size] = state
         for name, value in records.items():
             self.rows[r, self.layout.slices[name]] = value

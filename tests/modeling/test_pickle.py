@@ -318,8 +318,8 @@ def test_pickles_of_the_version_before_are_read():
 
 CASES = [  # Of each class, with what its declaration says in names: law parts, blocks, vectors of states, f beside A.
     "mechanics/belt", "circuits/buck", "mathematics/total_variation", "biology/integrate_and_fire", "biology/repressilator",
-    "mathematics/cabot_4_1", "mathematics/moving_disc", "mathematics/leash", "mathematics/inclusion_8_2", "mechanics/bouncing_ball",
-    "crowds/crossing",
+    "mathematics/cabot_4_1", "mathematics/moving_disc", "mathematics/leash", "mathematics/inclusion_8_2",
+    "mechanics/bouncing_ball", "crowds/crossing",
 ]  # fmt: skip
 NAMES = ("names", "stems", "multiplier_names", "row_names", "input_groups", "parameters", "units", "vectors", "weights")
 
