@@ -22,6 +22,7 @@ from nsmodel import (
     relay,
     second_order_cone,
     simulate,
+    sweep,
     table,
 )
 from nsmodel.cli import main
@@ -402,3 +403,12 @@ def test_anti_friction_is_taken_at_the_start_with_its_input():
     u = ca.SX.sym("u")
     model = turned(relay(1), g=(0.5 - u) * L * (1 + S**2), inputs={u: table([0, 1], [2, 0])})
     assert impacts.anti_friction(model) == {"l": -3.0}
+
+
+def test_anti_friction_of_parameters_is_that_of_their_values():
+    k = ca.SX.sym("k")
+    model = turned(relay(1), g=-k * L, parameters={k: 2.0})
+    assert impacts.anti_friction(model) == {}
+    assert simulate(model).summary()["anti_friction"] == {"l": -2.0}
+    assert simulate(model, parameters={k: -2.0}).summary()["anti_friction"] == {}
+    assert not sweep(model, grid={k: [1.0, 2.0]}, keep="x", workers=1).failures
