@@ -16,8 +16,8 @@ from nsmodel.cli.common import (
     EXIT_DONE,
     EXIT_FAILED_STEP,
     EXIT_INTERRUPTED,
+    EXIT_STORAGE,
     EXIT_TERMINATED,
-    EXIT_USAGE,
     Commands,
     add_files,
     add_options,
@@ -148,7 +148,7 @@ def _run_in_folder(arguments: argparse.Namespace, file: str, folder: Path | None
     except StorageError as error:
         if error.trajectory is None:
             raise
-        return _report_stopped_run(arguments, file, None, error.trajectory, f"storage error: {error}", EXIT_USAGE, start)
+        return _report_stopped_run(arguments, file, None, error.trajectory, f"storage error: {error}", EXIT_STORAGE, start)
     with contextlib.nullcontext() if folder is not None else _save_unreported_run(file, run):
         return _report_run(arguments, file, run, time.perf_counter() - start, bound, folder)
 
