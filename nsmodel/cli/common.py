@@ -79,6 +79,17 @@ def output_path(text: str) -> str:
     return text
 
 
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add the flag without which nothing that is finished is replaced."""
+    parser.add_argument("--force", action="store_true", help="replace the result that --out holds")
+
+
+def check_free(folder: str | Path | None, result: str, arguments: argparse.Namespace) -> None:
+    """Raise UsageError where the folder holds a ``result``, a file that is written when all is done, and --force is not given."""
+    if folder is not None and not arguments.force and (Path(folder) / result).is_file():
+        raise UsageError(f"{folder} holds a result ({result}); give --force to replace it, or another folder")
+
+
 def add_files(parser: argparse.ArgumentParser) -> None:
     """Add the model files, one at least."""
     parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE_HELP)

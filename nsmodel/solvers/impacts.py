@@ -188,8 +188,8 @@ def impact_rows(model: Model) -> tuple[ImpactRow, ...]:
 def anti_friction(model: Model) -> dict[str, float]:
     """Return {multiplier: its entry of C B at the start} where that is < 0 and l has an end; of most models {}.
 
-    C B is h_x M^{-1} g_l. Then Assumption 5.1 of Lur'e systems (there is P = P' > 0 with P B = C') is violated. Nothing is said of
-    a model that has parameters without a number.
+    C B is h_x M^{-1} g_l. Then Assumption 5.1 of Lur'e systems (there is P = P' > 0 with P B = C') is violated. Nothing is said
+    of a model that has parameters without a number.
     """
     part = None if model.p.numel() else IMPACT_STRUCTURE.optional(model)
     system = None if part is None else part(model)

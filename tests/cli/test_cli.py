@@ -112,7 +112,7 @@ def test_options_reach_the_run(run):
 
 def test_json_is_the_text_in_other_words(run):
     _, text, _ = run("relay.py", RELAY, "--out", "results")
-    status, out, err = run("relay.py", None, "--out", "results", "--json")
+    status, out, err = run("relay.py", None, "--out", "results", "--force", "--json")
     assert (status, err) == (0, "")
     found = json.loads(out)
     assert found["file"] == "relay.py"
@@ -442,7 +442,7 @@ def test_a_failing_step_with_out_json_and_quiet(run):
     assert json.loads(out)["message"] in err
     assert json.loads(out)["saved"] == "results/trajectory.npz"
     assert len(nsmodel.Trajectory.load("results/trajectory.npz")) == 7
-    status, out, err = run("walls.py", None, "--out", "results", "--quiet")
+    status, out, err = run("walls.py", None, "--out", "results", "--force", "--quiet")
     assert (status, out) == (3, "")
     assert err.count("\n") == 2
 
@@ -635,3 +635,49 @@ def test_what_moves_a_cursor_or_turns_the_direction_is_not_printed(command, tmp_
     assert main([command, "odd.py"]) == 0
     printed = capsys.readouterr()
     assert not INVISIBLE_CHARACTERS.search((printed.out + printed.err).replace("\n", ""))
+
+
+# ---------------------------------------------------------------------------------------------- finished results
+
+FINISHED = {  # Commands, and the file that is theirs when all is done.
+    "run": (["run", "m.py", "--quiet"], "trajectory.npz"),
+    "study": (["study", "m.py", "--steps", "0.1,0.05,0.025"], "study.json"),
+    "stress": (["stress", "m.py", "--budget", "1e-3"], "stress.json"),
+    "sensitivity": (["sensitivity", "m.py", "--by", "x(0)", "--rtol", "1e-6"], "sensitivity.json"),
+}
+DECAY = """
+from nsmodel import LureSystem, relay
+model = LureSystem(x=["x"], A=[[-1]], B=1, C=1, law=relay(1), x0=1, t_end=0.2, step=0.1, title="TITLE")
+"""
+
+
+@pytest.mark.parametrize("command", FINISHED)
+def test_what_is_finished_is_replaced_by_force_alone(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words, result = FINISHED[command]
+    Path("m.py").write_text(DECAY)
+    assert main([*words, "--out", "kept"]) == 0
+    before = {path: path.read_bytes() for path in Path("kept").iterdir()}
+    Path("m.py").write_text(DECAY.replace("TITLE", "another").replace("x0=1", "x0=2"))
+    capsys.readouterr()
+    assert main([*words, "--out", "kept"]) == 2
+    assert f"kept holds a result ({result}); give --force to replace it, or another folder" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in Path("kept").iterdir()} == before
+    assert main([*words, "--out", "kept", "--force"]) == 0
+    assert Path("kept", result).read_bytes() != before[Path("kept", result)]
+
+
+def test_a_finished_run_is_gone_on_with_and_each_of_several_files_has_its_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("m.py", "n.py"):
+        Path(name).write_text(DECAY)
+    assert main(["run", "m.py", "--out", "one", "--quiet"]) == 0
+    assert main(["run", "m.py", "--out", "one", "--resume", "--t-end", "0.4", "--quiet"]) == 0
+    assert nsmodel.Trajectory.load("one/trajectory.npz").t[-1] == 0.4
+    assert main(["run", "m.py", "--out", "both", "--quiet"]) == 0
+    assert main(["run", "m.py", "n.py", "--out", "both", "--quiet"]) == 0
+    assert main(["run", "m.py", "n.py", "--out", "both", "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert "both/m holds a result" in told
+    assert "both/n holds a result" in told
+    assert main(["run", "m.py", "--plot", "--quiet"]) == main(["run", "m.py", "--plot", "--quiet"]) == 0
