@@ -20,7 +20,7 @@ from nsmodel.cli.common import (
     signal_exit_status,
 )
 from nsmodel.cli.completion import add_completion_command
-from nsmodel.cli.export import add_codegen_command, add_view_command
+from nsmodel.cli.export import add_codegen_command, add_report_command, add_view_command
 from nsmodel.cli.run import add_run_command
 from nsmodel.cli.sensitivity import add_sensitivity_command
 from nsmodel.cli.study import add_stress_command, add_study_command
@@ -33,6 +33,7 @@ ADD_COMMANDS = (
     add_new_command,
     add_run_command,
     add_view_command,
+    add_report_command,
     add_sweep_command,
     add_check_command,
     add_sensitivity_command,

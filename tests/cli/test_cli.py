@@ -16,6 +16,7 @@ import tqdm
 import nsmodel
 from nsmodel._utils import INVISIBLE_CHARACTERS
 from nsmodel.cli import main
+from nsmodel.cli.export import without_machine
 from nsmodel.files.storage import loads
 from nsmodel.modeling.model_files import case_files
 
@@ -681,3 +682,86 @@ def test_a_finished_run_is_gone_on_with_and_each_of_several_files_has_its_own(tm
     assert "both/m holds a result" in told
     assert "both/n holds a result" in told
     assert main(["run", "m.py", "--plot", "--quiet"]) == main(["run", "m.py", "--plot", "--quiet"]) == 0
+
+
+# ---------------------------------------------------------------------------------------------- reports
+
+
+@pytest.fixture(name="somewhere")
+def make_somewhere(tmp_path, monkeypatch):
+    """A folder whose path, user and host are names that no text has by chance."""
+    home = tmp_path / "zelda_home"
+    (home / "secret work").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("LOGNAME", "zelda")
+    monkeypatch.setattr("socket.gethostname", lambda: "hyrule")
+    monkeypatch.chdir(home / "secret work")
+    return home / "secret work"
+
+
+def names_of_the_machine(text, folder):
+    """What of a text tells where it was made."""
+    known = ["zelda", "hyrule", "secret", str(folder), *folder.parts[1:-2], str(Path(nsmodel.__file__).parent), sys.prefix]
+    return [name for name in known if name in text]
+
+
+REPORTED = """
+import casadi as ca
+from nsmodel import FirstOrderSystem, complementarity
+x, l, k = ca.SX.sym("x"), ca.SX.sym("l"), ca.SX.sym("k")
+# made by zelda on hyrule, see PATH
+model = FirstOrderSystem(x=x, lam=l, f=-k, g=SIGN*l, h=x, law=complementarity(1), x0=[0.5], t_end=1, step=0.1,
+                         parameters={k: (1 + 2)/3/1}, title="A floor")
+"""
+
+
+@pytest.mark.parametrize(("sign", "status"), [("+", "done"), ("-", "failed")])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_a_report_holds_what_a_bug_needs_and_nothing_of_the_machine(somewhere, capsys, sign, status, absolute):
+    file = (somewhere if absolute else Path()) / "floor.py"
+    file.write_text(REPORTED.replace("SIGN", sign + "1").replace("PATH", str(somewhere / "notes.txt")))
+    assert main(["run", str(file), "--out", "kept", "--quiet"]) == (0 if status == "done" else 3)
+    assert main(["report", "kept"]) == 0
+    assert capsys.readouterr().out == f"report  {Path('kept', 'report.md')}\n"
+    text = Path("kept/report.md").read_text()
+    assert names_of_the_machine(text, somewhere) == []
+    for expected in (
+        f"- nsmodel: {nsmodel.__version__}", f"- numpy: {np.__version__}", "- casadi: ", "- sympy: ", "- C compiler: ",
+        f"  status          {status}", "# made by USER on HOST, see .../notes.txt", "parameters={k: (1 + 2)/3/1}",
+        "- Python: CPython ", "- k: 1.0",
+    ):  # fmt: skip
+        assert expected in text
+    assert ("step has no solution" in text) is (status == "failed")
+    assert ("hypothesis 5.1 is violated" in text) is (status == "failed")
+
+
+def test_a_report_names_the_model_that_is_given(somewhere, capsys):
+    Path("floor.py").write_text(REPORTED.replace("SIGN", "1"))
+    nsmodel.simulate(nsmodel.load("floor.py"), out="kept")
+    assert main(["report", "kept", "--out", "a.md"]) == 0
+    assert "the run's folder does not say which file its model is in: give --model FILE" in Path("a.md").read_text()
+    assert main(["report", "kept/trajectory.npz", "--model", "floor.py", "--out", "b.md"]) == 0
+    assert "law=complementarity(1)" in Path("b.md").read_text()
+    assert main(["report", "kept", "--model", "nowhere.py"]) == 2
+    assert main(["report", "nowhere"]) == 2
+    assert "there is no run in 'nowhere'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "left"),
+    [
+        ('  File "/usr/lib/zelda/x.py", line 3', '  File ".../x.py", line 3'),
+        ("cannot write /mnt/a/run/chunk-000001.npz: No space", "cannot write .../chunk-000001.npz: No space"),
+        ("file:///mnt/a/b.html", ".../b.html"),
+        (r"C:\Users\zelda\run\m.py does not exist", ".../m.py does not exist"),
+        ("process 7 on hyrule, of zelda.", "process 7 on HOST, of USER."),
+        ("x' = (a + b)/c/d, 1/2/3, N m/s/kg, a / b / c", "x' = (a + b)/c/d, 1/2/3, N m/s/kg, a / b / c"),
+        ("https://example.org/a/b", "https://example.org/a/b"),
+        ("cases/mechanics/belt.py", "cases/mechanics/belt.py"),
+        ("zeldas hyrules", "zeldas hyrules"),
+    ],
+)
+def test_what_is_left_out_of_a_report(somewhere, given, left):
+    assert without_machine(given) == left
+    assert without_machine(f"{somewhere}/deep/m.py") == ".../m.py"
+    assert without_machine(f"in {somewhere.parent}") == "in ~"
