@@ -28,7 +28,7 @@ $(STAMP): $(RUNS) # And what tests, linters and pages need.
 	touch $@
 
 demo: $(RUNS) ## set up what runs need, run a rectifier, a crowd and a friction oscillator, pictures into results/: a minute
-	$(BIN)/nsmodel run $(SCENES) --plot --out results
+	$(BIN)/nsmodel run $(SCENES) --plot --out results --force
 
 test: $(STAMP) ## set up and run the tests, of random models a sixteenth: about fifteen minutes on two cores
 	$(BIN)/python -m pytest -n auto --dist worksteal

@@ -20,7 +20,7 @@ from nsmodel.cli.common import (
     signal_exit_status,
 )
 from nsmodel.cli.completion import add_completion_command
-from nsmodel.cli.export import add_codegen_command, add_view_command
+from nsmodel.cli.export import add_codegen_command, add_report_command, add_view_command
 from nsmodel.cli.run import add_run_command
 from nsmodel.cli.sensitivity import add_sensitivity_command
 from nsmodel.cli.study import add_stress_command, add_study_command
@@ -33,6 +33,7 @@ ADD_COMMANDS = (
     add_new_command,
     add_run_command,
     add_view_command,
+    add_report_command,
     add_sweep_command,
     add_check_command,
     add_sensitivity_command,
@@ -47,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
     0 done; 1 a hypothesis is violated (``check --strict``) or a cell is wrong (``stress``); 2 usage or model; 3 a step failed;
-    4 no C code; 130 interrupted by Ctrl-C, 143 by SIGTERM.
+    4 no C code; 5 files cannot be read or written; 130 interrupted by Ctrl-C, 143 by SIGTERM.
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
@@ -74,7 +75,8 @@ def _parser() -> argparse.ArgumentParser:
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "
         "2 usage, missing file or wrong model; 3 a step failed, or cells of a sweep, 130 interrupted by Ctrl-C, 143 by SIGTERM "
         "(what was computed is saved); "
-        "4 the model has no C counterpart",
+        "4 the model has no C counterpart; "
+        "5 files cannot be read or written: no room, no right to, in use, damaged",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -35,7 +35,7 @@ FILE_HELP = "a Python file that defines model = ... or def model(...), or the na
 CHOICE_PATTERN = re.compile(r"invalid choice: '(.*?)' \(choose from")
 INPUT_OPTIONS = ("kind", "after", "period")
 
-EXIT_DONE, EXIT_AT_FAULT, EXIT_USAGE, EXIT_FAILED_STEP, EXIT_REFUSED = 0, 1, 2, 3, 4
+EXIT_DONE, EXIT_AT_FAULT, EXIT_USAGE, EXIT_FAILED_STEP, EXIT_REFUSED, EXIT_STORAGE = range(6)
 EXIT_INTERRUPTED, EXIT_TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
@@ -77,6 +77,17 @@ def output_path(text: str) -> str:
     if not text.strip():
         raise argparse.ArgumentTypeError("it is empty; give a path, or leave the option out")
     return text
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add the flag without which nothing that is finished is replaced."""
+    parser.add_argument("--force", action="store_true", help="replace the result that --out holds")
+
+
+def check_free(folder: str | Path | None, result: str, arguments: argparse.Namespace) -> None:
+    """Raise UsageError where the folder holds a ``result``, a file that is written when all is done, and --force is not given."""
+    if folder is not None and not arguments.force and (Path(folder) / result).is_file():
+        raise UsageError(f"{folder} holds a result ({result}); give --force to replace it, or another folder")
 
 
 def add_files(parser: argparse.ArgumentParser) -> None:
@@ -230,6 +241,8 @@ def report_refusal(error: NsmodelError) -> int:
     """Say what was refused, and return the status of that."""
     kinds = ((ModelError, "model error"), (StorageError, "storage error"), (CodegenError, "no C code"), (NsmodelError, "error"))
     print(f"nsmodel: {next(name for kind, name in kinds if isinstance(error, kind))}: {error}", file=sys.stderr)
+    if isinstance(error, StorageError):
+        return EXIT_STORAGE
     return EXIT_REFUSED if isinstance(error, CodegenError) else EXIT_USAGE
 
 
@@ -239,7 +252,7 @@ def close_stdout(error: OSError) -> int:
     if isinstance(error, BrokenPipeError) or (sys.platform == "win32" and error.errno == errno.EINVAL):
         return EXIT_DONE
     print(f"nsmodel: error: cannot write the output: {error}", file=sys.stderr)
-    return EXIT_USAGE
+    return EXIT_STORAGE
 
 
 # -- Ctrl-C and SIGTERM ------------------------------------------------------------------------------------------------

@@ -1,17 +1,29 @@
-"""``nsmodel codegen`` and ``nsmodel view``: a model's step as a library in C, a saved run as a page."""
+"""``nsmodel codegen``, ``view`` and ``report``: a step as a library in C, a saved run as a page, and as a report of a bug."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import getpass
+import platform
+import re
+import socket
+import subprocess
 import sys
 import warnings
+from collections.abc import Mapping
+from importlib import metadata
 from pathlib import Path
 
+from nsmodel._utils import escape_invisible
 from nsmodel._utils import print_escaped as print
 from nsmodel.cli.common import EXIT_DONE, Commands, add_file, add_options, load_model, output_path
-from nsmodel.errors import UnverifiedWarning, UsageError
+from nsmodel.codegen.library import compiler
+from nsmodel.errors import StorageError, UnverifiedWarning, UsageError
+from nsmodel.files.storage import read_json, write_text
 from nsmodel.modeling import model_files
 from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.version import VERSION
 
 
 def add_codegen_command(commands: Commands) -> None:
@@ -81,6 +93,15 @@ def _no_run_hint(given: Path) -> str:
     return f"there is no run in '{given}': runs are kept by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 
 
+def _saved_run(given: str) -> Path:
+    """The file of the run in a folder, or that is given; UsageError where there is none."""
+    path = Path(given)
+    file = path / RUN_FILE if path.is_dir() else path
+    if not file.is_file() or path.suffix == ".py":
+        raise UsageError(_no_run_hint(path))
+    return file
+
+
 def _load_run(file: Path) -> Trajectory:
     """The run; that it could not be verified is said in a line."""
     with warnings.catch_warnings(record=True) as caught:
@@ -93,10 +114,7 @@ def _load_run(file: Path) -> Trajectory:
 
 def _write_view(arguments: argparse.Namespace) -> int:
     """Write the page of a saved run, and say where it is."""
-    given = Path(arguments.run)
-    file = given / RUN_FILE if given.is_dir() else given
-    if not file.is_file() or given.suffix == ".py":
-        raise UsageError(_no_run_hint(given))
+    file = _saved_run(arguments.run)
     path = _load_run(file).view(arguments.out or file.parent / "view.html")
     print(f"page  {path}")
     if arguments.open:
@@ -104,3 +122,117 @@ def _write_view(arguments: argparse.Namespace) -> int:
 
         open_in_browser(path)
     return EXIT_DONE
+
+
+# -- a report of a run -------------------------------------------------------------------------------------------------
+
+REPORT_FILE = "report.md"  # Beside the run's file.
+REPORTED_PACKAGES = ("casadi", "numpy", "scipy", "sympy", "matplotlib", "xarray", "pandas", "dask")
+_PATH_PATTERN = re.compile(r"(?<![\w./~:)\]-])(?:file://|~|[A-Za-z]:)?(?:[\\/][\w.@+~-]+){2,}[\\/]?")
+_MODEL_ENDS = "the run's folder does not say which file its model is in: give --model FILE"
+
+
+def add_report_command(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = (
+        "Write one text file about a saved run, to attach to a report of a bug: versions, system, model, parameters, summary, "
+        "message. Names of the user and of the machine, and paths, are left out; read it before you send it."
+    )
+    parser = commands.add_parser("report", help="write a run's model, versions and summary in one file", description=about)
+    parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {RUN_FILE} in it")
+    parser.add_argument("--model", metavar="FILE", help="the model file (default: the one that the folder's summary.json names)")
+    parser.add_argument(
+        "--out", type=output_path, metavar="PATH", help=f"the text file (default: {REPORT_FILE} beside the run's file)"
+    )
+    parser.set_defaults(command=_write_report)
+
+
+def _write_report(arguments: argparse.Namespace) -> int:
+    """Write the report of a saved run, and say where it is."""
+    file = _saved_run(arguments.run)
+    run, path = _load_run(file), Path(arguments.out or file.parent / REPORT_FILE)
+    write_text(path, without_machine(_report_text(run, _model_text(file.parent, arguments.model))))
+    print(f"report  {path}")
+    return EXIT_DONE
+
+
+def _model_text(folder: Path, given: str | None) -> str:
+    """The text of the model file; why there is none."""
+    if given is None:
+        try:
+            given = str(read_json(folder / "summary.json")["file"])
+        except (StorageError, KeyError, TypeError):
+            return f"({_MODEL_ENDS})"
+        if not model_files.case_or_file_path(given).is_file():
+            return "(the model file is no longer where it was: give --model FILE)"
+    try:
+        return model_files.case_or_file_path(given).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"--model {given}: it cannot be read ({error})") from None
+
+
+def _report_text(run: Trajectory, model: str) -> str:
+    """The report in Markdown."""
+    about = run.metadata
+    here = {"nsmodel": VERSION, "Python": f"{platform.python_implementation()} {platform.python_version()}"}
+    here |= {name: found for name in REPORTED_PACKAGES if (found := _package_version(name))}
+    here |= {"C compiler": _compiler_version(), "system": f"{platform.system()}, {platform.machine()}"}
+    sections = {
+        "Versions here": _lines(here),
+        "Versions of the run": _lines(about.get("versions", {})),
+        "Parameters": _lines({name: repr(value) for name, value in about.get("parameters", {}).items()}),
+        "Summary": _fenced(run.summary_text()),
+        "Used": "\n".join(f"- {text}" for text in about.get("used", [])),
+        "Left out": "\n".join(f"- {text}" for text in about.get("left_out", [])),
+        "Message": about.get("message") or "none",
+        "Model": _fenced(model, "python"),
+    }
+    body = "\n\n".join(f"## {title}\n\n{text or 'none'}" for title, text in sections.items())
+    return escape_invisible(f"# nsmodel report: {run.title}\n\n{body}\n")
+
+
+def _lines(named: Mapping[str, str]) -> str:
+    return "\n".join(f"- {name}: {value}" for name, value in named.items())
+
+
+def _fenced(text: str, kind: str = "text") -> str:
+    """A block of text as it is, between fences longer than any in it."""
+    fence = "`" * max(3, 1 + max(map(len, re.findall(r"`+", text)), default=0))
+    return f"{fence}{kind}\n{text.rstrip()}\n{fence}"
+
+
+def _package_version(name: str) -> str | None:
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        return metadata.version(name)
+    return None
+
+
+def _compiler_version() -> str:
+    """What the C compiler says of itself in its first line."""
+    if (found := compiler()) is None:
+        return "none"
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        said = subprocess.run([*found.split(), "--version"], capture_output=True, text=True, timeout=10, check=True).stdout
+        return next(iter(said.splitlines()), found)
+    return found
+
+
+def without_machine(text: str) -> str:
+    """The text without what tells whose machine it was made on: paths but for their last part, names of user and host."""
+    folders = [(str(path), sign) for path, sign in ((Path.cwd(), "."), (Path.home(), "~")) if len(path.parts) > 1]
+    for folder, _ in folders:  # Whose names may have blanks.
+        text = re.sub(rf"{re.escape(folder)}(?=[\\/])", "/-/-", text)
+    for folder, sign in folders:
+        text = re.sub(rf"{re.escape(folder)}(?!\w)", sign, text)
+    text = _PATH_PATTERN.sub(lambda found: ".../" + re.split(r"[\\/]", found[0].rstrip("\\/"))[-1], text)
+    for name, instead in ((_user_name(), "USER"), (socket.gethostname(), "HOST")):
+        if name:
+            text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", instead, text)
+    return text
+
+
+def _user_name() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return ""

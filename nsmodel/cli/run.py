@@ -16,11 +16,13 @@ from nsmodel.cli.common import (
     EXIT_DONE,
     EXIT_FAILED_STEP,
     EXIT_INTERRUPTED,
+    EXIT_STORAGE,
     EXIT_TERMINATED,
-    EXIT_USAGE,
     Commands,
     add_files,
+    add_force,
     add_options,
+    check_free,
     close_stdout,
     given_options,
     ignore_signals,
@@ -35,7 +37,7 @@ from nsmodel.files.storage import FORMAT_STAMP, check_writable, write_json
 from nsmodel.modeling.base import Model
 from nsmodel.simulation.loop import RunInterrupted
 from nsmodel.simulation.options import ExplainKeywords, option_names
-from nsmodel.simulation.run_folder import hold_folder
+from nsmodel.simulation.run_folder import JOINED_FILE, hold_folder, unfinished_manifest
 from nsmodel.simulation.simulate import explain, simulate
 from nsmodel.simulation.trajectory import Trajectory
 
@@ -45,6 +47,7 @@ def add_run_command(commands: Commands) -> None:
     parser = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
     add_files(parser)
     add_options(parser, "run")
+    add_force(parser)
     parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
     parser.add_argument(
@@ -128,6 +131,8 @@ def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
 def _run_in_folder(arguments: argparse.Namespace, file: str, folder: Path | None) -> FileResult:
     start = time.perf_counter()
     bound: Model | None = None
+    if folder is not None and arguments.out and not arguments.resume and unfinished_manifest(folder) is None:
+        check_free(folder, JOINED_FILE, arguments)
     try:
         model, values = load_model(file, arguments.set)
         bound = model.bind(values)
@@ -148,7 +153,7 @@ def _run_in_folder(arguments: argparse.Namespace, file: str, folder: Path | None
     except StorageError as error:
         if error.trajectory is None:
             raise
-        return _report_stopped_run(arguments, file, None, error.trajectory, f"storage error: {error}", EXIT_USAGE, start)
+        return _report_stopped_run(arguments, file, None, error.trajectory, f"storage error: {error}", EXIT_STORAGE, start)
     with contextlib.nullcontext() if folder is not None else _save_unreported_run(file, run):
         return _report_run(arguments, file, run, time.perf_counter() - start, bound, folder)
 

@@ -12,7 +12,9 @@ from nsmodel.cli.common import (
     EXIT_FAILED_STEP,
     Commands,
     add_file,
+    add_force,
     add_options,
+    check_free,
     load_model,
     output_path,
     parse_inputs,
@@ -39,10 +41,12 @@ def add_sensitivity_command(commands: Commands) -> None:
     parser.add_argument("--error", action="store_true", help="estimate the error too, by a second run")
     parser.add_argument("--json", action="store_true", help="print all as JSON")
     parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for sensitivity.txt, .json, .csv and .png")
+    add_force(parser)
     parser.set_defaults(command=_run_sensitivity)
 
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:
+    check_free(arguments.out, "sensitivity.json", arguments)
     model, values = load_model(arguments.file, arguments.set)
     try:
         found = sensitivity(

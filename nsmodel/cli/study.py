@@ -13,7 +13,9 @@ from nsmodel.cli.common import (
     EXIT_DONE,
     Commands,
     add_file,
+    add_force,
     add_options,
+    check_free,
     ignore_signals,
     load_model,
     output_path,
@@ -46,6 +48,7 @@ def add_study_command(commands: Commands) -> None:
     parser.add_argument(
         "--out", type=output_path, metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png"
     )
+    add_force(parser)
     parser.set_defaults(command=_run_study)
 
 
@@ -53,6 +56,7 @@ def _run_study(arguments: argparse.Namespace) -> int:
     """Measure a file's model; Ctrl-C keeps what was measured."""
     from nsmodel.study import StudyInterrupted, study
 
+    check_free(arguments.out, "study.json", arguments)
     model, values = load_model(arguments.file, arguments.set)
     status, given = EXIT_DONE, arguments.solvers
     try:
@@ -116,6 +120,7 @@ def add_stress_command(commands: Commands) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print all cells as JSON")
     parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
+    add_force(parser)
     parser.set_defaults(command=_run_stress)
 
 
@@ -130,6 +135,7 @@ def _run_stress(arguments: argparse.Namespace) -> int:
     twice = next((name for name in vary if name in given), None)
     if twice is not None:
         raise UsageError(f"'{twice}' is given with --set and with --vary; keep one")
+    check_free(arguments.out, "stress.json", arguments)
     variants = []
     for values in product(*vary.values()):
         varied = dict(zip(vary, values, strict=True))

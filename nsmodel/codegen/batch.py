@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.codegen import simd_batch, structs, varying_steps
 from nsmodel.codegen.rollout import CALL_SECONDS, library_for_all
 from nsmodel.codegen.step_spec import spec_for_all_values
@@ -97,6 +98,7 @@ class StepBatch:
         self.way += f", {LANES_NOTE}" if in_lanes else ""
         rows = symbolic_initial_rows(model, self._spec.problem.h)
         self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
+        row[:, self._layout.newton] = 0.0
         start = ca.SX(row)
         for k, (state, records) in enumerate(rows):
             start[k, : state.numel()] = state
@@ -178,7 +180,8 @@ class StepBatch:
     def _selected_columns(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
         unknown = [name for name in keep if name not in self._columns and name != "index_set"]
         if unknown:
-            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
+            near = did_you_mean(unknown[0], self.columns())
+            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}{near}")
         return {name: self._columns[name] for name in keep if name != "index_set"}
 
     def _initialise(self, work: _BatchArrays, given: np.ndarray) -> None:

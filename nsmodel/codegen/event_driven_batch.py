@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import did_you_mean
 from nsmodel.codegen.batch import TO_DO, BatchCells
 from nsmodel.codegen.event_driven_runs import PieceLibrary, RunRequest, piece_library_mark
 from nsmodel.codegen.event_driven_spec import cached_symbolic_problem
@@ -124,7 +125,8 @@ class PieceBatch:
     def _differentiated_entries(self) -> list[int]:
         """The entries of p that runs are differentiated by."""
         if unknown := next((name for name in self._by if name not in self.names), None):
-            raise UsageError(f"by: '{unknown}' is no parameter; there are {', '.join(self.names)}")
+            near = did_you_mean(unknown, self.names)
+            raise UsageError(f"by: '{unknown}' is no parameter; there are {', '.join(self.names)}{near}")
         rows = max(self._p.x.numel(), self._p.l.numel())
         if self._by and rows > MAX_TANGENT_ROWS:
             raise CodegenError(f"{rows} states or rows are more than the {MAX_TANGENT_ROWS} that derivatives in C have room for")
@@ -189,7 +191,8 @@ class PieceBatch:
             raise UsageError(f"values: shape {given.shape}; expected (cells, {len(self.names)}), a column for each parameter")
         unknown = [name for name in keep if name not in self.columns()]
         if unknown:
-            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
+            near = did_you_mean(unknown[0], self.columns())
+            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}{near}")
         work = _PieceBatchArrays(len(given), len(self._times), self._width, self._p.l.numel())
         if self._by:
             work.slopes = np.full((*work.kept.shape[:2], self._p.x.numel() + self._p.l.numel(), len(self._by)), np.nan)

@@ -88,6 +88,7 @@ RUN_FIELDS = {
     "stems": MappingOf([COUNT_TYPE]), "axes": MappingOf([TEXT_TYPE]),
     "units": MappingOf(TEXT_TYPE), "input_groups": MappingOf([TEXT_TYPE]),
     "versions": MappingOf(TEXT_TYPE), "parameters": MappingOf(NUMBER_TYPE), "weights": [NUMBER_TYPE],
+    "anti_friction": MappingOf(NUMBER_TYPE),
     "outputs": MappingOf(_QUANTITY_FIELDS), "between_rows": MappingOf((COUNT_TYPE, _QUANTITY_FIELDS)),
     "save_every": POSITIVE_TYPE, "steps": COUNT_TYPE, "tolerance": NUMBER_TYPE, "solver_counts": MappingOf(COUNT_TYPE),
     "totals": (TOTALS_FIELDS, None), "of_pairs": [FLAG_TYPE], "constraint_bodies": [[COUNT_TYPE]],

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
+from weakref import WeakValueDictionary
 
 import casadi as ca
 import numpy as np
@@ -75,6 +76,18 @@ INPUT_FREE_USES = frozenset({"certificate", "--certificate"})  # What models wit
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
+@dataclass(frozen=True, eq=False)
+class _Declaration:
+    """What a model was given, and what became of it, by the names of its fields."""
+
+    given: Mapping[str, Any]
+    declared: Mapping[str, Any]
+
+
+# By the id of its time symbol: `dataclasses.replace` hands it on with all that was declared, of which names may be gone.
+_declarations: WeakValueDictionary[int, _Declaration] = WeakValueDictionary()
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Model(Picklable):
     """Arguments of all classes.
@@ -107,6 +120,8 @@ class Model(Picklable):
         vectors: {name: names of its entries} of each vector and matrix among the parameters.
         u: the symbols of the inputs (nu, 1); input_groups: {name of an input: names of its entries}, in that order.
         bound_parameters: {name: value} of the parameters that `bind` replaced.
+
+    ``dataclasses.replace(model, x0=[1])`` is the model made of what was given, with these arguments in place of its own.
     """
 
     t: Any = LEFT_OUT
@@ -123,6 +138,8 @@ class Model(Picklable):
     units: Mapping[str, str] = field(default_factory=dict)
     exact: Any = None
     title: str = ""
+
+    __slots__ = ("_declaration",)  # No part of what the model is: neither pickled nor compared.
 
     p: ca.SX = field(init=False, repr=False)
     u: ca.SX = field(init=False, repr=False, default=ca.SX(0, 1))
@@ -160,11 +177,27 @@ class Model(Picklable):
     _repr_html_ = html_repr("model_html")
 
     def __post_init__(self) -> None:
-        """Check and convert what was given."""
+        """Check and convert what was given, anew where `dataclasses.replace` hands on what was converted."""
+        names = [field.name for field in dataclasses.fields(self) if field.init]
+        if (known := _declarations.get(id(self.t))) is not None:
+            converted = [name for name in names if name in known.declared and getattr(self, name) is known.declared[name]]
+            self._set(
+                **{name: known.given[name] for name in converted if not isinstance(getattr(self, name), int | float | str | None)}
+            )
+        given = {name: getattr(self, name) for name in names}
         self._set(scheme=self._chosen_scheme())
         self._declare()
         self._set(outputs=MappingProxyType(declare_outputs(self.outputs, self)))
         self._check_units()
+        self._set(_declaration=_Declaration(given, {name: getattr(self, name) for name in names}))
+        _declarations[id(self.t)] = self._declaration
+
+    def __copy__(self) -> Self:
+        """Copy the model, not its parts."""
+        other = super().__copy__()
+        if (known := getattr(self, "_declaration", None)) is not None:
+            other._set(_declaration=known)
+        return other
 
     def _declare(self) -> None:
         raise NotImplementedError

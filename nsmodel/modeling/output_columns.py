@@ -77,8 +77,7 @@ def evaluate_quantity(quantity: Quantity, names: ColumnNames, arrays: ColumnArra
         if column is None:
             known = ["t", *names.states, *names.multipliers, *names.inputs, *names.parameters]
             known += [name for name in arrays if name not in ("t", "x", "inputs") and not name.startswith("piece_")]
-            raise UsageError(
-                f"{label}: '{name}' is not there; there are {', '.join(dict.fromkeys(known))}" + did_you_mean(name, known)
-            )
+            what = label if label == f"'{name}'" else f"{label}: '{name}'"
+            raise UsageError(f"{what} is not there; there are {', '.join(dict.fromkeys(known))}" + did_you_mean(name, known))
         given[:, k] = column
     return quantity(given)

@@ -325,10 +325,12 @@ class PieceRows:
     def _start_row(self) -> dict[str, np.ndarray]:
         """The one row of a run that has no piece yet."""
         p, own = self.problem, self._facts
+        _, records = self._evaluate_records(np.zeros(1), np.concatenate([own.x0, np.full(own.m, np.nan)])[None])
         unknown = {name: np.full(1, np.nan) for name in ("residual", "step", "error_estimate")}
+        of_law = ("multipliers", "y", "reactions") if p.impulses else ("multipliers", "y")
         return {
-            "t": np.zeros(1), "x": own.x0[None, : p.states].copy(),
-            **{name: np.full((1, own.visible_multipliers), np.nan) for name in ("multipliers", "y")},
+            "t": np.zeros(1), "x": own.x0[None, : p.states].copy(), **records,
+            **{name: np.full((1, own.visible_multipliers), np.nan) for name in of_law},
             "index_set": np.full((1, own.m), dense_output.UNKNOWN_INDEX, np.int8), "stepped": np.zeros(1, bool), **unknown,
         }  # fmt: skip
 

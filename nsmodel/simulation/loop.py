@@ -29,6 +29,7 @@ from nsmodel.simulation.propagator import CHUNK_SECONDS, Propagator, is_numerica
 from nsmodel.simulation.run_data import Contents, deferred_run
 from nsmodel.simulation.run_folder import JOINED_FILE, ChunkStore, unfinished_manifest
 from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers import impacts
 from nsmodel.version import VERSION
 
 
@@ -170,7 +171,7 @@ class RunLoop:
         propagator, runaway = self.propagator, self.propagator.runaway
         grown = "" if runaway is None else f". The run has diverged: {runaway[0]} = {runaway[1]:.3g}"
         error.step, error.time = propagator.k, propagator.time + propagator.h
-        error.args = (f"step {propagator.k}: {error.args[0]}{grown}",)
+        error.args = (f"step {propagator.k}: {error.args[0]}{grown}{impacts.anti_friction_hint(propagator.model)}",)
         with contextlib.suppress(MemoryError):  # of a run in a folder the chunks are there
             error.trajectory = self._finish("failed", str(error))
         return error

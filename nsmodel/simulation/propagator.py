@@ -26,6 +26,7 @@ from nsmodel.modeling.signals.pwm import HeldSignal
 from nsmodel.modeling.signals.schedule import InputSchedule
 from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.simulation.options import Options
+from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.plan import Plan
 from nsmodel.solvers.step import RowLayout
@@ -326,6 +327,8 @@ def model_metadata(model: Model) -> dict[str, Any]:
         data["input_groups"] = {name: list(names) for name, names in model.input_groups.items()}
     if model.outputs:
         data["outputs"] = {name: Quantity.made(expression).text for name, expression in model.outputs.items()}
+    if against := impacts.anti_friction(model):
+        data["anti_friction"] = against
     if model.weights is not None:
         data["weights"] = list(map(float, model.weights))
     scene: Any = getattr(model, "scene", None)

@@ -90,8 +90,8 @@ class RunData:
 
     @property
     def newton(self) -> np.ndarray:
-        """Newton iterations of each step (N+1,): 0 where its equations are affine, NaN at the start."""
-        return self.arrays["newton"] if "newton" in self.arrays else np.where(np.isfinite(self.step), 0.0, np.nan)
+        """Newton iterations of the step that ended at each row (N+1,): 0 where none was made, as at the start."""
+        return np.nan_to_num(self.arrays["newton"]) if "newton" in self.arrays else np.zeros(len(self.t))
 
     @property
     def active(self) -> np.ndarray:

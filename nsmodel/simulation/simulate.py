@@ -27,6 +27,7 @@ from nsmodel.simulation.options import METHODS, ExplainKeywords, OptionKeywords,
 from nsmodel.simulation.propagator import GRID_PROPAGATOR, ResumedBackend, plan_with_inputs, plan_with_known_times
 from nsmodel.simulation.run_folder import ChunkStore
 from nsmodel.simulation.trajectory import Trajectory
+from nsmodel.solvers import impacts
 
 
 @takes_options(OptionKeywords)
@@ -148,7 +149,10 @@ def _run_with_rtol(model: Model, options: Options, symbolic_model: Model) -> Run
         propagator = EventDrivenPropagator(model, options, problem, lambda: folder.way() if resumed else None, symbolic_model)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
         if options.method == METHODS[1] or options.times is not None or options.certified:
-            raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error
+            if not isinstance(error, StepError):
+                raise UsageError(f"not event-driven: {error}") from error
+            error.args = (f"{error}{impacts.anti_friction_hint(model)}",)
+            raise
         run = _time_stepping_run(model, options, str(error))
         if isinstance(error, StepError):
             run.propagator.warnings.append(f"event-driven integration does not start: {error}; all rows are by time stepping")

@@ -6,8 +6,10 @@ Steps in C, taken one at a time.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 import numpy as np
 
@@ -89,7 +91,9 @@ INF = np.inf
 class ModelStepper:
     """A model at a time, made by `stepper` of the ``model``, its ``options`` and whether it keeps a ``record``.
 
-    A step that fails, or is refused, leaves it as it was.
+    A step that fails, or is refused, leaves it as it was. ``copy.copy`` and ``copy.deepcopy`` give another one at the same place,
+    with rows of its own; they share the model and what steps it, so that they are stepped by turns, not in two threads at once.
+    One that is pickled is built anew where it arrives: a UsageError says which function of its model no other process finds.
 
     Attributes:
         h: the time step; k: steps taken since the start or the last reset.
@@ -100,8 +104,13 @@ class ModelStepper:
         given = {**model.inputs, **signals_by_name(options.inputs, model.input_groups)}
         self.free = tuple(name for name, signal in given.items() if signal is None)
         zeros = {name: FreeInput(np.zeros(len(model.input_groups[name]))) for name in self.free}
-        self._model: Any = with_inputs(model, {**(options.inputs or {}), **zeros}).bind(options.parameters)
-        own: Any = self._model
+        bound = with_inputs(model, {**(options.inputs or {}), **zeros}).bind(options.parameters)
+        self._build(bound, replace(options, inputs=None, parameters=None), record=record)
+
+    def _build(self, model: Any, options: Options, *, record: bool) -> None:
+        """Make what steps a bound model, of which ``free`` is known."""
+        own = self._model = model
+        self._options = options
         if GRID_PROPAGATOR.optional(own) is not None:
             raise UsageError("stepper: many bodies enter and leave as they go; take simulate")
         h = own.step if options.step is None else options.step
@@ -121,6 +130,20 @@ class ModelStepper:
         one = own.u.numel() == self._inputs.at.size == 1 and start is None and not (self._inputs.driven or record)
         self._alone = self._in_c.alone(self._step.layout, self._step.cold_start().index.size) if one else None
         self.reset()
+
+    def __copy__(self) -> Self:
+        """Another stepper at this place."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self), _inputs=copy(self._inputs), _record=copy(self._record))
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """The same: what both share does not change."""
+        return copy(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it is made of, and its place."""
+        return _rebuilt_stepper, (self._model, self.free, self._options, self.checkpoint(), self._record)
 
     def __repr__(self) -> str:
         """Return one line: title, time, steps, states."""
@@ -309,6 +332,18 @@ class ModelStepper:
         metadata = model_metadata(self._model) | about
         arrays = self._record.columns(newton=False)
         return Trajectory(arrays | OutputColumns.of(self._model, self._problem.multiplier_names)(arrays), metadata)
+
+
+def _rebuilt_stepper(
+    model: Model, free: tuple[str, ...], options: Options, place: Mapping[str, Any], record: RowRecord | None
+) -> ModelStepper:
+    """The stepper that was pickled."""
+    other = object.__new__(ModelStepper)
+    other.free = free
+    other._build(model, options, record=record is not None)
+    other._record = record
+    other.restore(place)
+    return other
 
 
 @takes_options(StepperKeywords, before="record")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.simulation.run_data import RunData, model_type, multiplier_names, state_names, units_of
+from nsmodel.solvers import impacts
 
 _SUMMARY_TABLE_WIDTH = 100
 _LABEL_WIDTH = 18  # The column of labels.
@@ -38,6 +39,7 @@ def run_summary(run: RunData) -> dict[str, Any]:
         "scheme": about.get("scheme"),
         "status": run.status,
         "message": about.get("message") or "",
+        "anti_friction": dict(about.get("anti_friction") or {}),
         "steps": totals.get("steps", len(run)),
         "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
@@ -154,6 +156,7 @@ def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
         "model class": s["model_class"],
         "scheme": s["scheme"] and str(s["scheme"]),
         "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
+        "anti-friction": _anti_friction_text(s.get("anti_friction")),
         "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
         "step size": s["step"] and _step_range_text(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _error_control_text(**s["error_control"]),
@@ -186,6 +189,16 @@ def summary_text(summary: dict[str, Any]) -> str:
             first, rest = f"  {label if i == 0 else '':{_LABEL_WIDTH - 2}}", " " * (_LABEL_WIDTH + 2)
             table += textwrap.wrap(line, _SUMMARY_TABLE_WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
+
+
+def _anti_friction_text(slopes: dict[str, float] | None) -> str | None:
+    """Where the law has the wrong sign."""
+    if not slopes:
+        return None
+    return (
+        f"{impacts.anti_friction_text(slopes)}, below 0. A larger l lowers y, which the law needs it to raise; a step may have "
+        "several solutions, or none"
+    )
 
 
 def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | list[str]]:

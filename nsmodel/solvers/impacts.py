@@ -8,6 +8,9 @@ The rows of a second-order cone are one such contact: it is open where l_1 = 0, 
 
 A relay's l is bounded, so that no state jumps. Where it alone acts on y'' and not before, it is switched ever faster around y = 0
 and does not come to rest there in finite time: a run that begins to slide shows the damping of the scheme.
+
+Where an entry of the diagonal of C B is below 0, and D has none there, a larger l lowers its y, which a monotone law needs it to
+raise: friction with the wrong sign.
 """
 
 from __future__ import annotations
@@ -25,11 +28,13 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import SecondOrder
 from nsmodel.modeling.parts import Part
+from nsmodel.modeling.variants import initial_inputs
 
 PRODUCT_ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
 NEGLIGIBLE_RATE = 1e-9  # A rate is 0 below this part of the largest |y'|.
 IMPACT_RATE_FACTOR = 2.0  # A rate below so many times its change in a step is none of an impact.
 IMPACTS_GUIDE = "docs/guide.md, 2.7"
+MAX_NAMED_ROWS = 4  # Multipliers that a sentence names.
 SAMPLE_POINTS = 4  # States where rows are looked at: the start, and others around it.
 
 
@@ -177,6 +182,39 @@ def impact_rows(model: Model) -> tuple[ImpactRow, ...]:
             inputs=slice(system.first, system.first + system.l.numel() or None), untouched=system.untouched,
         ))  # fmt: skip
     return tuple(found)
+
+
+@cached_per_object
+def anti_friction(model: Model) -> dict[str, float]:
+    """Return {multiplier: its entry of C B at the start} where that is < 0 and l has an end; of most models {}.
+
+    C B is h_x M^{-1} g_l. Then Assumption 5.1 of Lur'e systems (there is P = P' > 0 with P B = C') is violated. Nothing is said
+    of a model that has parameters without a number.
+    """
+    part = None if model.p.numel() else IMPACT_STRUCTURE.optional(model)
+    system = None if part is None else part(model)
+    if system is None or not system.l.numel():
+        return {}
+    products = ca.densify(system.Y_s * system.F_l.T)
+    outputs = [ca.sum2(products), ca.sum2(ca.fabs(products)), ca.densify(ca.diag(system.Y_l))]
+    values = ca.Function("values", list(system.given), outputs)
+    slope, size, direct = (np.array(v).ravel() for v in values(*_sample_points(system)[0][:3], initial_inputs(model)))
+    bounded = np.isfinite(system.lower) | np.isfinite(system.upper)  # An equality holds by either sign.
+    rows = np.flatnonzero(bounded & (direct == 0) & (slope < -PRODUCT_ROUNDING * size))
+    return {system.multipliers[i]: float(slope[i]) for i in rows}
+
+
+def anti_friction_text(slopes: Mapping[str, float]) -> str:
+    """What `anti_friction` found in words; of many multipliers the first."""
+    first = ", ".join(f"{slope:.3g} for '{name}'" for name, slope in [*slopes.items()][:MAX_NAMED_ROWS])
+    more = f" and {len(slopes) - MAX_NAMED_ROWS} more" if len(slopes) > MAX_NAMED_ROWS else ""
+    return f"hypothesis 5.1 is violated: C B = {first}{more}"
+
+
+def anti_friction_hint(model: Model) -> str:
+    """The end of the message of a step that failed; "" where no sign is wrong."""
+    found = anti_friction(model)
+    return f"; {anti_friction_text(found)}" if found else ""
 
 
 def _cone_gap_rate(y: ca.SX, rate: ca.SX) -> ca.SX:

@@ -133,6 +133,12 @@ class RowRecord:
         self.number = np.empty(capacity, int)
         self.clear()
 
+    def __copy__(self) -> Self:
+        """Copy the rows."""
+        other = object.__new__(type(self))
+        vars(other).update((name, v.copy() if isinstance(v, np.ndarray) else v) for name, v in vars(self).items())
+        return other
+
     def grow(self) -> None:
         """Make room for as many rows again."""
         for name in ("rows", "index", "t", "h", "h_next", "number"):
@@ -148,6 +154,7 @@ class RowRecord:
         """Add a row that no step computed: the start."""
         r = self.filled
         self.rows[r], self.index[r] = np.nan, UNSET_INDEX
+        self.rows[r, self.layout.newton] = 0.0
         self.rows[r, : state.size] = state
         for name, value in records.items():
             self.rows[r, self.layout.slices[name]] = value

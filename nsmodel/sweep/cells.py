@@ -23,9 +23,9 @@ from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
 from nsmodel.proof.expression_graph import OpaqueExpression
-from nsmodel.simulation.options import METHODS
+from nsmodel.simulation.options import METHODS, Options
 from nsmodel.simulation.propagator import GRID_PROPAGATOR
-from nsmodel.simulation.simulate import simulate
+from nsmodel.simulation.simulate import make_run, simulate
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.plan import build_seconds, interpreted_step_seconds
@@ -275,13 +275,38 @@ class _DifferentiatedRun:
         return getattr(self._run, name)
 
 
+def check_columns(request: SweepRequest, group: CellGroup, values: Mapping[str, float]) -> bool:
+    """Whether runs of these values begin at all: then the columns that are read of runs are there.
+
+    A run of no step has them all.
+
+    Raises:
+        UsageError: they have no column of this name, with those that there are.
+    """
+    options = {**_run_options(request, group), "compiled": False, "parameters": dict(values) or None}
+    try:
+        run = Trajectory(*make_run(group.model, Options(**options)).contents("running", ""))
+    except (UsageError, ModelError, StepError):
+        return False  # A cell of its own status.
+    for label, name in request.labelled_columns:
+        try:
+            run_column(run, name.rpartition(BY)[0] or name)
+        except UsageError as error:
+            raise UsageError(f"{label}: {error}") from None
+    return True
+
+
+def _run_options(request: SweepRequest, group: CellGroup) -> dict[str, Any]:
+    """Those of `simulate` for a run of the group, but the times of its rows."""
+    options = {name: value for name, value in request.options.items() if value is not None and name != "times"}
+    return options if group.step is None else options | {"step": group.step}
+
+
 def _simulate_cell(
     request: SweepRequest, group: CellGroup, values: dict[str, float]
 ) -> tuple[int, float, str, Trajectory | None]:
     """A run: its status, when it failed, why, and what there is of it."""
-    options: dict[str, Any] = {name: value for name, value in request.options.items() if value is not None and name != "times"}
-    if group.step is not None:
-        options["step"] = group.step
+    options = _run_options(request, group)
     if request.is_event_driven:
         rows = request.keep or any(isinstance(one, Reduction) for one in request.outputs.values())
         options["times"] = group.rows.times if rows else None

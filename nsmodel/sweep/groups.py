@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from nsmodel.modeling.model_files import load, load_with_values, model_arguments
 from nsmodel.modeling.parameters import describe_argument
 from nsmodel.modeling.time_grid import is_number
 from nsmodel.modeling.variants import start_entries, start_name, with_inputs, with_start_parameters
-from nsmodel.sweep.cells import CellGroup, CellTask
+from nsmodel.sweep.cells import CellGroup, CellTask, check_columns
 from nsmodel.sweep.design import INPUTS, SEED, STEP, DesignColumn, SweepDesign
 from nsmodel.sweep.request import RowSelection, SweepRequest
 
@@ -80,6 +81,7 @@ class ModelSource:
         raise UsageError(f"'{name}' cannot be varied")
 
 
+MAX_MODELS_TRIED, MAX_STARTS_TRIED = 1000, 20  # Cells looked at for one that has a model, and for one whose run can begin.
 MAX_PACKED_GROUPS = 64  # Groups of which the bytes are at hand.
 GroupKey = tuple[int, ...]
 StartFunction = Callable[[np.random.Generator], Mapping[str, float]]
@@ -136,12 +138,22 @@ class ModelGroups:
     def _first_group(self) -> CellGroup:
         """The first group that there is; what is wrong with the first cell's where there is none."""
         errors: list[NsmodelError] = []
-        for cell in range(min(self.design.size, 1000)):
+        for cell in range(min(self.design.size, MAX_MODELS_TRIED)):
             try:
                 return self._make_group(self._group_keys(np.array([cell]))[0])
             except ModelError as refused:
                 errors.append(refused)
         raise errors[0]
+
+    def check_columns(self) -> None:
+        """Raise UsageError for a column that runs do not have, before any is made: those of the first cell that can begin."""
+        if set(self._request.columns) <= {*self.first.model.names, *self.first.model.stems}:
+            return
+        for cell in range(min(self.design.size, MAX_STARTS_TRIED)):
+            with suppress(ModelError):
+                group, values = self.of(cell)
+                if check_columns(self._request, group, dict(zip(group.names, values.tolist(), strict=True))):
+                    return
 
     def of(self, cell: int) -> tuple[CellGroup, np.ndarray]:
         """The group of a cell, and the values of its parameters."""

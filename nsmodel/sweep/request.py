@@ -157,9 +157,15 @@ class SweepRequest:
             raise UsageError(f"'{self.derivatives[0]}' is a derivative, which event-driven runs have: give rtol=1e-8")
 
     @property
+    def labelled_columns(self) -> list[tuple[str, str]]:
+        """The columns that are read, each with the argument that names it."""
+        reduced = [(f"output '{name}'", one.name) for name, one in self.outputs.items() if isinstance(one, Reduction)]
+        return [*(("keep", name) for name in self.keep), *reduced]
+
+    @property
     def columns(self) -> list[str]:
         """The columns that are read."""
-        return [*self.keep, *(one.name for one in self.outputs.values() if isinstance(one, Reduction))]
+        return [name for _, name in self.labelled_columns]
 
     @property
     def derivatives(self) -> list[str]:

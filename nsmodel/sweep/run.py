@@ -133,6 +133,7 @@ def sweep(
     groups = ModelGroups(
         ModelSource(model), design, request, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
     )  # fmt: skip
+    groups.check_columns()
     if out is None:
         check_memory(design.dims, design.shape, request.bytes_kept(len(groups.first.rows.times)))
         choice = choose_backend(request, groups.first, design.size, groups.count)

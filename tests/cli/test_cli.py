@@ -16,6 +16,7 @@ import tqdm
 import nsmodel
 from nsmodel._utils import INVISIBLE_CHARACTERS
 from nsmodel.cli import main
+from nsmodel.cli.export import without_machine
 from nsmodel.files.storage import loads
 from nsmodel.modeling.model_files import case_files
 
@@ -112,7 +113,7 @@ def test_options_reach_the_run(run):
 
 def test_json_is_the_text_in_other_words(run):
     _, text, _ = run("relay.py", RELAY, "--out", "results")
-    status, out, err = run("relay.py", None, "--out", "results", "--json")
+    status, out, err = run("relay.py", None, "--out", "results", "--force", "--json")
     assert (status, err) == (0, "")
     found = json.loads(out)
     assert found["file"] == "relay.py"
@@ -442,7 +443,7 @@ def test_a_failing_step_with_out_json_and_quiet(run):
     assert json.loads(out)["message"] in err
     assert json.loads(out)["saved"] == "results/trajectory.npz"
     assert len(nsmodel.Trajectory.load("results/trajectory.npz")) == 7
-    status, out, err = run("walls.py", None, "--out", "results", "--quiet")
+    status, out, err = run("walls.py", None, "--out", "results", "--force", "--quiet")
     assert (status, out) == (3, "")
     assert err.count("\n") == 2
 
@@ -635,3 +636,132 @@ def test_what_moves_a_cursor_or_turns_the_direction_is_not_printed(command, tmp_
     assert main([command, "odd.py"]) == 0
     printed = capsys.readouterr()
     assert not INVISIBLE_CHARACTERS.search((printed.out + printed.err).replace("\n", ""))
+
+
+# ---------------------------------------------------------------------------------------------- finished results
+
+FINISHED = {  # Commands, and the file that is theirs when all is done.
+    "run": (["run", "m.py", "--quiet"], "trajectory.npz"),
+    "study": (["study", "m.py", "--steps", "0.1,0.05,0.025"], "study.json"),
+    "stress": (["stress", "m.py", "--budget", "1e-3"], "stress.json"),
+    "sensitivity": (["sensitivity", "m.py", "--by", "x(0)", "--rtol", "1e-6"], "sensitivity.json"),
+}
+DECAY = """
+from nsmodel import LureSystem, relay
+model = LureSystem(x=["x"], A=[[-1]], B=1, C=1, law=relay(1), x0=1, t_end=0.2, step=0.1, title="TITLE")
+"""
+
+
+@pytest.mark.parametrize("command", FINISHED)
+def test_what_is_finished_is_replaced_by_force_alone(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words, result = FINISHED[command]
+    Path("m.py").write_text(DECAY)
+    assert main([*words, "--out", "kept"]) == 0
+    before = {path: path.read_bytes() for path in Path("kept").iterdir()}
+    Path("m.py").write_text(DECAY.replace("TITLE", "another").replace("x0=1", "x0=2"))
+    capsys.readouterr()
+    assert main([*words, "--out", "kept"]) == 2
+    assert f"kept holds a result ({result}); give --force to replace it, or another folder" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in Path("kept").iterdir()} == before
+    assert main([*words, "--out", "kept", "--force"]) == 0
+    assert Path("kept", result).read_bytes() != before[Path("kept", result)]
+
+
+def test_a_finished_run_is_gone_on_with_and_each_of_several_files_has_its_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("m.py", "n.py"):
+        Path(name).write_text(DECAY)
+    assert main(["run", "m.py", "--out", "one", "--quiet"]) == 0
+    assert main(["run", "m.py", "--out", "one", "--resume", "--t-end", "0.4", "--quiet"]) == 0
+    assert nsmodel.Trajectory.load("one/trajectory.npz").t[-1] == 0.4
+    assert main(["run", "m.py", "--out", "both", "--quiet"]) == 0
+    assert main(["run", "m.py", "n.py", "--out", "both", "--quiet"]) == 0
+    assert main(["run", "m.py", "n.py", "--out", "both", "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert "both/m holds a result" in told
+    assert "both/n holds a result" in told
+    assert main(["run", "m.py", "--plot", "--quiet"]) == main(["run", "m.py", "--plot", "--quiet"]) == 0
+
+
+# ---------------------------------------------------------------------------------------------- reports
+
+
+@pytest.fixture(name="somewhere")
+def make_somewhere(tmp_path, monkeypatch):
+    """A folder whose path, user and host are names that no text has by chance."""
+    home = tmp_path / "zelda_home"
+    (home / "secret work").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("LOGNAME", "zelda")
+    monkeypatch.setattr("socket.gethostname", lambda: "hyrule")
+    monkeypatch.chdir(home / "secret work")
+    return home / "secret work"
+
+
+def names_of_the_machine(text, folder):
+    """What of a text tells where it was made."""
+    known = ["zelda", "hyrule", "secret", str(folder), *folder.parts[1:-2], str(Path(nsmodel.__file__).parent), sys.prefix]
+    return [name for name in known if name in text]
+
+
+REPORTED = """
+import casadi as ca
+from nsmodel import FirstOrderSystem, complementarity
+x, l, k = ca.SX.sym("x"), ca.SX.sym("l"), ca.SX.sym("k")
+# made by zelda on hyrule, see PATH
+model = FirstOrderSystem(x=x, lam=l, f=-k, g=SIGN*l, h=x, law=complementarity(1), x0=[0.5], t_end=1, step=0.1,
+                         parameters={k: (1 + 2)/3/1}, title="A floor")
+"""
+
+
+@pytest.mark.parametrize(("sign", "status"), [("+", "done"), ("-", "failed")])
+@pytest.mark.parametrize("absolute", [False, True])
+def test_a_report_holds_what_a_bug_needs_and_nothing_of_the_machine(somewhere, capsys, sign, status, absolute):
+    file = (somewhere if absolute else Path()) / "floor.py"
+    file.write_text(REPORTED.replace("SIGN", sign + "1").replace("PATH", str(somewhere / "notes.txt")))
+    assert main(["run", str(file), "--out", "kept", "--quiet"]) == (0 if status == "done" else 3)
+    assert main(["report", "kept"]) == 0
+    assert capsys.readouterr().out == f"report  {Path('kept', 'report.md')}\n"
+    text = Path("kept/report.md").read_text()
+    assert names_of_the_machine(text, somewhere) == []
+    for expected in (
+        f"- nsmodel: {nsmodel.__version__}", f"- numpy: {np.__version__}", "- casadi: ", "- sympy: ", "- C compiler: ",
+        f"  status          {status}", "# made by USER on HOST, see .../notes.txt", "parameters={k: (1 + 2)/3/1}",
+        "- Python: CPython ", "- k: 1.0",
+    ):  # fmt: skip
+        assert expected in text
+    assert ("step has no solution" in text) is (status == "failed")
+    assert ("hypothesis 5.1 is violated" in text) is (status == "failed")
+
+
+def test_a_report_names_the_model_that_is_given(somewhere, capsys):
+    Path("floor.py").write_text(REPORTED.replace("SIGN", "1"))
+    nsmodel.simulate(nsmodel.load("floor.py"), out="kept")
+    assert main(["report", "kept", "--out", "a.md"]) == 0
+    assert "the run's folder does not say which file its model is in: give --model FILE" in Path("a.md").read_text()
+    assert main(["report", "kept/trajectory.npz", "--model", "floor.py", "--out", "b.md"]) == 0
+    assert "law=complementarity(1)" in Path("b.md").read_text()
+    assert main(["report", "kept", "--model", "nowhere.py"]) == 2
+    assert main(["report", "nowhere"]) == 2
+    assert "there is no run in 'nowhere'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "left"),
+    [
+        ('  File "/usr/lib/zelda/x.py", line 3', '  File ".../x.py", line 3'),
+        ("cannot write /mnt/a/run/chunk-000001.npz: No space", "cannot write .../chunk-000001.npz: No space"),
+        ("file:///mnt/a/b.html", ".../b.html"),
+        (r"C:\Users\zelda\run\m.py does not exist", ".../m.py does not exist"),
+        ("process 7 on hyrule, of zelda.", "process 7 on HOST, of USER."),
+        ("x' = (a + b)/c/d, 1/2/3, N m/s/kg, a / b / c", "x' = (a + b)/c/d, 1/2/3, N m/s/kg, a / b / c"),
+        ("https://example.org/a/b", "https://example.org/a/b"),
+        ("cases/mechanics/belt.py", "cases/mechanics/belt.py"),
+        ("zeldas hyrules", "zeldas hyrules"),
+    ],
+)
+def test_what_is_left_out_of_a_report(somewhere, given, left):
+    assert without_machine(given) == left
+    assert without_machine(f"{somewhere}/deep/m.py") == ".../m.py"
+    assert without_machine(f"in {somewhere.parent}") == "in ~"

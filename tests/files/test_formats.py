@@ -152,7 +152,7 @@ def test_an_old_summary_is_read():
 @pytest.mark.parametrize("folder", ["killed", "done", "bodies"])
 def test_an_old_run_is_not_continued(old, relay_file, folder, capsys):
     before = {path: path.read_bytes() for path in (old / folder).iterdir()}
-    assert main(["run", relay_file, "--out", f"old/{folder}", "--resume"]) == 2
+    assert main(["run", relay_file, "--out", f"old/{folder}", "--resume"]) == 5
     told = capsys.readouterr().err
     assert f"{folder}/manifest.json is of format 1, written by nsmodel 0.1.0: its files can be read" in told
     assert "go on with nsmodel 0.1.0, or remove the folder" in told

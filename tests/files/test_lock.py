@@ -163,7 +163,7 @@ def test_a_run_of_another_process_is_not_disturbed(tmp_path, monkeypatch, capfd)
             (tmp_path / "run" / run_folder.LOCK_FILE).exists() and (tmp_path / "run" / run_folder.LOCK_FILE).stat().st_size
         ):
             assert process.poll() is None
-        assert main(["run", "m.py", "--out", "run"]) == 2
+        assert main(["run", "m.py", "--out", "run"]) == 5
         captured = capfd.readouterr()
         assert captured.err.startswith(f"nsmodel: storage error: run is in use by another run, process {process.pid} on {HOST}")
         assert captured.err.count("\n") == 1

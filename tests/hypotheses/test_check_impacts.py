@@ -22,6 +22,7 @@ from nsmodel import (
     relay,
     second_order_cone,
     simulate,
+    sweep,
     table,
 )
 from nsmodel.cli import main
@@ -333,3 +334,81 @@ def test_a_wall_beside_a_cone_that_is_open_is_passed():
     run = simulate(disc(law=product(second_order_cone(3), complementarity(1)), **room), rtol=1e-3)
     np.testing.assert_allclose(run.x[-1], [0.3, -0.5, 0, 0], atol=1e-9)
     assert any("'l_3' acts on y'' only" in text for text in run.metadata["warnings"])
+
+
+# ---------------------------------------------------------------------------------------------- anti-friction
+
+
+def turned(law, **given):
+    """x' = -1 - l, y = x: the multiplier pushes y where the law does not want it."""
+    of = {"x": S, "lam": L, "f": -1, "g": -L, "h": S, "x0": [1.0], "t_end": 2, "step": 0.1}
+    return FirstOrderSystem(law=law, **of | given)
+
+
+@pytest.mark.parametrize("options", [{}, {"rtol": 1e-6}], ids=str)
+def test_anti_friction_is_said_behind_the_status(options):
+    run = simulate(turned(relay(1)), **options)
+    assert run.status == "done"
+    lines = run.summary_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("  status"))
+    assert lines[at + 1].startswith("  anti-friction   hypothesis 5.1 is violated: C B = -1 for 'l', below 0.")
+    assert run.summary()["anti_friction"] == {"l": -1.0}
+
+
+@pytest.mark.parametrize("options", [{}, {"rtol": 1e-6, "method": "event-driven"}], ids=str)
+@pytest.mark.parametrize("x0", [1.0, 0.0])
+def test_anti_friction_is_said_where_a_step_fails(x0, options, tmp_path):
+    with pytest.raises(StepError, match=r"hypothesis 5\.1 is violated: C B = -1 for 'l'") as failed:
+        simulate(turned(complementarity(1), x0=[x0]), **options, out=tmp_path / "run")
+    if (run := failed.value.trajectory) is not None:
+        text = run.summary_text(messages=False)
+        assert "status          failed\n  anti-friction   hypothesis 5.1 is violated: C B = -1 for 'l'" in text
+
+
+def test_anti_friction_is_the_diagonal_of_c_b():
+    """Beside NumPy, of random systems with a mass; what is said of Lur'e systems is what the check proves."""
+    rng = np.random.default_rng(3)
+    x, l = ca.SX.sym("x", 4), ca.SX.sym("l", 3)
+    seen = set()
+    for _ in range(20):
+        A, B, C, M = (np.round(rng.normal(size=shape), 1) for shape in ((4, 4), (4, 3), (3, 4), (4, 4)))
+        M = np.eye(4) + M @ M.T
+        system = FirstOrderSystem(x=x, lam=l, M=M, f=A @ x, g=B @ l, h=C @ x, law=relay(3), x0=np.zeros(4), t_end=1, step=0.1)
+        lure = LureSystem(A=A, B=B, C=C, law=relay(3), x0=np.zeros(4), t_end=1, step=0.1)
+        for model, slope in ((system, C @ np.linalg.solve(M, B)), (lure, C @ B)):
+            expected = {name: s for name, s in zip(model.multiplier_names, np.diag(slope), strict=True) if s < 0}
+            assert impacts.anti_friction(model) == pytest.approx(expected, rel=1e-9)
+        if expected:
+            assert check(lure, quick=True)["5.1"].verdict == "violated"
+        seen.add(len(expected))
+    assert seen >= {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        turned(relay(1), g=L),  # friction
+        turned(equality(1)),  # held by either sign
+        turned(relay(1), h=S + L),  # y has a part of l at once
+        turned(relay(1), g=-(L - L)),
+        ball(),
+    ],
+)
+def test_nothing_is_called_anti_friction_that_is_none(model):
+    assert impacts.anti_friction(model) == {}
+    assert "anti-friction" not in simulate(model, t_end=0.1).summary_text()
+
+
+def test_anti_friction_is_taken_at_the_start_with_its_input():
+    u = ca.SX.sym("u")
+    model = turned(relay(1), g=(0.5 - u) * L * (1 + S**2), inputs={u: table([0, 1], [2, 0])})
+    assert impacts.anti_friction(model) == {"l": -3.0}
+
+
+def test_anti_friction_of_parameters_is_that_of_their_values():
+    k = ca.SX.sym("k")
+    model = turned(relay(1), g=-k * L, parameters={k: 2.0})
+    assert impacts.anti_friction(model) == {}
+    assert simulate(model).summary()["anti_friction"] == {"l": -2.0}
+    assert simulate(model, parameters={k: -2.0}).summary()["anti_friction"] == {}
+    assert not sweep(model, grid={k: [1.0, 2.0]}, keep="x", workers=1).failures

@@ -1,6 +1,8 @@
 """Models, laws, families, reports and runs go to other processes and come back, exactly; deep copies stand on their own."""
 
 import copy
+import dataclasses
+import gc
 import importlib
 import inspect
 import multiprocessing
@@ -43,12 +45,14 @@ from nsmodel import (
 from nsmodel.hypotheses.region import region_of
 from nsmodel.modeling import former_names
 from nsmodel.modeling.fingerprint import fingerprint
+from nsmodel.modeling.parts import MODEL_CLASSES
 from nsmodel.modeling.time_grid import make_grid
 from nsmodel.study import Line, StudyInterrupted
 from nsmodel.study.reference import ReferenceRows, closed_form_reference
 from nsmodel.study.stress import Cell
 
 t, x, y, l, k = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("y", 2), ca.SX.sym("l"), ca.SX.sym("k")
+CASES_FOLDER = Path(__file__).parents[2] / "cases"
 FIXTURES = Path(__file__).parents[1] / "fixtures" / "pickles"
 NEIGHBOUR = "def exact(t):\n    import numpy as np\n\n    return np.exp(-np.outer(t, [1, 1]))\n"
 FILE = """
@@ -308,3 +312,56 @@ def test_pickles_of_the_version_before_are_read():
     assert len(run.events) > 0
     assert np.isfinite(run.at(run.t[-1] / 3).x).all()
     assert sweep["end"].values.shape == (3,)
+
+
+# ---------------------------------------------------------------------------------------------- dataclasses.replace
+
+CASES = [  # Of each class, with what its declaration says in names: law parts, blocks, vectors of states, f beside A.
+    "mechanics/belt", "circuits/buck", "mathematics/total_variation", "biology/integrate_and_fire", "biology/repressilator",
+    "mathematics/cabot_4_1", "mathematics/moving_disc", "mathematics/leash", "mathematics/inclusion_8_2",
+    "mechanics/bouncing_ball", "crowds/crossing",
+]  # fmt: skip
+NAMES = ("names", "stems", "multiplier_names", "row_names", "input_groups", "parameters", "units", "vectors", "weights")
+
+
+def whole(model):
+    """What a model is in names and, as a hash, in expressions."""
+    return {name: str(getattr(model, name, None)) for name in NAMES} | {"hash": fingerprint(model, model_grid(model))}
+
+
+def model_grid(model):
+    return make_grid(model, None, None, None, driven=bool(model.inputs))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_replace_keeps_names(name):
+    model = nsmodel.load(CASES_FOLDER / f"{name}.py")
+    other = dataclasses.replace(model, title="of another title")
+    assert other.title == "of another title"
+    assert whole(other) == whole(model)
+    assert whole(dataclasses.replace(other, title="again")) == whole(model)
+
+
+def test_every_class_is_replaced():
+    kinds = {type(nsmodel.load(CASES_FOLDER / f"{name}.py")).__name__ for name in CASES}
+    assert kinds == set(MODEL_CLASSES)
+
+
+def test_what_is_replaced_is_read_anew():
+    law, units = {"friction": relay(1)}, {"friction": "N"}
+    model = LureSystem(A=[[-1]], B=[[1]], C=[[1]], law=law, x0=[1], t_end=1, step=0.1, units=units)
+    other = dataclasses.replace(model, x0=[2], A=-2 * model.x)
+    assert other.multiplier_names == ("friction",)
+    assert simulate(other).friction[1] == -1.0
+    assert simulate(other).x[1, 0] == pytest.approx((2 - 0.1) / 1.2, rel=1e-12)
+    assert dataclasses.replace(model, law=model.law).multiplier_names == ("friction",)
+    assert dataclasses.replace(model, law=relay(1), units={}).multiplier_names == ("l_0",)
+    with pytest.raises(nsmodel.ModelError, match="units: 'friction' is no state"):
+        dataclasses.replace(model, law=relay(1))
+
+
+def test_a_copy_is_replaced_as_the_model():
+    copied = copy.copy(LureSystem(A=[[-1]], B=[[1]], C=[[1]], law={"friction": relay(1)}, x0=[1], t_end=1, step=0.1))
+    gc.collect()
+    assert dataclasses.replace(copied, x0=[2]).multiplier_names == ("friction",)
+    assert not {"_declaration"} & {*vars(copied)}

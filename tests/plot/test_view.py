@@ -423,10 +423,10 @@ def test_the_command_writes_a_page_beside_the_run(tmp_path, capsys, monkeypatch)
     assert asked == [other.as_uri()]
 
 
-@pytest.mark.parametrize("name", ["nowhere", "text"])
-def test_the_command_refuses_what_is_no_run(tmp_path, capsys, name):
+@pytest.mark.parametrize(("name", "status"), [("nowhere", 2), ("text", 5)])
+def test_the_command_refuses_what_is_no_run(tmp_path, capsys, name, status):
     (tmp_path / "text").write_text("no run")
-    assert main(["view", str(tmp_path / name)]) == 2
+    assert main(["view", str(tmp_path / name)]) == status
     assert re.search("error: (there is no run in|.*is not a whole npz)", capsys.readouterr().err)
 
 

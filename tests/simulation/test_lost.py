@@ -214,7 +214,7 @@ def test_a_command_saves_elsewhere_what_its_folder_does_not_take(in_folder, monk
         raise StorageError("cannot write far/chunk-000001.npz: No space left on device")
 
     monkeypatch.setattr(nsmodel.simulation.run_folder.ChunkStore, "append", full)
-    assert main(["run", "m.py", "--out", "far", "--quiet"]) == 2
+    assert main(["run", "m.py", "--out", "far", "--quiet"]) == 5
     first, second = capfd.readouterr().err.splitlines()
     assert first == "nsmodel: storage error: cannot write far/chunk-000001.npz: No space left on device"
     assert second == "nsmodel: 200 verified steps are saved in m-run/trajectory.npz"
@@ -225,7 +225,7 @@ def test_a_command_saves_elsewhere_what_its_folder_does_not_take(in_folder, monk
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
 def test_a_full_device_is_no_place_for_output(in_folder, capfd):
     """It is written to, not replaced; and the run, which nobody has seen, is saved."""
-    assert main(["run", "m.py", "--csv", "/dev/full", "--quiet"]) == 2
+    assert main(["run", "m.py", "--csv", "/dev/full", "--quiet"]) == 5
     first, second = capfd.readouterr().err.splitlines()
     assert first == "nsmodel: the run is saved in m-run/trajectory.npz"
     assert second.startswith("nsmodel: storage error: cannot write /dev/full: ")
@@ -239,7 +239,7 @@ def test_a_full_standard_output_is_told(in_folder, monkeypatch, capfd, options):
     (in_folder / "m2.py").write_text(RELAY)
     with open("/dev/full", "w") as full:
         monkeypatch.setattr(sys, "stdout", full)
-        assert main(["run", "m.py", *options]) == 2
+        assert main(["run", "m.py", *options]) == 5
     told = capfd.readouterr().err.splitlines()
     assert "nsmodel: the run is saved in m-run/trajectory.npz" in told
     assert told[-1] == "nsmodel: error: cannot write the output: [Errno 28] No space left on device"
@@ -248,7 +248,7 @@ def test_a_full_standard_output_is_told(in_folder, monkeypatch, capfd, options):
 
 def test_a_file_that_cannot_be_written_is_found_before_the_run(in_folder, monkeypatch, capfd):
     before_step(monkeypatch, 1, fail(AssertionError("a step was taken")))
-    assert main(["run", "m.py", "--csv", "m.py/run.csv"]) == 2
+    assert main(["run", "m.py", "--csv", "m.py/run.csv"]) == 5
     assert capfd.readouterr().err.startswith("nsmodel: storage error: cannot write m.py/run.csv: ")
 
 

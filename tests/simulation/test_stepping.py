@@ -1,5 +1,8 @@
 """Models advanced step by step: the bits of `simulate`, checkpoints, what is refused."""
 
+import copy
+import pickle
+
 import casadi as ca
 import input_scenes as scenes
 import numpy as np
@@ -222,3 +225,55 @@ def test_a_number_a_list_and_a_dictionary_are_one():
     ]
     np.testing.assert_array_equal(walked_[0], walked_[1])
     np.testing.assert_array_equal(walked_[0], walked_[2])
+
+
+# ---------------------------------------------------------------------------------------------- copies
+
+COPIES = {
+    "copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda s: pickle.loads(pickle.dumps(s)),
+}  # fmt: skip
+
+
+@WAYS
+@pytest.mark.parametrize("how", COPIES)
+def test_a_copy_goes_on_alone_with_the_same_bits(how, compiled):
+    values = np.where(np.arange(60) % 20 < 8, 1.0, 0.0)
+    expected = walked(stepper(scenes.buck(t_end=5 * T), inputs={"u": None}, compiled=compiled), values)
+    s = stepper(scenes.buck(t_end=5 * T), inputs={"u": None}, compiled=compiled, record=True)
+    walked(s, values[:25])
+    other = COPIES[how](s)
+    assert (other.t, other.k, other.x.tolist()) == (s.t, s.k, s.x.tolist())
+    walked(other, 1 - values[25:40])  # By other inputs, and further.
+    np.testing.assert_array_equal(s.x, expected[24])
+    assert (s.k, len(s.trajectory), len(other.trajectory)) == (25, 25, 40)
+    again = COPIES[how](s)
+    for mine, theirs, row in zip(values[25:], values[25:], expected[25:], strict=True):  # By turns.
+        np.testing.assert_array_equal(s.step(mine).x, row)
+        np.testing.assert_array_equal(again.step(theirs).x, row)
+    np.testing.assert_array_equal(again.trajectory.x, s.trajectory.x)
+    assert again.trajectory.arrays.keys() == s.trajectory.arrays.keys()
+
+
+@WAYS
+@pytest.mark.parametrize("how", COPIES)
+@pytest.mark.parametrize("case", ["friction_oscillator", "gene_network", "point_past_disc", "thermostat", "bouncing_ball"])
+def test_copies_of_each_kind_of_step(case, how, compiled):
+    """Kept matrices, Newton's method, rows that are linearised, blocks, contacts; a copy made before any step too."""
+    model = load(case)
+    run = simulate(model, t_end=30 * model.step, compiled=compiled)
+    s = stepper(model, compiled=compiled)
+    first = COPIES[how](s)
+    for _ in range(10):
+        s.step()
+    other = COPIES[how](s)
+    np.testing.assert_array_equal([other.step(split=True).x for _ in range(20)], run.x[11:])
+    np.testing.assert_array_equal([s.step(split=True).x for _ in range(20)], run.x[11:])
+    np.testing.assert_array_equal([first.step(split=True).x for _ in range(30)], run.x[1:])
+
+
+def test_a_stepper_whose_model_has_a_nameless_function_is_not_pickled():
+    x = ca.SX.sym("x")
+    s = stepper(FirstOrderSystem(x=x, f=-x, x0=[1], t_end=1, step=0.1, exact=lambda t: np.exp(-t)[:, None]))
+    with pytest.raises(UsageError, match="cannot be pickled"):
+        pickle.dumps(s)
+    np.testing.assert_array_equal(copy.deepcopy(s).step().x, s.step().x)

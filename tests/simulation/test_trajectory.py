@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
+from nsmodel import Contact, FirstOrderSystem, LureSystem, MechanicalSystem, relay, simulate, sweep
+from nsmodel.codegen import library
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
 from nsmodel.files.archive import write_npz
 from nsmodel.simulation.run_data import multiplier_names, state_names, units_of
@@ -71,7 +72,7 @@ def make_run_fixture():
 # attributes
 
 
-@pytest.mark.parametrize("name", ["t", "x", "multipliers", "y", "index_set", "residual", "step", "energy", "gap", "newton"])
+@pytest.mark.parametrize("name", ["t", "x", "multipliers", "y", "index_set", "residual", "step", "energy", "gap"])
 def test_arrays_are_attributes(run, name):
     assert getattr(run, name) is run.arrays[name]
 
@@ -380,6 +381,31 @@ def test_every_run_has_newton_iterations():
     for model, least in ((affine, 0), (curved, 1)):
         run = simulate(model, compiled=False)
         assert run.newton.shape == run.t.shape
-        assert np.isnan(run.newton[0])
+        assert run.newton[0] == 0
         assert (run.newton[1:] >= least).all()
-    assert not simulate(affine, compiled=False).newton[1:].any()
+        assert run.newton.max() == (run.summary()["newton"] or {"max": 0})["max"]
+        assert run["newton"].tolist() == run.newton.tolist()
+    assert not simulate(affine, compiled=False).newton.any()
+    assert not simulate(affine, rtol=1e-6).newton.any()
+
+
+def test_counts_of_a_run_have_a_largest():
+    """Multipliers and residuals have none at the start, where there is no step; what is counted is 0 there."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    ball = MechanicalSystem(
+        q=q, v=v, M=1, F=[0, -9.81], contacts={"floor": Contact(q[1], e=0.5)}, q0=[0, 0.1], v0=[1, 0], t_end=0.5, step=0.01
+    )
+    for compiled in (False, "auto"):
+        run = simulate(ball, compiled=compiled)
+        assert run.acting.max() == 1
+        assert run.missed.max() == 0
+        assert np.isnan(run.residual[0])
+
+
+def test_newton_iterations_are_kept_by_sweeps_as_by_runs():
+    x, k = ca.SX.sym("x", 2), ca.SX.sym("k")
+    model = FirstOrderSystem(x=x, f=[x[1], -k * ca.sin(x[0])], x0=[3, 0], t_end=1, step=0.1, parameters={k: 1.0})
+    for compiled in (False, True) if library.compiler() else (False,):
+        found = sweep(model, grid={k: [1.0, 2.0]}, keep="newton", every=1, compiled=compiled, workers=1)
+        expected = [simulate(model, parameters={k: value}, compiled=compiled).newton for value in (1.0, 2.0)]
+        np.testing.assert_array_equal(found["newton"].values, expected)

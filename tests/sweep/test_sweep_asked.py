@@ -209,6 +209,8 @@ def test_the_command_prints_the_first_numbers_where_none_are_kept(belt):
         ("--grid m=1,2", "belt.py takes no 'm': .*Did you mean 'mu'?"),
         ("--grid F=1,2", "belt.py: F = 3 is a number in this file and no parameter; .*def model(F=3)"),
         ("--grid mu=1 --set mu=2 --keep position", "'mu' is varied, and --set gives it 2"),
+        ("--grid mu=1,2 --keep positon", "keep: 'positon' is not there; there are t, position, .*. Did you mean 'position'?"),
+        ("--grid mu=1,2 --output end=positon[-1]", "output 'end': 'positon' is not there; .*. Did you mean 'position'?"),
         ("--keep position", "nothing varies: give --grid NAME=LOW:HIGH:COUNT, --samples TABLE.csv, --start STATE=V1,V2, --seeds"),
     ],
 )

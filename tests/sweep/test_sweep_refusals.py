@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -21,6 +24,7 @@ from nsmodel import (
     sweep,
 )
 from nsmodel.codegen import library
+from nsmodel.errors import UsageError
 from nsmodel.modeling.parts import MODEL_CLASSES
 
 x, l, p = ca.SX.sym("x"), ca.SX.sym("l"), ca.SX.sym("p")
@@ -68,3 +72,44 @@ def test_a_compiled_sweep_refuses_what_a_run_refuses():
         assert (found.status != 0).tolist() == [False, True, False], kind
         assert np.isnan(found["end"].values[1])
         assert found.messages[1], kind
+
+
+ROUTES = [
+    {}, {"workers": 1}, {"compiled": True}, {"compiled": False, "workers": 2}, {"rtol": 1e-6}, {"rtol": 1e-6, "compiled": True},
+    {"rtol": 1e-6, "method": "time-stepping"},
+]  # fmt: skip
+UNKNOWN_COLUMNS = [
+    ({"keep": ["x", "powr"]}, r"keep: 'powr' is not there; there are t, x, .*power.*\. Did you mean 'power'\?"),
+    ({"outputs": {"end": "multiplier[-1]"}}, r"output 'end': 'multiplier' is not there; .*\. Did you mean 'multipliers'\?"),
+    ({"outputs": {"end": "mean(powr)"}}, r"output 'end': 'powr' is not there; .*\. Did you mean 'power'\?"),
+]
+
+
+class NoCells(Executor):
+    """Workers that must not be asked."""
+
+    def submit(self, *given, **named):
+        raise AssertionError("a cell was run")
+
+
+@pytest.mark.parametrize("route", ROUTES, ids=str)
+def test_a_column_that_runs_do_not_have_is_refused_before_cells_are_run(route, tmp_path):
+    model = replace(first_order(box(-1, p)), outputs={"power": x * l})
+    for asked, message in UNKNOWN_COLUMNS:
+        with pytest.raises(UsageError, match=message):
+            sweep(model, grid={p: [0.5, 0.7]}, **asked, **{"workers": NoCells()} | route, out=tmp_path / "never")
+    assert not (tmp_path / "never").exists()
+    found = sweep(model, grid={p: [0.5, 0.7]}, keep=["power", "y"], outputs={"end": "multipliers[-1]"}, **route)
+    assert not found.failures
+
+
+def test_columns_are_those_of_the_first_cell_that_can_begin():
+    model = first_order(box(-1, p))
+    with pytest.raises(UsageError, match="keep: 'z' is not there"):
+        sweep(model, grid={p: [-2.0, 0.5]}, keep="z", workers=NoCells())
+    assert sweep(model, grid={p: [-2.0, 0.5]}, keep="y", workers=1).cells["status"].tolist() == [3, 0]
+
+
+def test_a_derivative_of_no_column_is_refused_before_cells_are_run():
+    with pytest.raises(UsageError, match=r"keep: 'z' is not there; there are t, x"):
+        sweep(first_order(box(-1, p)), grid={p: [0.5, 0.7]}, keep="z by p", rtol=1e-6, workers=NoCells())

@@ -230,10 +230,11 @@ def _column(parts: Iterable[ca.SX]) -> ca.SX:
 
 
 def initial_rows(model: MechanicalSystem, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """(q_0, v_0) and the largest gap; the velocities and gaps of contacts there."""
+    """(q_0, v_0) and the largest gap; the velocities and gaps of contacts there, of which no step has seen one act."""
     gaps, u_N, u_T = (np.array(ca.DM(part)).ravel() for part in start_values(model))
     state = np.append(np.array(ca.DM(model.x0)).ravel(), np.abs(gaps).max(initial=0.0))
-    return [(state, {"u_N": u_N, "u_T": u_T, "gap": gaps} if gaps.size else {})]
+    none = np.zeros(gaps.size)
+    return [(state, {"u_N": u_N, "u_T": u_T, "gap": gaps, "acting": none, "missed": none} if gaps.size else {})]
 
 
 def symbolic_start_state(model: MechanicalSystem, h: ca.SX) -> ca.SX:
@@ -245,7 +246,8 @@ def symbolic_start_state(model: MechanicalSystem, h: ca.SX) -> ca.SX:
 def symbolic_initial_rows(model: MechanicalSystem, h: ca.SX) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
     """The row 0 of a sweep: the model's own states, and the records."""
     gaps, u_N, u_T = start_values(model)
-    return [(model.start, {"u_N": u_N, "u_T": u_T, "gap": gaps} if gaps.numel() else {})]
+    none = ca.SX.zeros(gaps.numel())
+    return [(model.start, {"u_N": u_N, "u_T": u_T, "gap": gaps, "acting": none, "missed": none} if gaps.numel() else {})]
 
 
 def start_values(model: MechanicalSystem) -> list[ca.SX]:
