@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.errors import PlotError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.files.storage import replace_atomically
@@ -239,7 +240,7 @@ def _crowd_overview(figure: Figure, panels: dict[str, FigurePanel]) -> Figure:
 
 def _single_column_figure(run: Trajectory, panels: Sequence[FigurePanel], width: float, scale: float) -> Figure:
     """Build a titled figure of one column."""
-    figure = style.blank(width, 1.5 + scale * sum(height for height, _ in panels))
+    figure = style.blank(width, 1.5 + scale * sum_in_order(height for height, _ in panels))
     figure.suptitle(_wrapped_title(run, int(8 * width)), fontsize=12, fontweight="bold", color=style.INK)
     _stack_panels(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
     return figure
