@@ -76,9 +76,14 @@ def lazy_attributes(package: str, names: Mapping[str, Sequence[str]]) -> None:
     sys.modules[package].__class__ = LazyPackage
 
 
+NAMES_ELSEWHERE = {"to_dataframe": "to_pandas", "to_df": "to_pandas", "dataframe": "to_pandas", "animate": "film"}  # Of the same.
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A question with what is near among the names that there are, as the end of a message; "" where nothing is."""
-    near = difflib.get_close_matches(str(name), [str(one) for one in known], 1, 0.5)
+    listed = [str(one) for one in known]
+    same = NAMES_ELSEWHERE.get(str(name))
+    near = [same] if same in listed else difflib.get_close_matches(str(name), listed, 1, 0.5)
     return f". Did you mean '{near[0]}'?" if near else ""
 
 
