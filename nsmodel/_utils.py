@@ -15,6 +15,8 @@ What an object is, in ten lines at most: the ``repr`` of what would print all of
 What is taken where the user says nothing.
 
 How much memory this process may take.
+
+A sum of floats whose bits do not depend on the Python.
 """
 
 from __future__ import annotations
@@ -74,9 +76,14 @@ def lazy_attributes(package: str, names: Mapping[str, Sequence[str]]) -> None:
     sys.modules[package].__class__ = LazyPackage
 
 
+NAMES_ELSEWHERE = {"to_dataframe": "to_pandas", "to_df": "to_pandas", "dataframe": "to_pandas", "animate": "film"}  # Of the same.
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A question with what is near among the names that there are, as the end of a message; "" where nothing is."""
-    near = difflib.get_close_matches(str(name), [str(one) for one in known], 1, 0.5)
+    listed = [str(one) for one in known]
+    same = NAMES_ELSEWHERE.get(str(name))
+    near = [same] if same in listed else difflib.get_close_matches(str(name), listed, 1, 0.5)
     return f". Did you mean '{near[0]}'?" if near else ""
 
 
@@ -383,3 +390,15 @@ def format_bytes(size: float) -> str:
             return f"{size:,.0f} {unit}" if unit == "bytes" or size >= 100 else f"{size:.2g} {unit}"
         size /= 1000
     raise AssertionError
+
+
+def sum_in_order(numbers: Iterable[float], start: float = 0) -> float:
+    """Return start + number + number + ..., each addition rounded.
+
+    From Python 3.12 on ``sum`` carries the rounding errors of floats along: answers made with it would differ in their last bits
+    from those of Python 3.11, and of the C, whose order of operations is this one.
+    """
+    total = start
+    for number in numbers:
+        total += number
+    return total

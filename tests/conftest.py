@@ -40,7 +40,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
         "test_pieces_in_c", "test_plot", "test_portable", "test_random_derivatives", "test_recipes", "test_repeated",
         "test_resume", "test_rich", "test_roots", "test_rounding", "test_runs_keep", "test_schemes", "test_search",
         "test_sensitivity", "test_site", "test_solvers", "test_sparse", "test_stepping", "test_stress", "test_stretches",
-        "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times", "test_view",
+        "test_study", "test_sum_of_squares", "test_sums", "test_sweep", "test_switch_times", "test_view",
     ),
 }  # fmt: skip
 

@@ -7,10 +7,13 @@ import functools
 import hashlib
 import json
 import multiprocessing
+import os
 import shutil
+import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +75,8 @@ def made(jobs: Iterable[Job], folder: Path) -> Iterator[Made]:
     if not todo:
         yield from (_kept(job, folder) for job in jobs)
         return
-    with ProcessPoolExecutor(min(PROCESSES, len(todo)), mp_context=multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(PROCESSES, len(todo)), mp_context=context, initializer=_end_with_parent) as pool:
         running = {key: pool.submit(_make, job, folder) for key, job in todo.items()}
         for job in jobs:
             try:
@@ -97,6 +101,16 @@ def _kept(job: Job, folder: Path) -> Made:
     at, stem = folder / job.key, Path(job.name).stem
     facts = json.loads((at / "facts.json").read_text(encoding="utf-8"))
     return Made(at / job.name, at / f"{stem}.png", at / f"{stem}-small.png", facts)
+
+
+def _end_with_parent() -> None:
+    """Let this process end as soon as the one that started it is gone, by whatever signal: its job is for nobody."""
+
+    def watch(parent: int) -> None:
+        wait([parent])
+        os._exit(1)
+
+    threading.Thread(target=watch, args=(multiprocessing.parent_process().sentinel,), daemon=True).start()
 
 
 def _make(job: Job, folder: Path) -> None:

@@ -14,6 +14,8 @@ from itertools import pairwise
 from math import comb
 from typing import Any
 
+from nsmodel._utils import sum_in_order
+
 GERM = 1e-9  # Coefficients below this share of the largest are rounding.
 ORDERS, HALF = 6, 3  # Of a germ, and the first ones, which the others are not to exceed.
 PACES, HALVED = 8, 0.5  # Iterations of their unit of time, until it is no more than halved.
@@ -57,7 +59,7 @@ def taylor_shift(c: Sequence[Any], s: Any) -> list[Any]:
 
 def first_root(c: list[float]) -> float:
     """Return the first root in (0, 1] of sum c_k s^k, c_0 >= 0; NONE where it is positive on (0, 1]."""
-    if c[0] > sum(map(abs, c[1:])):
+    if c[0] > sum_in_order(map(abs, c[1:])):
         return NONE
     n = len(c) - 1
     b = _generated_evaluator(n + 1, "bernstein")(c)

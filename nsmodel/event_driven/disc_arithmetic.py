@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.mode_series import ModeSeries
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
@@ -369,7 +370,7 @@ def _form_asin(u: TaylorForm, a: float, v: float, n: int) -> TaylorForm:
         return _unbounded_like(u)
     g, d = [1 - a * a, -2 * a, -1.0], [(1 - a * a) ** -0.5]
     for k in range(1, n):  # g^(-1/2)
-        d.append(sum((-0.5 * j - (k - j)) * g[j] * d[k - j] for j in range(1, min(k, 2) + 1)) / (k * g[0]))
+        d.append(sum_in_order((-0.5 * j - (k - j)) * g[j] * d[k - j] for j in range(1, min(k, 2) + 1)) / (k * g[0]))
     phi = _integrate_coefficients(math.asin(a), d)
     return _compose_series(u, phi, np.abs(phi), math.asin(abs(a) + v))
 

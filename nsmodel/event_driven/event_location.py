@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.bernstein import (
     GERM,
     NONE,
@@ -183,7 +184,7 @@ def _crossing_point(c: list[float], e: float) -> float:
     """
     for order in range(min(len(c) - 2, MAX_MULTIPLICITY) // 2 * 2, 0, -2):
         d = [math.perm(k, order) * a for k, a in enumerate(c)][order:]
-        if d[0] * sum(d) < 0:
+        if d[0] * sum_in_order(d) < 0:
             root = first_root(d if d[0] > 0 else [-a for a in d])
             if max(map(abs, taylor_shift(c, root)[:order])) <= e:
                 return root
@@ -262,7 +263,7 @@ class EventLocator:
             margin = self._condition_margin(condition, margins)
             if margin and s < whole:
                 margin *= (s / whole) ** known
-            terms = sum(map(abs, map(mul, row[1:known], powers[1:])))
+            terms = sum_in_order(map(abs, map(mul, row[1:known], powers[1:])))
             if condition.sign * row[0] + condition.shift - margin > terms:
                 continue
             germ = condition.coefficients()
@@ -403,7 +404,7 @@ def _resolvable_part(c: list[float]) -> float:
     """The part of [0, 1] on which rounding does not hide c_0 > 0 behind the other terms: all of it, but for octaves."""
     part, terms = 1.0, list(map(abs, c[1:]))
     while part > MIN_PART and c[0] > 0:
-        if DIP * sum(a * part**k for k, a in enumerate(terms, 1)) < c[0] / 4:
+        if DIP * sum_in_order(a * part**k for k, a in enumerate(terms, 1)) < c[0] / 4:
             return part
         part /= 4
     return 1.0
@@ -416,7 +417,7 @@ def _first_reliable_root(c: list[float], margin: float) -> float:
     """
     if not c[0] > 0:
         return first_root(c)
-    rounding = DIP * sum(map(abs, c))
+    rounding = DIP * sum_in_order(map(abs, c))
     near = first_root([c[0] - rounding, *c[1:-1], c[-1] - margin]) if c[0] > rounding and len(c) > 1 else 0.0
     if near > 1:
         return near
@@ -443,7 +444,7 @@ def is_simple_root(c: list[float], tie: float, instant: float = 0.0) -> bool:
 
 def _falls_steadily(c: list[float], width: float) -> bool:
     """Whether the slope for |s| <= width is about c_1 < 0."""
-    return c[1] < 0 and sum(k * abs(a) * width ** (k - 1) for k, a in enumerate(c[2:], 2)) <= STEEP * -c[1]
+    return c[1] < 0 and sum_in_order(k * abs(a) * width ** (k - 1) for k, a in enumerate(c[2:], 2)) <= STEEP * -c[1]
 
 
 def _argument_powers(s: float, orders: int) -> list[float]:

@@ -25,6 +25,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.bernstein import poly_value
 from nsmodel.event_driven.multipliers import generalised_inverse
 from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven, SlipGrowth
@@ -351,7 +352,7 @@ class SlipOnset:
             S, _ = block.quadric
             sigma, l = self.sigma[block], np.array([row[:k] for row in block.l])
             rest[self.at[block]] += S @ sum((sigma[k + 1 - i] * l[:, i] for i in range(1, k)), np.zeros(len(block.at)))
-            norms.append(sum(float(l[:, i] @ S @ l[:, k - i]) for i in range(1, k)) / 2)
+            norms.append(sum_in_order(float(l[:, i] @ S @ l[:, k - i]) for i in range(1, k)) / 2)
         found = self._solve_linear_system(z, self.tau / (k + 1), rest, norms)
         for block, v in zip(self.blocks, found[len(z) :], strict=True):
             self.sigma[block][k + 1] = float(v)

@@ -27,7 +27,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import cached_per_object, sum_in_order
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.friction_modes import FrictionBlocks
 from nsmodel.event_driven.multipliers import MatrixRows, MultiplierSolver, clear_rounding, matrix_times_vector
@@ -75,9 +75,9 @@ def _loop_sums(
 
     def sum_rows(k: int, c: float = 1.0) -> None:
         for row, own, entries in together:
-            total = sum([row[k] for row in own])
+            total = sum_in_order([row[k] for row in own])
             more = [a * inner[j][k] for j, a in entries]
-            row[k + scaled] = c * sum(more, total) if scaled else total + sum(more)
+            row[k + scaled] = c * sum_in_order(more, total) if scaled else total + sum_in_order(more)
 
     return sum_rows
 

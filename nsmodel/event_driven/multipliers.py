@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import attach_buffers, connected_components
@@ -250,7 +251,7 @@ def is_p_matrix(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int]
 
 def matrix_times_vector(A: MatrixRows, v: list[float]) -> list[float]:
     """The product of a matrix and a vector."""
-    return [sum(map(mul, row, v)) for row in A]
+    return [sum_in_order(map(mul, row, v)) for row in A]
 
 
 def is_monotone(B: np.ndarray | None, D: np.ndarray | None, C: np.ndarray | None) -> bool:

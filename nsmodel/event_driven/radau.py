@@ -44,6 +44,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.bernstein import poly_slope, poly_value
 from nsmodel.event_driven.collocation import (
@@ -448,7 +449,7 @@ class StiffIntegrator:
         if self.wait or s >= 1 or place.open or self.system.blocks.all or (how.null is not None and how.null.size):
             return 0.0
         for row, largest in zip(self.system.x, self.system.sizes.x, strict=True):
-            if sum(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > largest:
+            if sum_in_order(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > largest:
                 return 0.0
         return power_of_two_unit(WORTH * place.tau * s)
 

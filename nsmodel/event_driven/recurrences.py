@@ -24,6 +24,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.proof.expression_graph import OpaqueExpression, apply_operation, fold_graph, operation_codes
 
 SeriesRow = list[float]
@@ -32,17 +33,17 @@ TWO_OVER_ROOT_PI = 2 / math.sqrt(math.pi)
 
 def product(a: SeriesRow, b: SeriesRow, k: int) -> float:
     """Coefficient k of the product of two series."""
-    return sum(map(mul, a[: k + 1], b[k::-1]))
+    return sum_in_order(map(mul, a[: k + 1], b[k::-1]))
 
 
 def square(a: SeriesRow, k: int) -> float:
     """Coefficient k of the square of a series."""
-    return sum(map(mul, a[: k + 1], a[k::-1]))
+    return sum_in_order(map(mul, a[: k + 1], a[k::-1]))
 
 
 def quotient(y: SeriesRow, a: SeriesRow, b: SeriesRow, k: int) -> float:
     """y = a / b, from y b = a."""
-    return (a[k] - sum(map(mul, y[:k], b[k:0:-1]))) / b[0]
+    return (a[k] - sum_in_order(map(mul, y[:k], b[k:0:-1]))) / b[0]
 
 
 def _quotient_or_zero(above: float, below: float) -> float:
@@ -52,7 +53,7 @@ def _quotient_or_zero(above: float, below: float) -> float:
 
 def root(y: SeriesRow, a: SeriesRow, k: int) -> float:
     """y = sqrt(a), from y^2 = a; y_0 is given."""
-    above = a[k] - sum(map(mul, y[1:k], y[k - 1 : 0 : -1]))
+    above = a[k] - sum_in_order(map(mul, y[1:k], y[k - 1 : 0 : -1]))
     return _quotient_or_zero(above, 2 * y[0])
 
 
@@ -60,7 +61,7 @@ def power(y: SeriesRow, a: SeriesRow, p: float, k: int) -> float:
     """y = a^p, from a D y = p y D a; y_0 is given."""
     if all(isinstance(v, float) and v == 0 for v in a[: k + 1]) and p > 0:
         return 0.0
-    return sum((p * (k - j) - j) * a[k - j] * y[j] for j in range(k)) / (k * a[0])
+    return sum_in_order((p * (k - j) - j) * a[k - j] * y[j] for j in range(k)) / (k * a[0])
 
 
 def along(factor: SeriesRow, a: SeriesRow, k: int) -> float:
@@ -71,22 +72,22 @@ def along(factor: SeriesRow, a: SeriesRow, k: int) -> float:
     if k > 1 and not a[2] and not any(a[3 : k + 1]):  # a is linear in time
         total = a[1] * factor[k - 1]
     else:
-        total = sum(map(mul, map(mul, range(1, k + 1), a[1 : k + 1]), factor[k - 1 :: -1]))
+        total = sum_in_order(map(mul, map(mul, range(1, k + 1), a[1 : k + 1]), factor[k - 1 :: -1]))
     if isinstance(total, float) and total != total:
-        total = sum(j * a[j] * factor[k - j] for j in range(1, k + 1) if factor[k - j])
+        total = sum_in_order(j * a[j] * factor[k - j] for j in range(1, k + 1) if factor[k - j])
     return total / k
 
 
 def against(y: SeriesRow, divisor: SeriesRow, sign: float, a: SeriesRow, k: int) -> float:
     """divisor D y = sign D a: log and the inverse functions; y_0 is given."""
-    above = sign * a[k] - sum(j * y[j] * divisor[k - j] for j in range(1, k)) / k
+    above = sign * a[k] - sum_in_order(j * y[j] * divisor[k - j] for j in range(1, k)) / k
     return _quotient_or_zero(above, divisor[0])
 
 
 def angle(y: SeriesRow, a: SeriesRow, b: SeriesRow, size: SeriesRow, k: int) -> float:
     """y = atan2(a, b), from (a^2 + b^2) D y = b D a - a D b; ``size`` is a^2 + b^2, y_0 is given."""
-    rotation = sum(j * (a[j] * b[k - j] - b[j] * a[k - j]) for j in range(1, k + 1))
-    return (rotation - sum(j * y[j] * size[k - j] for j in range(1, k))) / k / size[0]
+    rotation = sum_in_order(j * (a[j] * b[k - j] - b[j] * a[k - j]) for j in range(1, k + 1))
+    return (rotation - sum_in_order(j * y[j] * size[k - j] for j in range(1, k))) / k / size[0]
 
 
 def divided(a: float, b: float) -> float:

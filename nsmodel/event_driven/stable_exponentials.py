@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrences import SMALLEST_DOUBLE
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_constants, operation_codes
@@ -347,7 +348,7 @@ def _extreme_terms(terms: Sequence[ExponentialTerm]) -> list[int]:
     bases = {base for _, s in terms for base, _ in s}
     if len(bases) > 1:
         return list(range(len(terms)))
-    factors = [sum(factor for _, factor in s) for _, s in terms]
+    factors = [sum_in_order(factor for _, factor in s) for _, s in terms]
     return list(dict.fromkeys([factors.index(min(factors)), factors.index(max(factors))]))
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.bernstein import poly_slope, poly_slopes, poly_values
 from nsmodel.event_driven.modes import PieceStart
 from nsmodel.event_driven.multipliers import NOTHING, ROUNDING, MultiplierSolver
@@ -204,7 +205,7 @@ def estimate_local_error(
     if system.blocks.all:
         missed = math.inf
     else:
-        missed = max(shares) if sum(shares) <= LOCAL else _max_residual_ratio(system, off, most, at, tau, of, velocity)
+        missed = max(shares) if sum_in_order(shares) <= LOCAL else _max_residual_ratio(system, off, most, at, tau, of, velocity)
     if not missed <= 1:
         off, of_l = _split_along_held_rows(system, place, off)
         missed = _max_residual_ratio(

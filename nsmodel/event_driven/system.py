@@ -23,6 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.friction_modes import SlipOnset
 from nsmodel.event_driven.mode_series import ModeSeries, UnrolledOrders, nonzero_terms
@@ -59,7 +60,7 @@ def relative_change(system: ModeSystem, how: MultiplierSolver, direct: list[floa
         if inverse is not None:
             x = [abs(row[k]) / time for row in system.x]
             sizes = [system.sum_y_terms(i, x, l) for i in how.active]
-            terms = (sum([abs(a) * size for a, size in zip(row, sizes, strict=True)]) for row in inverse)
+            terms = (sum_in_order([abs(a) * size for a, size in zip(row, sizes, strict=True)]) for row in inverse)
             shares = (abs(d) / (NOTHING + l[i] + v) for i, d, v in zip(how.active, step, terms, strict=True))
             moved = max([moved, *shares])
     return moved
@@ -312,7 +313,7 @@ class ModeSystem(ModeSeries):
         if self.branches and any(side != side for part in self.parts.values() for side in part.choice):
             return False
         start = [row[0] for row in self.l]
-        if not (self._unrolled.run(how) and math.isfinite(sum([row[-1] for rows in (self.x, self.l) for row in rows]))):
+        if not (self._unrolled.run(how) and math.isfinite(sum_in_order([row[-1] for rows in (self.x, self.l) for row in rows]))):
             for row, l in zip(self.l, start, strict=True):
                 row[:] = [l, *[0.0] * self.orders]
             return False
@@ -377,7 +378,11 @@ class ModeSystem(ModeSeries):
         """What y_i is measured beside: the largest so far, a part of those it is tied to, its terms, rounding of l."""
         terms = self.terms(i) + RESTS * abs(self.t[1]) * self._push_scale(i)
         own = max(self.sizes.y[i], LITTLE * max(self.sizes.y[j] for j in self.problem.row_groups[i]), terms)
-        return max(own, sum(a * self._solved_terms(j) for j, a in self._feedthrough_terms[i])) if self.feedthrough[i] else own
+        return (
+            max(own, sum_in_order(a * self._solved_terms(j) for j, a in self._feedthrough_terms[i]))
+            if self.feedthrough[i]
+            else own
+        )
 
     def row_scales(self) -> RowScales:
         """What y and l of all rows are measured beside at the place."""
@@ -388,13 +393,13 @@ class ModeSystem(ModeSeries):
     def _push_scale(self, i: int) -> float:
         """|C_i| |B| |l|, with what l moves by in the unit of time."""
         rows = self.cached_from_slopes("push of y", lambda B, _, C: nonzero_terms(np.abs(C) @ np.abs(B), self.m))
-        return sum([a * (abs(self.push[j][0]) + abs(self.push[j][1])) for j, a in rows[i]])
+        return sum_in_order([a * (abs(self.push[j][0]) + abs(self.push[j][1])) for j, a in rows[i]])
 
     def pushed(self) -> list[float]:
         """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
         l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
         of_x = self.cached_from_slopes("push of x", lambda B, _, __: nonzero_terms(np.abs(B), self.n), "B")
-        return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
+        return [tau * sum_in_order([a * l[j] for j, a in own]) for own in of_x]
 
     @property
     def _feedthrough_terms(self) -> list[list[tuple[int, float]]]:
@@ -434,7 +439,7 @@ class ModeSystem(ModeSeries):
     def sum_y_terms(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
         """|C_i| x + |D_i| l."""
         by_x = self.cached_from_slopes("y of x", lambda _, __, C: nonzero_terms(np.abs(C), self.m), "C")
-        return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in self._feedthrough_terms[i]])
+        return sum_in_order([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in self._feedthrough_terms[i]])
 
     @cached_property
     def is_monotone(self) -> bool:
@@ -492,7 +497,7 @@ class ModeSystem(ModeSeries):
         for iteration in range(NEWTON):
             direct, through = self.begin(how, codes)
             if self.linear_in_l:
-                return how if self._is_solved(how, sum(through)) else None
+                return how if self._is_solved(how, sum_in_order(through)) else None
             moved = relative_change(self, how, direct, through)
             if not math.isfinite(moved):
                 return None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nsmodel.plot.film import animate
     from nsmodel.plot.plane import phase
     from nsmodel.plot.sensitivity import sensitivity
-    from nsmodel.plot.strips import index_map, index_strip, space_time
+    from nsmodel.plot.strips import index_map, index_strip, profile, space_time
     from nsmodel.plot.study import stress, work_precision
     from nsmodel.plot.sweep import sweep_histogram, sweep_line, sweep_map, sweep_overview
     from nsmodel.plot.time import energy, inputs, multipliers, outputs, residual, states
@@ -31,6 +31,7 @@ __all__ = [
     "outputs",
     "overview",
     "phase",
+    "profile",
     "residual",
     "save",
     "save_all",
@@ -54,7 +55,7 @@ _later(
         "nsmodel.plot.class_pictures": ["configuration"],
         "nsmodel.plot.plane": ["phase"],
         "nsmodel.plot.sensitivity": ["sensitivity"],
-        "nsmodel.plot.strips": ["index_map", "index_strip", "space_time"],
+        "nsmodel.plot.strips": ["index_map", "index_strip", "profile", "space_time"],
         "nsmodel.plot.study": ["stress", "work_precision"],
         "nsmodel.plot.sweep": ["sweep_histogram", "sweep_line", "sweep_map", "sweep_overview"],
         "nsmodel.plot.time": ["energy", "inputs", "multipliers", "outputs", "residual", "states"],

@@ -28,15 +28,16 @@ if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
     from nsmodel.study.result import Study
     from nsmodel.study.stress_result import Stress
-    from nsmodel.sweep.result import Sweep
+    from nsmodel.sweep.variable import Variable
 
 __all__ = [
+    "film_trajectory",
     "model_html",
     "plot_sensitivity",
     "plot_stress",
     "plot_study",
-    "plot_sweep",
     "plot_trajectory",
+    "plot_variable",
     "report_html",
     "run_html",
     "sensitivity_html",
@@ -78,12 +79,19 @@ def plot_stress(result: Stress, ax: Axes | None) -> Axes:
     return stress(result, ax=ax)
 
 
-def plot_sweep(sweep: Sweep, name: str, **options: Any) -> Axes:
-    """Draw what `Sweep.plot` draws: a map, lines, or the picture that fits, as the options ask."""
+def plot_variable(variable: Variable, **options: Any) -> Axes:
+    """Draw what `Variable.plot` draws: a map, lines, or the picture that fits, as the options ask."""
     from nsmodel.plot.sweep import sweep_line, sweep_map, sweep_overview
 
     draw = sweep_map if "y" in options else sweep_line if options.keys() - {"ax"} else sweep_overview
-    return draw(sweep[name], **options)
+    return draw(variable, **options)
+
+
+def film_trajectory(run: Trajectory, path: str | Path, **options: Any) -> Path:
+    """Write the film of `Trajectory.film`."""
+    from nsmodel.plot.film import animate
+
+    return animate(run, path, **options)
 
 
 def view_trajectory(run: Trajectory, path: str | Path | None, model: Any) -> Path:

@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.errors import PlotError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.files.storage import replace_atomically
 from nsmodel.plot import crowd, style
 from nsmodel.plot.class_pictures import pictures_of
 from nsmodel.plot.plane import phase
-from nsmodel.plot.strips import MAX_ROWS, draw_chain, find_chains, index_map, index_strip, state_chains
+from nsmodel.plot.strips import MAX_ROWS, draw_chain, find_chains, has_profile, index_map, index_strip, profile, state_chains
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
+from nsmodel.proof.verdict import not_none
 from nsmodel.simulation import windows
 from nsmodel.simulation.run_data import model_type, output_names
 
@@ -89,6 +91,7 @@ SHEETS = {
     "inputs": (("inputs",), 9, 1.9),
     "outputs": (("outputs",), 9, 1.9),
     "phase": (("phase",), 7, 1.75),
+    "profile": (("profile",), 7, 1.75),
     "multipliers": (("multipliers", "reactions"), 9, 1.5),
     "energy": (("energy",), 9, 1.9),
     "configuration": (("configuration",), 8, 1.7),
@@ -103,8 +106,8 @@ def overview(run: Trajectory, model: Any = None, *, t: Window | None = None) -> 
     """One figure of the whole run, 1400 x 900 pixels, composed of what the run holds.
 
     On the left, over a shared time axis: states, index set, multipliers, reactions. On the right: the configuration of
-    a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
-    of most pressure, how many are there, maps of density and pressure.
+    a planar sweeping process (or else the profile of states in a row, or the phase portrait), the energy and the residual. Of
+    many bodies in the plane: the moment of most pressure, how many are there, maps of density and pressure.
 
     Args:
         run: the run.
@@ -120,7 +123,7 @@ def overview(run: Trajectory, model: Any = None, *, t: Window | None = None) -> 
     if "frame" in panels:
         return _crowd_overview(figure, panels)
     along = [name for name in panels if name.startswith("chain")]
-    plane = [panels[name] for name in ("configuration", *reversed(along), "phase") if name in panels][:1]
+    plane = [panels[name] for name in ("configuration", *reversed(along), "profile", "phase") if name in panels][:1]
     if len(along) > 1:
         panels["states"] = panels[along[0]]
     left = [panels[name] for name in TIME_PANELS if name in panels]
@@ -150,8 +153,9 @@ def save_all(
 
     `states.png` (with the index set), `outputs.png`, `inputs.png`, `phase.png`, `multipliers.png`, `energy.png`,
     `configuration.png` (a planar sweeping process) and `overview.png`, each with `prefix` before its name; in place of
-    `phase.png` it is `space_time.png` where so many states stand in a row that they are a chain. Of many bodies in the plane
-    `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
+    `phase.png` it is `profile.png` where all states stand in a row, eight or more, and `space_time.png` where they are so many
+    that they are a chain. Of many bodies in the plane `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and
+    `overview.png`.
 
     Args:
         run: the run.
@@ -212,6 +216,9 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
         panels["pressures"] = (2, partial(crowd.pressures, run))
     if run.x.shape[1] > 1 or (model_type(run).second_order and "v" in run.arrays):
         panels["phase"] = (2.6, partial(phase, run, model=model))
+    if has_profile(run):
+        panels["profile"] = (2.6, partial(profile, run))
+        del panels["phase"]
     if found := state_chains(run):
         del panels["phase"]
         panels |= {f"chain {k}": (2.2, partial(draw_chain, run, one)) for k, one in enumerate(found)}
@@ -239,10 +246,22 @@ def _crowd_overview(figure: Figure, panels: dict[str, FigurePanel]) -> Figure:
 
 def _single_column_figure(run: Trajectory, panels: Sequence[FigurePanel], width: float, scale: float) -> Figure:
     """Build a titled figure of one column."""
-    figure = style.blank(width, 1.5 + scale * sum(height for height, _ in panels))
+    figure = style.blank(width, 1.5 + scale * sum_in_order(height for height, _ in panels))
     figure.suptitle(_wrapped_title(run, int(8 * width)), fontsize=12, fontweight="bold", color=style.INK)
     _stack_panels(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
+    if any(ax.get_aspect() == 1 for ax in figure.axes):
+        _fit_width(figure)
     return figure
+
+
+def _fit_width(figure: Figure) -> None:
+    """Make a figure no wider than what is on it: axes of one scale across and upwards leave room beside them."""
+    figure.draw_without_rendering()
+    boxes = [not_none(ax.get_tightbbox()) for ax in figure.axes]
+    axes = max(box.x1 for box in boxes) - min(box.x0 for box in boxes)
+    title = max(text.get_window_extent().width for text in figure.texts)
+    margin = 0.35 * figure.dpi
+    figure.set_figwidth(min(figure.get_figwidth(), (max(axes, title) + margin) / figure.dpi))
 
 
 def _stack_panels(figure: Figure, spec: Any, panels: Sequence[FigurePanel], *, shared: bool) -> None:

@@ -182,6 +182,7 @@ def _law_legend(ax: Axes, laws: dict[str, StateLabels], *, chatter: bool) -> Non
 
 
 MIN_CHAIN_LENGTH = MAX_ROWS + 10  # Members from which on pictures of a whole run are maps.
+MIN_PROFILE_LENGTH, PROFILE_TIMES = 8, 6  # Members, where there are no other states, from which on there is a profile.
 SIGNED, POSITIVE_COLOURS, STICK_COLOUR = "RdBu_r", "viridis", "#6B727B"
 
 
@@ -235,6 +236,11 @@ def state_chains(run: Trajectory, least: int = MIN_CHAIN_LENGTH) -> list[Quantit
     return find_chains(run, "x", least) + (find_chains(run, "v", least) if model_type(run).second_order else [])
 
 
+def has_profile(run: Trajectory) -> bool:
+    """Whether all states stand in one row that is too short for a map."""
+    return [len(one.numbers) for one in state_chains(run, MIN_PROFILE_LENGTH)] == [run.x.shape[1]] and not state_chains(run)
+
+
 def space_time(run: Trajectory, stem: str | None = None, *, ax: Axes | None = None) -> Axes:
     """Draw many states or multipliers as a map: their number upwards, time across, a colour for the value.
 
@@ -252,11 +258,45 @@ def space_time(run: Trajectory, stem: str | None = None, *, ax: Axes | None = No
     """
     run = run.smooth()
     known = state_chains(run, 2) + find_chains(run, "multipliers", 2)
-    chosen = [one for one in known if one.stem == stem] if stem is not None else state_chains(run, 2)[-1:]
+    return draw_chain(run, _chosen_chain(known, stem, state_chains(run, 2)[-1:]), ax=ax)
+
+
+def profile(run: Trajectory, stem: str | None = None, *, ax: Axes | None = None) -> Axes:
+    """Draw states in a row over their number, such as the heights of a pile, at six times from the start to the end.
+
+    Args:
+        run: the run.
+        stem: name of the states without the number: "h" of h_0, h_1, ...; of an oscillator also "velocity of x". Left out: the
+            first of them.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: no such names, or no two that differ in a number alone.
+    """
+    from matplotlib import colormaps
+
+    run = run.smooth()
+    known = state_chains(run, 2)
+    chain = _chosen_chain(known, stem, known[:1])
+    ax, unit = style.get_axes(ax), style.quantity_unit(run, "t")
+    times = np.linspace(run.t[0], run.t[-1], PROFILE_TIMES) if len(run.t) > 1 else run.t
+    rows = np.unique(np.abs(run.t[:, None] - times).argmin(axis=0))
+    shades = colormaps[POSITIVE_COLOURS](np.linspace(0.92, 0.0, PROFILE_TIMES)[-len(rows) :])
+    for row, shade in zip(rows, shades, strict=True):
+        label = f"t = {run.t[row]:.4g} {unit}".rstrip()
+        ax.plot(chain.numbers, chain.values[row], "o-", color=shade, markersize=3.5, linewidth=1.4, label=label)
+    style.dress(ax, f"Profile of {style.shorten(chain.stem, 30)}", f"number of {style.shorten(chain.stem, 30)}", chain.label)
+    style.legend(ax, ax.lines)
+    return ax
+
+
+def _chosen_chain(known: Sequence[QuantityChain], stem: str | None, usual: Sequence[QuantityChain]) -> QuantityChain:
+    """The chain of this name, without a name the usual one; PlotError lists what there is."""
+    chosen = [one for one in known if one.stem == stem] if stem is not None else usual
     if not chosen:
         names = ", ".join(dict.fromkeys(one.stem for one in known)) or "none: a map needs names such as x_0, x_1"
         raise PlotError(f"no chain is called {stem!r}; there are {names}" if stem else f"no chain of states; there are {names}")
-    return draw_chain(run, chosen[0], ax=ax)
+    return chosen[0]
 
 
 def draw_chain(run: Trajectory, chain: QuantityChain, *, heading: str = "", ax: Axes | None = None) -> Axes:

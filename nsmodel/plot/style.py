@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.errors import PlotError
 from nsmodel.proof.verdict import not_none
 from nsmodel.simulation.run_data import units_of
@@ -196,7 +197,7 @@ def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
     if column:
         style |= {"fontsize": 7, "labelspacing": 0.3, "ncols": -(-len(handles) // max(1, int(height / 0.135)))}
         ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), **style)
-    elif 0.1 * len(title) + sum(widths) < width:
+    elif 0.1 * len(title) + sum_in_order(widths) < width:
         ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=len(handles), columnspacing=1.2, **style)
     else:
         count = len(widths)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -106,6 +106,15 @@ def required_dim(variable: Variable, name: str, what: str) -> str:
     if name in variable.along:
         return variable.along[name]
     raise PlotError(f"{what}={name!r}: {variable.name} has {', '.join((*variable.dims, *variable.along)) or 'no dims'}")
+
+
+def cells_text(variable: Variable, dims: Iterable[str]) -> str:
+    """How many cells are taken together, as in "20 seeds" and "3 values of k"."""
+    texts = []
+    for dim in dims:
+        one, of = (dim, "") if dim in DRAWN_DIMS else ("value", f" of {style.shorten(dim)}")
+        texts.append(f"{variable.sizes[dim]} {one}{'s' if variable.sizes[dim] != 1 else ''}{of}")
+    return ", ".join(texts)
 
 
 def last_rows(variable: Variable, kept: Sequence[str]) -> tuple[Variable, str]:
@@ -221,7 +230,8 @@ def _map_cells(variable: Variable, x: str, y: str) -> tuple[np.ndarray, np.ndarr
     first = np.take_along_axis(status, np.argmax(status == CELL_FAILED, axis=0)[None], axis=0)[0]  # failed where one is
     if over:
         of = statistics(variable, over, (), None)
-        values, description = of.mean.transpose([of.dims.index(dim) for dim in (y, x)]), f", mean over {', '.join(over)}"
+        values = of.mean.transpose([of.dims.index(dim) for dim in (y, x)])
+        description = f", mean over {cells_text(variable, over)}"
     else:
         values, description = np.where(variable.done, variable.values, np.nan).transpose(order), ""
     return values, np.where(gone.all(axis=0), first, CELL_DONE), gone.any(axis=0) & ~gone.all(axis=0), description
@@ -435,7 +445,7 @@ def _sweep_lines(variable: Variable, x: str, hue: str | None, over: Over, show: 
     net = variable.low_discrepancy and not replicates
     of = statistics(variable, dims, SPREAD_QUANTILES, None if net else level, replicates)
     low, median, high = of.quantiles
-    named = ", ".join(dims)
+    named = cells_text(variable, dims)
     if show == "mean":
         description, centre, ends = f"mean ± standard error over {named}", of.mean, (of.mean - of.error, of.mean + of.error)
     elif show == "median":

@@ -19,6 +19,7 @@ Sums of monomials in sizes, below and above the size of a value; each is rounded
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -232,7 +233,7 @@ class _GrowthCalculus:
             alpha = float(np.linalg.norm([float(number / first) for j, number in linear_part if j < self.n])) * ROUNDING_FACTOR
             self.atoms.append(AffineAtom(alpha, abs(float(offset / first)) * ROUNDING_FACTOR, most / size * ROUNDING_FACTOR))
             if any(j >= self.n for j, _ in linear_part):  # other symbols, bounded ones
-                own = sum(self._symbol_bound(j) * abs(float(number / first)) for j, number in linear_part if j >= self.n)
+                own = math.fsum(self._symbol_bound(j) * abs(float(number / first)) for j, number in linear_part if j >= self.n)
                 self.atoms[-1] = AffineAtom(alpha, self.atoms[-1].gamma + own * ROUNDING_FACTOR, most / size * ROUNDING_FACTOR)
         return abs(float(first)), self.known[key]
 

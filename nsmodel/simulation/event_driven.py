@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import cached_per_object, sum_in_order
 from nsmodel.errors import CodegenError, StepError, StorageError
 from nsmodel.event_driven.fallback_steps import STEP_BUDGET, FallbackSteps, HybridIntegrator, checkpoint_time
 from nsmodel.event_driven.friction_modes import with_stick_slip_modes
@@ -484,7 +484,7 @@ def _fallback_warnings(intervals: list[dict[str, Any]]) -> list[str]:
     """What a user must know of the stretches: that there are some and why, and whether rtol is missed."""
     if not intervals:
         return []
-    first, steps, error = intervals[0], sum(one["steps"] for one in intervals), sum(one["estimate"] for one in intervals)
+    first, steps, error = intervals[0], sum(one["steps"] for one in intervals), sum_in_order(one["estimate"] for one in intervals)
     count = "once" if len(intervals) == 1 else f"{len(intervals)} times"
     found = [
         f"event-driven integration stopped {count}, first: {first['why']}; {steps} time steps, from t = {first['start']:.10g} to "

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.simulation.run_data import RunData, model_type, multiplier_names, state_names, units_of
 from nsmodel.solvers import impacts
 
@@ -277,7 +278,7 @@ def _fallback_text(intervals: list[dict[str, Any]], unit: str) -> str | None:
     """Where steps went on in place of pieces, and what they err by."""
     if not intervals:
         return None
-    steps, error = (sum(one[key] for one in intervals) for key in ("steps", "estimate"))
+    steps, error = (sum_in_order(one[key] for one in intervals) for key in ("steps", "estimate"))
     spans = ", ".join(f"{one['start']:.6g} to {one['until']:.6g}" for one in intervals[:_MAX_SPANS])
     more = f" and {len(intervals) - _MAX_SPANS} more" if len(intervals) > _MAX_SPANS else ""
     return f"{steps} where no piece went on, t = {spans}{unit}{more}; errors estimated, in all {error:.2g} of rtol"

@@ -190,6 +190,19 @@ class Trajectory(RunData):
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
         return display("plot_trajectory", self, **options)
 
+    def film(self, path: str | Path, **options: Any) -> Path:
+        """Write a film of bodies in the plane as GIF or, with the program ffmpeg, as MP4, and return its path.
+
+        Args:
+            path: NAME.gif or NAME.mp4.
+            options: those of ``nsmodel.plot.animate``: seconds, fps, scale, size, dpi.
+
+        Raises:
+            PlotError: a run without a scene of discs, another ending, no such folder, a length or rate that is not > 0.
+            MissingExtraError: MP4 without ffmpeg.
+        """
+        return display("film_trajectory", self, path, **options)
+
     def view(self, path: str | Path | None = None, model: Any = None) -> Path:
         """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import did_you_mean, display, escape_invisible, former_names, html_repr, import_extra
+from nsmodel._utils import did_you_mean, escape_invisible, former_names, html_repr, import_extra
 from nsmodel.errors import MissingExtraError, StepError, StorageError, UsageError
 from nsmodel.files.archive import StoredArrays, map_archive, write_npz
 from nsmodel.files.storage import dumps, replace_atomically, write_csv
@@ -217,7 +217,8 @@ class Sweep:
         """Find a quantity by its name."""
         if name.startswith("_") or "cells" not in vars(self) or name not in self.cells:
             known = vars(self).get("cells", ())
-            raise AttributeError(f"this sweep has no '{name}'; it has {', '.join(known)}{did_you_mean(name, known)}")
+            near = did_you_mean(name, [*known, *dir(type(self))])
+            raise AttributeError(f"this sweep has no '{name}'; it has {', '.join(known)}{near}")
         return self[name]
 
     def __dir__(self) -> list[str]:
@@ -335,12 +336,8 @@ class Sweep:
         write_zarr(self, Path(path))
 
     def plot(self, name: str, **options: Any) -> Any:
-        """Draw the quantity ``name`` over what varies, and return the axes.
-
-        Without options it is the picture that fits; with ``x`` and ``y`` that of ``nsmodel.plot.sweep_map``, with other options
-        (x, hue, over, show, level) that of ``nsmodel.plot.sweep_line``; ``ax`` is where to draw.
-        """
-        return display("plot_sweep", self, name, **options)
+        """Draw the quantity ``name`` as `Variable.plot` does, with its ``options``, and return the axes."""
+        return self[name].plot(**options)
 
     def summary(self) -> dict[str, Any]:
         """Return the sweep in short, as numbers, strings, lists and dictionaries."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import one_line
+from nsmodel._utils import did_you_mean, display, one_line
 from nsmodel.errors import UsageError
 from nsmodel.files.archive import ArrayPartOnDisk
 
@@ -89,7 +89,7 @@ class Variable:
     def __getattr__(self, name: str) -> Any:
         """Read the values of a file when they are first asked for."""
         if name != "values" or "_given" not in vars(self):
-            raise AttributeError(f"a variable has no '{name}'")
+            raise AttributeError(f"a variable has no '{name}'{did_you_mean(name, dir(type(self)))}")
         given = vars(self)["_given"]
         values = _read_only(given.values if isinstance(given, ArrayPartOnDisk) else given)
         object.__setattr__(self, "values", values)
@@ -186,6 +186,18 @@ class Variable:
         if values.shape != self.values.shape:
             raise UsageError(f"map of {self.name}: the function returns shape {values.shape}; expected {self.values.shape}")
         return replace(self, values=values, label=label, unit=unit)
+
+    def plot(self, **options: Any) -> Any:
+        """Draw the quantity over what varies, and return the axes.
+
+        Without options it is the picture that fits (``nsmodel.plot.sweep_overview``): a line over one parameter, a map of two,
+        a histogram of samples. With ``x`` and ``y`` it is that of ``nsmodel.plot.sweep_map``, with other options (x, hue, over,
+        show, level) that of ``nsmodel.plot.sweep_line``; ``ax`` is where to draw.
+
+        Raises:
+            PlotError: no such dims.
+        """
+        return display("plot_variable", self, **options)
 
     def _holds(self, sign: str, compare: Callable[[Any, Any], Any], other: Any) -> Variable:
         if np.ndim(other) or np.asarray(other).dtype.kind not in "biuf":

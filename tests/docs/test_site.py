@@ -6,10 +6,12 @@ import importlib.util
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
 from html.parser import HTMLParser
+from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -203,6 +205,54 @@ def test_what_is_made_is_known_by_file_and_package(tmp_path, monkeypatch):
         list(runs.made([job, runs.Job("bad.py", "model = 1")], tmp_path))
     runs.forget(tmp_path, [others[0]])
     assert list(tmp_path.iterdir()) == []
+
+
+RUNS_JOBS = """
+import runs, sys
+from pathlib import Path
+
+code = "import os, sys, time\\nfrom pathlib import Path\\n(Path(sys.argv[1]) / str(os.getpid())).touch()\\ntime.sleep(600)"
+if __name__ == "__main__":
+    list(runs.made([runs.Job(f"{k}.py", code) for k in range(3)], Path(sys.argv[1]) / "made"))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_who_makes_the_site_leaves_nobody_behind(tmp_path, number):
+    program = tmp_path / "program.py"
+    program.write_text(RUNS_JOBS)
+    paths = os.pathsep.join([str(REPOSITORY / "docs" / "_ext"), str(REPOSITORY)])
+    started = subprocess.Popen([sys.executable, str(program), str(tmp_path)], env=os.environ | {"PYTHONPATH": paths})
+    try:
+        workers = wait_for(lambda: (found := [path for path in tmp_path.iterdir() if path.name.isdigit()])[1:] and found)
+    finally:
+        started.send_signal(number)
+        assert started.wait() == -number
+    numbers = [int(path.name) for path in workers]
+    assert len(numbers) == 2
+    gone = wait_for(lambda: not any(map(is_running, numbers)))
+    for left in filter(is_running, numbers):
+        os.kill(left, signal.SIGKILL)
+    assert gone
+
+
+def wait_for(holds, seconds=60):
+    """What it gives as soon as that is true; what it is in the end."""
+    end = time.monotonic() + seconds
+    while not (found := holds()) and time.monotonic() < end:
+        time.sleep(0.05)
+    return found
+
+
+def is_running(number):
+    """Whether there is a process, and not its remains alone, which its new parent has yet to take up."""
+    try:
+        os.kill(number, 0)
+        state = Path(f"/proc/{number}/stat")
+        return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):
+        return False
 
 
 def test_the_search_knows_the_pages(site):

@@ -639,6 +639,15 @@ def test_a_run_has_its_files(small_run, tmp_path):
     assert names == {"frame.png", "evacuation.png", "maps.png", "paths.png", "overview.png"}
 
 
+@pytest.mark.parametrize("name", ["maps", "frame"])
+def test_no_broad_margin_beside_a_room(small_run, tmp_path, name):
+    save_all(small_run, None, tmp_path)
+    with Image.open(tmp_path / f"{name}.png") as picture:
+        ink = np.flatnonzero((np.asarray(picture.convert("L")) < 250).any(axis=0))
+    assert ink[0] < 30
+    assert picture.width - ink[-1] < 30
+
+
 def test_a_film_has_its_frames_and_leaves_nothing_else(small_run, tmp_path):
     path = animate(small_run, tmp_path / "film.gif", seconds=1.5, fps=10, size=(3, 2), dpi=60)
     with Image.open(path) as film:
@@ -681,10 +690,18 @@ def test_a_film_that_cannot_be_written_is_refused_before_the_run(tmp_path, capsy
     assert "a film ends in .gif or .mp4" in capsys.readouterr().err
 
 
+def test_a_film_in_one_call(small_run, tmp_path):
+    options = {"seconds": 0.5, "fps": 4, "size": (3, 2), "dpi": 60}
+    path = small_run.film(tmp_path / "film.gif", **options)
+    assert path.read_bytes() == animate(small_run, tmp_path / "other.gif", **options).read_bytes()
+    with pytest.raises(PlotError, match="people are drawn as discs"):
+        Trajectory(small_run.arrays, {}).film(tmp_path / "film.gif", seconds=1)
+
+
 def test_mp4_goes_through_ffmpeg_or_says_so(small_run, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(MissingExtraError, match=r"MP4 needs the program ffmpeg"):
-        animate(small_run, tmp_path / "film.mp4", seconds=1)
+        small_run.film(tmp_path / "film.mp4", seconds=1)
     program = tmp_path / "ffmpeg"
     program.write_text('#!/bin/sh\nfor last; do :; done\n/bin/cat > "$last"\n')
     program.chmod(program.stat().st_mode | stat.S_IXUSR)

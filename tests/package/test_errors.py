@@ -1022,9 +1022,12 @@ def test_misspelt_attributes_and_words_of_newcomers(tmp_path):
     given = {"A": [[0]], "B": [1], "C": [1], "law": relay(1), "x0": [1], "t_end": 1.0}
     model = LureSystem(**given, step=0.1, parameters={p: 1.0})
     with pytest.raises(AttributeError, match=r"this run has no 'multiplers'; .* Did you mean 'multipliers'"):
-        _ = nsmodel.simulate(model).multiplers
+        _ = (run := nsmodel.simulate(model)).multiplers
     with pytest.raises(AttributeError, match=r"this sweep has no 'sttaus'; .* Did you mean 'status'"):
-        _ = nsmodel.sweep(model, grid={"p": [1.0]}, keep="x").sttaus
+        _ = (found := nsmodel.sweep(model, grid={"p": [1.0]}, keep="x")).sttaus
+    for result in (run, found):
+        with pytest.raises(AttributeError, match="Did you mean 'to_pandas'"):
+            result.to_dataframe()  # As other libraries call it.
     with pytest.raises(AttributeError, match="Did you mean 'simulate'"):
         _ = nsmodel.simulte
     with pytest.raises(ModelError, match=r"A depends on 'u'.*FirstOrderSystem takes inputs anywhere"):

@@ -156,6 +156,31 @@ def test_maps_keep_spikes_and_name_what_they_lack():
         plot.space_time(oscillator())
 
 
+def test_states_in_a_row_have_a_profile(load_case, tmp_path):
+    model = load_case("sandpile")
+    run = simulate(model, t_end=20)
+    ax = plot.profile(run)
+    assert legend(ax) == [f"t = {t}" for t in (0, 4, 8, 12, 16, 20)]
+    assert (ax.get_xlabel(), ax.get_ylabel(), title(ax)) == ("number of h", "h", "Profile of h")
+    for line, t in zip(ax.lines, (0, 4, 8, 12, 16, 20), strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), np.arange(12))
+        np.testing.assert_allclose(line.get_ydata(), model.exact([t])[0], atol=1e-9)  # the pile itself
+    names = [path.name for path in plot.save_all(run, model, tmp_path)]
+    assert names == ["states.png", "profile.png", "multipliers.png", "overview.png"]
+    assert panel(plot.overview(run, model), "Profile of h")
+    with pytest.raises(PlotError, match="no chain is called 'z'; there are h"):
+        plot.profile(run, "z")
+
+
+def test_few_states_and_states_of_two_kinds_have_no_profile(tmp_path):
+    row = [f"h_{i}" for i in range(8)]
+    for name, states in {"row": row, "few": row[:7], "two": [*row, "v"]}.items():
+        x = np.random.default_rng(0).random((11, len(states)))
+        run = Trajectory({"t": np.linspace(0, 1, 11), "x": x}, {"state_names": states})
+        files = {path.name for path in plot.save_all(run, None, tmp_path / name)}
+        assert ("profile.png" in files, "phase.png" in files) == (name == "row", name != "row")
+
+
 def test_a_map_of_the_index_set_shows_each_row():
     ax = plot.index_map(chain(60))
     codes = ax.collections[0].get_array()

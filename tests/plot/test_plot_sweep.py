@@ -65,7 +65,7 @@ def test_lines_are_means_with_their_error():
         corners = ax.collections[j].get_paths()[0].vertices[:, 1]
         assert corners.min() == pytest.approx((of.mean - of.error)[:, j].min())
         assert corners.max() == pytest.approx((of.mean + of.error)[:, j].max())
-    assert title(ax) == "position of mass 1 at t = 12 s: mean ± standard error over seed"
+    assert title(ax) == "position of mass 1 at t = 12 s: mean ± standard error over 20 seeds"
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("mu1", "position of mass 1 [m]")
     gone = "5 of 2460 cells without a result: 4 failed, 1 interrupted"
     assert legend(ax) == ["k = 5 N/m", "k = 10 N/m", "k = 20 N/m", gone]
@@ -78,7 +78,7 @@ def test_bars_of_few_points_and_the_interval_of_the_median():
     part = statistics(found.at(t=12), over="seed").quantile(0.5)
     bars = ax.containers[0].lines[2][0].get_segments()
     np.testing.assert_allclose([bar[:, 1] for bar in bars], np.stack([part.low, part.high], axis=1))
-    assert legend(ax) == ["median over seed, 95 % interval"]
+    assert legend(ax) == ["median over 20 seeds, 95 % interval"]
     assert ax.get_xlabel() == "k [N/m]"
     assert [tick.get_text() for tick in ax.get_xticklabels()] == ["5", "10", "20"]
 
@@ -90,22 +90,22 @@ def test_the_spread_is_between_quantiles():
     of = statistics(more, over="seed")
     corners = ax.collections[0].get_paths()[0].vertices[:, 1]
     assert (corners.min(), corners.max()) == (of.quantiles[0].value.min(), of.quantiles[2].value.max())
-    assert legend(ax) == ["median over seed, 5 % to 95 % quantile"]
+    assert legend(ax) == ["median over 20 seeds, 5 % to 95 % quantile"]
 
 
 def test_an_interval_that_is_open_is_said():
     ax = plot.sweep_line(Variable.of("x", np.arange(12.0).reshape(3, 4), ("k", "seed")), "k", show="median")
-    assert legend(ax) == ["median over seed, 95 % interval, open where cells are too few"]
+    assert legend(ax) == ["median over 4 seeds, 95 % interval, open where cells are too few"]
     assert np.isfinite(drawn(ax)).all()
 
 
 def test_what_is_no_draw_has_no_error():
     ax = plot.sweep_line(masses(failed=False).take("k", 0))
-    assert legend(ax) == ["mean over mu1, seed (mu1 evenly laid out: no error)"]
+    assert legend(ax) == ["mean over 41 values of mu1, 20 seeds (mu1 evenly laid out: no error)"]
     assert not ax.collections
     assert not ax.containers
     net = dataclasses.replace(Variable.of("x", np.random.default_rng(0).random((20, 8)), ("mu", "sample")), low_discrepancy=True)
-    assert legend(plot.sweep_line(net, "mu")) == ["mean over sample (a net: no error)"]
+    assert legend(plot.sweep_line(net, "mu")) == ["mean over 8 samples (a net: no error)"]
     nets = Variable.of("x", np.random.default_rng(0).random((20, 8, 4)), ("mu", "sample", "replicate"), low_discrepancy=True)
     ax = plot.sweep_line(nets, "mu")
     of = statistics(nets, ("sample", "replicate"), replicates="replicate")
@@ -185,7 +185,7 @@ def test_cells_without_a_result_are_hatched_and_named():
 
 def test_a_map_is_the_mean_over_what_is_not_drawn():
     ax = plot.sweep_map(masses())
-    assert title(ax) == "position of mass 1 at t = 12 s, mean over seed"
+    assert title(ax) == "position of mass 1 at t = 12 s, mean over 20 seeds"
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.figure.axes[1].get_ylabel()) == ("mu1", "k [N/m]", "position of mass 1 [m]")
     np.testing.assert_array_equal(ax.collections[0].get_array(), statistics(masses().at(t=12), over="seed").mean.T)
     assert legend(ax) == ["some of its cells without a result"]
@@ -256,7 +256,7 @@ def test_the_overview_chooses():
     assert plot.sweep_overview(masses()).collections[0].get_array().shape == (3, 41)  # two parameters: a map
     assert legend(plot.sweep_overview(masses().take("mu1", 0))) == ["k = 5 N/m", "k = 10 N/m", "k = 20 N/m"]
     assert plot.sweep_overview(masses().take("k", 0)).get_xlabel() == "mu1"
-    assert legend(plot.sweep_overview(masses().take("k", 0).take("mu1", 0))) == ["median over seed, 5 % to 95 % quantile"]
+    assert legend(plot.sweep_overview(masses().take("k", 0).take("mu1", 0))) == ["median over 20 seeds, 5 % to 95 % quantile"]
     assert plot.sweep_overview(samples()).get_ylabel() == "share of the cells done"
 
 

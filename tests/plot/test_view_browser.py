@@ -378,6 +378,11 @@ def test_a_study_says_its_points(opened, tmp_path):
 def test_a_phone_shows_all_without_scrolling_sideways(opened, wave, scheme):
     page = opened(wave[1], 400, 800, color_scheme=scheme, before="delete Uint8Array.fromBase64")  # Older browsers have none.
     assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    boxes = [chip.bounding_box() for chip in page.locator(".which .chip").all()]
+    bar = page.locator(".bar").bounding_box()
+    assert len(boxes) > 3
+    assert all(box["x"] + box["width"] <= 400 - 10 for box in boxes)  # Whole: within the margin of the page, and of the bar.
+    assert all(box["y"] + box["height"] <= bar["y"] + bar["height"] for box in boxes)
     assert len(pixels(page, "States [V]")) > 100
     ground, ink = page.evaluate("[getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color]")
     lightness = [sum(json.loads(f"[{one[4:-1]}]")) for one in (ground, ink)]

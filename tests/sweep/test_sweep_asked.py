@@ -143,6 +143,14 @@ def test_pictures_over_what_is_asked_for(tmp_path):
         friction(), grid={"k": [0.9, 1.1], "a": [0.8, 1.0, 1.2]}, outputs={"end": "x_1[-1]"}, t_end=0.1, workers=1
     )  # fmt: skip
     assert found.plot("end").get_xlabel().startswith("a")
+    shaded = found.end.plot()  # of two parameters a map
+    assert (shaded.get_xlabel()[0], shaded.get_ylabel()[0]) == ("a", "k")
+    np.testing.assert_array_equal(shaded.collections[0].get_array(), found["end"].values)
+    line = found.end.at(k=1.1).plot()
+    np.testing.assert_array_equal(line.get_lines()[0].get_ydata(), found["end"].values[1])
+    np.testing.assert_array_equal(line.get_lines()[0].get_xdata(), [0.8, 1.0, 1.2])
+    with pytest.raises(AttributeError, match=r"a variable has no 'plt'\. Did you mean 'plot'"):
+        found.end.plt()
     assert found.plot("end", x="k", y="a").get_xlabel().startswith("k")
     ax = found.plot("end", x="a", hue="k")
     drawn = {tuple(line.get_ydata()) for line in ax.get_lines()}

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, common_scope, make_consequence
 from nsmodel.hypotheses.region import Region, box_middle, depends_on_symbol, potential_without_domain
 from nsmodel.models.friction_oscillator import friction_law
@@ -48,7 +49,7 @@ class RadiusBound(NamedTuple):
 
 def support_function(elements: FrictionElements, d: np.ndarray) -> float:
     """Return sigma(d) = sum_j r_j |H_j d|."""
-    return float(sum(r * np.linalg.norm(H @ d) for r, H in elements))
+    return float(sum_in_order(r * np.linalg.norm(H @ d) for r, H in elements))
 
 
 def friction_radius(elements: FrictionElements, n: int) -> RadiusBound:
@@ -183,7 +184,7 @@ def _radius_by_cells(elements: FrictionElements, n: int, value: float, at: np.nd
 def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Lower bounds (k,) of sigma(d) / |d| on the cells middle +- half, rounding included."""
     n = middle.shape[1]
-    size = sum(r * float(np.linalg.norm(H)) for r, H in elements)
+    size = sum_in_order(r * float(np.linalg.norm(H)) for r, H in elements)
     rows = sum(len(H) for _, H in elements)
     corners = middle[:, None, :] + half[:, None, :] * np.array(list(product([-1.0, 1.0], repeat=n)))[None]
     lengths = np.linalg.norm(corners, axis=2)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.models.monotone_inclusion.cones import recession_directions
 from nsmodel.models.monotone_inclusion.field import SelectedField
@@ -134,7 +135,7 @@ class FieldAlongCurves:
         for own, others in zip(x, self._term_orders(path, k), strict=True):
             for other in others:
                 total = add_orders(total, multiply_orders(own, other), k)
-        size = sum(term.size for term in self.field.aligned)
+        size = sum_in_order(term.size for term in self.field.aligned)
         for own in x:
             total = add_orders(total, multiply_orders(own, constant_order(-size, size)), k) if size else total
         return total
@@ -496,7 +497,7 @@ def max_constant_part(field: SelectedField, b: np.ndarray, columns: np.ndarray) 
         corners = np.array(list(product(*((low, high) for _, low, high in terms))))
         return float(np.linalg.norm(b + corners @ np.hstack([B for B, _, _ in terms]).T, axis=1).max()) * NORM_ROUND_UP
     sizes = [float(np.linalg.norm(B, 2)) * max(abs(low), abs(high)) for B, low, high in terms]
-    return float(np.linalg.norm(b) + sum(sizes)) * NORM_ROUND_UP
+    return float(np.linalg.norm(b) + sum_in_order(sizes)) * NORM_ROUND_UP
 
 
 def require_values(part: HypothesisPart, field: SelectedField) -> HypothesisPart:
@@ -527,7 +528,7 @@ def _linear_growth(field: SelectedField, region: tuple[np.ndarray, np.ndarray], 
         return HypothesisPart(HOLDS, how, values, {})
     z, low, high = field.variables
     square = ca.sumsqr(field.rest)
-    others = sum(term.size for term in field.aligned) * NORM_ROUND_UP
+    others = sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP
     if field.C.bounded:
         sup = extremum.supremum(square, z, low, high, quick=quick)
         if np.isfinite(sup.bound):
@@ -588,7 +589,7 @@ def velocity_bound(field: SelectedField, region: tuple[np.ndarray, np.ndarray]) 
     _, top = interval_bounds.enclose(ca.sumsqr(field.rest), z, low, high)
     value = float(np.max(top))
     return (
-        float(np.sqrt(value)) * NORM_ROUND_UP + sum(term.size for term in field.aligned) * NORM_ROUND_UP
+        float(np.sqrt(value)) * NORM_ROUND_UP + sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP
         if np.isfinite(value)
         else None
     )

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.models.monotone_inclusion import growth
 from nsmodel.models.monotone_inclusion.cones import copositivity_multipliers
@@ -226,7 +227,7 @@ def _homogeneous_decay(field: SelectedField, form: TangentForm | None, distance:
 def _speed_polynomial(field: SelectedField, form: TangentForm) -> polynomial.Polynomial:
     """A polynomial in r = max |x_i| that |v| does not exceed."""
     n = field.x.numel()
-    total: polynomial.Polynomial = {(): Fraction(form.others + sum(term.size for term in field.aligned) * NORM_ROUND_UP)}
+    total: polynomial.Polynomial = {(): Fraction(form.others + sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP)}
     for row in growth.read_field_rows(field):
         for monomial, number in (row.p or {}).items():
             if all(v < n for v, _ in monomial):
@@ -345,7 +346,8 @@ def _bounded_set_part(field: SelectedField, distance: float, *, quick: bool) -> 
     if distance > 0:
         speed = extremum.supremum(ca.sumsqr(field.rest), z, low, high, quick=True)
         beta += distance * (
-            float(np.sqrt(max(speed.bound, 0.0))) * NORM_ROUND_UP + sum(term.size for term in field.aligned) * NORM_ROUND_UP
+            float(np.sqrt(max(speed.bound, 0.0))) * NORM_ROUND_UP
+            + sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP
         )
     if not np.isfinite(beta):
         return HypothesisPart(UNKNOWN, "F - S has no bound on the box that holds C", {}, {})

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED
 from nsmodel.models.monotone_inclusion import growth
 from nsmodel.models.monotone_inclusion.cones import recession_directions
@@ -317,7 +318,7 @@ def as_function_of_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
 
 def aligned_offset(field: SelectedField) -> float:
     """What the aligned multipliers add to <x, v> at most, beside their nearest elements to 0."""
-    return sum(term.offset for term in field.aligned) * (NORM_ROUND_UP if len(field.aligned) > 1 else 1.0)
+    return sum_in_order(term.offset for term in field.aligned) * (NORM_ROUND_UP if len(field.aligned) > 1 else 1.0)
 
 
 def nearest_point_to_zero(C: ConvexSet) -> np.ndarray | None:

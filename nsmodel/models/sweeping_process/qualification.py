@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.models.sweeping_process.admissible_points import PartialSweepingProcess, named_state
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, Constraint
@@ -391,7 +392,7 @@ def _combined_groups_result(constraints, process, slope, rho, points, names, qui
         part = process.part(rows, columns)
         some = [(t, q[columns]) for t, q in points]
         found.append(_decide_gamma([constraints[k] for k in rows], part, slope[rows], rho, some, names, quick))
-    gamma = float(np.sqrt(sum(item.gamma**2 for item in found)))
+    gamma = float(np.sqrt(sum_in_order(item.gamma**2 for item in found)))
     least = min(found, key=lambda item: (VIOLATED, UNKNOWN, SAMPLED, HOLDS).index(item.verdict))
     if least.verdict in (VIOLATED, UNKNOWN):
         return least

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.models.sweeping_process.constraint_bounds import Constraint, supremum_over_time
 from nsmodel.models.sweeping_process.constraint_shapes import (
     AffineForm,
@@ -224,7 +225,7 @@ def _height_scale(ball: BallComplement, plane: AffineForm) -> float:
     """The size of the rational numbers in the height of a centre above a plane, in units of length."""
     rest = [abs(float(x)) for x in ball.centre.values() if isinstance(x, Fraction)]
     size = float(sum((x * x for x in plane.row.values()), Fraction(0))) ** 0.5
-    return sum(rest) + (abs(float(plane.offset)) / size if isinstance(plane.offset, Fraction) else 0.0)
+    return sum_in_order(rest) + (abs(float(plane.offset)) / size if isinstance(plane.offset, Fraction) else 0.0)
 
 
 MAX_PLANES = 12

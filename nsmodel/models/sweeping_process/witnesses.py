@@ -19,6 +19,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import sum_in_order
 from nsmodel.models.sweeping_process.admissible_points import PartialSweepingProcess
 from nsmodel.models.sweeping_process.constraint_bounds import Constraint
 from nsmodel.models.sweeping_process.constraint_shapes import AffineForm, Clip, Offset
@@ -175,7 +176,7 @@ def cancelling_weights(directions: Sequence[dict[int, Fraction] | None]) -> tupl
     point = decide_feasibility(ConicSystem(A, tuple(range(len(known))))).point
     if point is None:
         return None
-    size = [sum(float(x) ** 2 for x in direction.values()) ** 0.5 for direction in known]
+    size = [sum_in_order(float(x) ** 2 for x in direction.values()) ** 0.5 for direction in known]
     u = np.array([float(x) * s for x, s in zip(point, size, strict=True)])
     return tuple(float(x) for x in u / u.sum())
 
