@@ -1,7 +1,7 @@
 """Make the figures and tables of docs/study.md that show nsmodel beside other programs: error against CPU time.
 
-Run it from anywhere; it writes docs/images/study_*.png. Programs that are not installed are skipped with a line; nosnoc is run
-by the Python that NSMODEL_NOSNOC_PYTHON names.
+Run it from anywhere; it writes docs/images/study_*.png. Programs that are not installed are skipped with a line. Siconos is
+looked for in the system's Python, CVODE by the compiler, the others in the Python that NSMODEL_PEERS_PYTHON names. Half an hour.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from page import put, save
+from scipy.optimize import brentq
 
 import nsmodel
 from nsmodel import LureSystem, relay
@@ -25,6 +26,7 @@ from nsmodel.study import Line, Point
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "bench"))
 
+from events.programs import compiler, with_cvode  # noqa: E402
 from peers import programs  # noqa: E402
 
 IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "results"
@@ -34,7 +36,10 @@ STEPPING, EVENTS = "time-stepping", "event-driven"  # How runs with an rtol go o
 TOLERANCES = {STEPPING: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7), EVENTS: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)}
 SHORT, LONG = range(6, 14), range(6, 19)  # Powers of 2: numbers of steps of interpreted and of compiled runs.
 REPEATS, ENOUGH = 5, 0.4  # Timed runs after the warm-up; none is added once they have taken so many seconds.
-COLOURS, MARKERS = (*LINES, "#A05A2C", "#8A9A00", "#B22222", "#708090", "#20B2AA", "#4B0082"), "osD^vP*X<>hpd8"
+COLOURS = (
+    *LINES, "#A05A2C", "#8A9A00", "#B22222", "#708090", "#20B2AA", "#4B0082", "#DAA520", "#2E8B57", "#C71585", "#000000"
+)  # fmt: skip
+MARKERS = "osD^vP*X<>hpd8H1234"
 SHADES = 128  # Of a picture.
 OWN = 6  # From this colour on they are those of other programs.
 TUNED = ("SciPy LSODA", "SciPy Radau")  # Lines of all settings of a smoothed law.
@@ -147,6 +152,41 @@ def point_past_disc() -> Scene:
     return Scene("point_past_disc", "Point carried past a disc", closed_form("point_past_disc"), methods)
 
 
+def buck() -> Scene:
+    """The converter from rest. Where its current ends it is 0 for the rest of the period; each piece is a matrix exponential."""
+    model, (Vin, L, C, R, T, D) = load("buck"), (24.0, 100e-6, 47e-6, 5.0, 10e-6, 0.4)
+    lam, V = np.linalg.eig([[0, -1 / L], [1 / C, -1 / (R * C)]])
+
+    def conducts(x: np.ndarray, to: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        parts = V * np.linalg.solve(V, x - to)
+        return lambda s: to + (np.exp(np.multiply.outer(s, lam)) @ parts.T).real
+
+    def blocks(v: float) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda s: np.stack([0 * s, v * np.exp(-s / (R * C))], axis=-1)
+
+    begins, pieces, x = [], [], np.zeros(2)
+    for k in range(40):
+        on = conducts(x, np.array([Vin / R, Vin]))
+        off, rest = conducts(on(np.array(D * T)), np.zeros(2)), (1 - D) * T
+        begins, pieces, x = [*begins, k * T, (k + D) * T], [*pieces, on, off], off(np.array(rest))
+        if x[0] < 0:
+            ends = float(brentq(lambda s, off=off: off(np.array(s))[0], 0, rest, xtol=1e-22, rtol=1e-15))
+            held = blocks(off(np.array(ends))[1])
+            begins, pieces, x = [*begins, (k + D) * T + ends], [*pieces, held], held(np.array(rest - ends))
+
+    def exact(t: np.ndarray) -> np.ndarray:
+        rows = np.searchsorted(begins, t, side="right") - 1
+        return np.array([pieces[row](np.array(s - begins[row])) for row, s in zip(rows, t, strict=True)])
+
+    methods = [
+        ("nsmodel, theta = 1/2, gamma = 1", model, False, range(10, 14)),
+        ("nsmodel, theta = 1/2, gamma = 1", model, True, range(10, 19)),
+        ("nsmodel, event-driven", model, False, EVENTS),
+        ("nsmodel, event-driven", model, True, EVENTS),
+    ]
+    return Scene("buck", "Buck converter", exact, methods)
+
+
 # -- lines -------------------------------------------------------------------------------------------------------------
 
 
@@ -254,11 +294,13 @@ def table(lines: list[Line]) -> str:
 
 def main() -> None:
     """Write figures and tables; where a program is missing the page stays as it is, and the figures go to results/."""
-    missing = [name for name, python in (("Siconos", programs.siconos()), ("nosnoc", programs.nosnoc())) if python is None]
+    found = {"Siconos": programs.siconos(), "CVODE": compiler() and with_cvode()}
+    found |= {program: programs.from_pypi(program) for program in programs.FROM_PYPI}
+    missing = [program for program, path in found.items() if not path]
     if missing:
-        print(f"{' and '.join(missing)}: not installed, skipped; docs/study.md stays as it is, the figures go to {RESULTS}\n")
+        print(f"{', '.join(missing)}: not installed, skipped; docs/study.md stays as it is, the figures go to {RESULTS}\n")
         RESULTS.mkdir(exist_ok=True)
-    for scene in (friction_oscillator(), sliding_relay(), diode_bridge(), point_past_disc()):
+    for scene in (friction_oscillator(), sliding_relay(), diode_bridge(), point_past_disc(), buck()):
         lines = [*ours(scene), *others(scene)]
         save(draw(scene, lines), (RESULTS if missing else IMAGES) / f"study_{scene.case}.png", SHADES)
         text = "\n".join([table(lines), *remarks(lines)])

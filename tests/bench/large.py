@@ -106,7 +106,7 @@ def main(sizes: list[int]) -> int:
                 line += f" {whole:>9.2f} {peer['overlap']:>10.1e} {whole / row['step']:>6.1f} {GOALS.get(n, '-'):>5}"
             print(line + (f"   cromosim: {why}" if why else ""), flush=True)
     print(f"growth from N = 1000 on: N^{exponent(found, 1000)} (goal 1.4)")
-    if programs.cromosim() is None:
+    if programs.from_pypi("cromosim") is None:
         print(f"cromosim is not installed: skipped ({programs.CROMOSIM} names a Python that has it)")
     return len(sizes) - len(found)
 

@@ -102,7 +102,8 @@ def printed(function, *arguments):
 def printed_by_peer(block):
     """What a peer's script prints; None where the program is not installed. Its syntax is looked at in either case."""
     compile(block.code, str(block), "exec")
-    python = {"siconos": programs.siconos, "nosnoc": programs.nosnoc, "cromosim": programs.cromosim}[block.words[2]]()
+    peer = block.words[2]
+    python = programs.siconos() if peer == "siconos" else programs.from_pypi(peer)
     return python and subprocess.run([python, "-c", block.code], capture_output=True, text=True, check=True).stdout
 
 

@@ -14,9 +14,16 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-NOSNOC = "NSMODEL_NOSNOC_PYTHON"  # names the Python that has nosnoc
-CROMOSIM = "NSMODEL_CROMOSIM_PYTHON"  # and cromosim
+PEERS = "NSMODEL_PEERS_PYTHON"  # names the Python that has the programs from PyPI
 LIMIT = 240  # s for one program on one scene
+RELAYS = ("friction_oscillator", "sliding_relay")
+ALL = (*RELAYS, "diode_bridge", "point_past_disc")
+FROM_PYPI = {
+    "nosnoc": RELAYS,
+    "solve_nivp": ALL,
+    "heyoka": (*ALL, "buck"),
+    "pulsim": ("diode_bridge", "buck"),
+}  # and their scenes
 
 
 @dataclass(frozen=True)
@@ -36,19 +43,14 @@ def siconos() -> str | None:
     return _that_has("siconos.kernel", [sys.executable, "/usr/bin/python3", shutil.which("python3")])
 
 
-def nosnoc() -> str | None:
-    """The Python named in NSMODEL_NOSNOC_PYTHON, where it has nosnoc."""
-    return _that_has("nosnoc", [os.environ.get(NOSNOC)])
-
-
-def cromosim() -> str | None:
-    """The first Python that has cromosim, the one named in NSMODEL_CROMOSIM_PYTHON before this one."""
-    return _that_has("cromosim", [os.environ.get(CROMOSIM), sys.executable])
+def from_pypi(module: str) -> str | None:
+    """The first Python that has a program from PyPI, the one named in NSMODEL_PEERS_PYTHON before this one."""
+    return _that_has(module, [os.environ.get(PEERS), sys.executable])
 
 
 def crowd_steps(scene: Path) -> tuple[dict[str, float] | None, str]:
     """Milliseconds of the parts of cromosim's step from the state in a file; None where it is not installed, or failed: why."""
-    lines, stopped = _ask(cromosim(), "in_cromosim.py", str(scene))
+    lines, stopped = _ask(from_pypi("cromosim"), "in_cromosim.py", str(scene))
     found = [json.loads(line) for line in lines if line.startswith("{")]
     return (found[0], "") if found else (None, stopped)
 
@@ -71,15 +73,19 @@ def speed(scenes: list[str]) -> dict[str, float]:
 def runs(scene: str) -> Iterator[Run]:
     """The runs of all programs that are installed and take the scene of ``cases/``.
 
-    nosnoc 0.2 takes piecewise smooth fields: relays, but neither complementarity with a D nor constraints on the state.
+    nosnoc 0.2 takes piecewise smooth fields: relays, but neither complementarity with a D nor constraints on the state. Pulsim
+    takes circuits.
     """
     from peers import in_events, in_scipy
 
-    yield from in_scipy.runs(scene)
+    if scene in in_scipy.SCENES:
+        yield from in_scipy.runs(scene)
     yield from in_events.runs(scene)
-    yield from _parsed("Siconos", _ask(siconos(), "in_siconos.py", "runs", scene))
-    if scene in ("friction_oscillator", "sliding_relay"):
-        yield from _parsed("nosnoc", _ask(nosnoc(), "in_nosnoc.py", scene))
+    if scene in ALL:
+        yield from _parsed("Siconos", _ask(siconos(), "in_siconos.py", "runs", scene))
+    for program, scenes in FROM_PYPI.items():
+        if scene in scenes:
+            yield from _parsed(program, _ask(from_pypi(program), f"in_{program}.py", scene))
 
 
 def _ask(python: str | None, script: str, *arguments: str) -> tuple[list[str], str]:
