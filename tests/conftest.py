@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz_models import COUNT, FULL
+from subjects import files_to_edit
 
 import nsmodel
 from nsmodel.codegen import event_driven_runs, library
@@ -84,6 +85,18 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=list(left))
         items[:] = [item for item in items if item not in left]
     config.stash[LEFT_OUT] = len(left)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """The report of a failed test names the files to edit."""
+    report = yield
+    if report.failed and call.excinfo is not None and hasattr(item, "function"):
+        function = getattr(getattr(item.function, "hypothesis", None), "inner_test", item.function)
+        frames = [(Path(frame.path), frame.lineno + 1, frame.name) for frame in call.excinfo.traceback]
+        found = files_to_edit(function, getattr(getattr(item, "callspec", None), "params", {}), frames)
+        report.sections.append(("Files to edit", "\n".join(found)))
+    return report
 
 
 def pytest_sessionfinish(session):
