@@ -46,6 +46,9 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 }  # fmt: skip
 
 
+HALVES = {  # Where few random models are tried, these files take every second case: steps, their C and hypotheses still see each.
+    "test_compiled_runs": 0, "test_codegen_cases": 1, "test_schemes": 1, "test_check_cases": 0,
+}  # fmt: skip
 LEFT_OUT = pytest.StashKey[int]()
 MANY = 3  # Of more parameters of a test that is not fast one is taken, where few random models are tried.
 
@@ -61,26 +64,37 @@ def pytest_ignore_collect(collection_path, config):
     return signals or (config.option.markexpr == "fast" and bool(kinds_of(collection_path))) or None
 
 
+def in_other_half(item):
+    """The test is of a case that its file leaves to `make test-long`."""
+    case = item.callspec.params.get("case_file") if hasattr(item, "callspec") else None
+    return case is not None and item.path.stem in HALVES and CASES.index(case) % 2 != HALVES[item.path.stem]
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night.
 
-    Where few random models are tried, long tests are left out, and one of the many parameters of others is taken; all of cases
-    and pages.
+    Where few random models are tried, long tests are left out, and some files take half of the cases. Of other tests one of many
+    parameters is taken, and one of the two ways of what runs interpreted and in C. All pages are.
     """
     many, left = defaultdict(list), set()
     for item in items:
         kinds = kinds_of(item.path)
         for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
             item.add_marker(kind)
-        if COUNT < FULL and item.get_closest_marker("long"):
+        if COUNT < FULL and (item.get_closest_marker("long") or in_other_half(item)):
             left.add(item)
         elif COUNT < FULL and kinds and not {"case_file", "block"} & set(getattr(item, "fixturenames", ())):
             many[item.nodeid.partition("[")[0]].append(item)
     for name, ones in many.items():
+        place = zlib.crc32(name.encode())  # Another one in each test, the same every time.
         if len(ones) > MANY:
-            ones.pop(zlib.crc32(name.encode()) % len(ones))  # Another place in each test, the same every time.
+            ones.pop(place % len(ones))
             left |= set(ones)
+        elif len(ones) > 1:
+            ways = {item: item.callspec.params.get("compiled") for item in ones}
+            if {True, False} <= set(ways.values()):
+                left |= {item for item, compiled in ways.items() if compiled is (place % 2 == 0)}
     if left:
         config.hook.pytest_deselected(items=list(left))
         items[:] = [item for item in items if item not in left]
