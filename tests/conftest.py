@@ -40,8 +40,8 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
         "test_one_variable", "test_orders", "test_outputs", "test_package", "test_parameters", "test_piece_batch",
         "test_pieces_in_c", "test_plot", "test_portable", "test_random_derivatives", "test_recipes", "test_repeated",
         "test_resume", "test_rich", "test_roots", "test_rounding", "test_runs_keep", "test_schemes", "test_search",
-        "test_sensitivity", "test_site", "test_solvers", "test_sparse", "test_stepping", "test_stress", "test_stretches",
-        "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times", "test_view",
+        "test_sensitivity", "test_site", "test_small", "test_solvers", "test_sparse", "test_stepping", "test_stress",
+        "test_stretches", "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times", "test_view",
     ),
 }  # fmt: skip
 
@@ -128,8 +128,9 @@ def pytest_testnodedown(node, error):
 def pytest_terminal_summary(terminalreporter, config):
     """Say, before the closing line, what was left out, and how it is run."""
     if left := config.stash.get(LEFT_OUT, 0):
-        share = f"{left} tests (long ones, further parameters of others), {FULL - COUNT} of {FULL} random models of each class"
-        terminalreporter.write_line(f"left out: {share}; `make test-long` runs them all")
+        tests = f"{left} tests (long ones; further cases, parameters and ways of others)"
+        models = f"{FULL - COUNT} of {FULL} random models of each class"
+        terminalreporter.write_line(f"left out: {tests}, {models}; `make test-long` runs them all")
 
 
 def pytest_generate_tests(metafunc):
