@@ -205,11 +205,15 @@ def cases_of(load_case):
 
 @pytest.fixture(scope="session")
 def run_case(load_case):
-    """Return run_case(stem) -> Trajectory of the case file as it stands, interpreted and shared: do not change its arrays."""
+    """Return run_case(stem) -> Trajectory of the case file as it stands, shared: do not change its arrays.
+
+    It is interpreted; crowds run in C where there is a compiler, which takes less time.
+    """
 
     @functools.cache
     def run(stem):
-        return nsmodel.simulate(load_case(stem), compiled=False)
+        model = load_case(stem)
+        return nsmodel.simulate(model, compiled=isinstance(model, nsmodel.ManyBodies) and library.compiler() is not None)
 
     return run
 
