@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz_models import COUNT, FULL
+from subjects import files_to_edit
 
 import nsmodel
 from nsmodel.codegen import event_driven_runs, library
@@ -39,12 +40,15 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
         "test_one_variable", "test_orders", "test_outputs", "test_package", "test_parameters", "test_piece_batch",
         "test_pieces_in_c", "test_plot", "test_portable", "test_random_derivatives", "test_recipes", "test_repeated",
         "test_resume", "test_rich", "test_roots", "test_rounding", "test_runs_keep", "test_schemes", "test_search",
-        "test_sensitivity", "test_site", "test_solvers", "test_sparse", "test_stepping", "test_stress", "test_stretches",
-        "test_study", "test_sum_of_squares", "test_sums", "test_sweep", "test_switch_times", "test_view",
+        "test_sensitivity", "test_site", "test_small", "test_solvers", "test_sparse", "test_stepping", "test_stress",
+        "test_stretches", "test_study", "test_sum_of_squares", "test_sums", "test_sweep", "test_switch_times", "test_view",
     ),
 }  # fmt: skip
 
 
+HALVES = {  # Where few random models are tried, these files take every second case: steps, their C and hypotheses still see each.
+    "test_compiled_runs": 0, "test_codegen_cases": 1, "test_schemes": 1, "test_check_cases": 0,
+}  # fmt: skip
 LEFT_OUT = pytest.StashKey[int]()
 MANY = 3  # Of more parameters of a test that is not fast one is taken, where few random models are tried.
 
@@ -60,30 +64,53 @@ def pytest_ignore_collect(collection_path, config):
     return signals or (config.option.markexpr == "fast" and bool(kinds_of(collection_path))) or None
 
 
+def in_other_half(item):
+    """The test is of a case that its file leaves to `make test-long`."""
+    case = item.callspec.params.get("case_file") if hasattr(item, "callspec") else None
+    return case is not None and item.path.stem in HALVES and CASES.index(case) % 2 != HALVES[item.path.stem]
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night.
 
-    Where few random models are tried, long tests are left out, and one of the many parameters of others is taken; all of cases
-    and pages.
+    Where few random models are tried, long tests are left out, and some files take half of the cases. Of other tests one of many
+    parameters is taken, and one of the two ways of what runs interpreted and in C. All pages are.
     """
     many, left = defaultdict(list), set()
     for item in items:
         kinds = kinds_of(item.path)
         for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
             item.add_marker(kind)
-        if COUNT < FULL and item.get_closest_marker("long"):
+        if COUNT < FULL and (item.get_closest_marker("long") or in_other_half(item)):
             left.add(item)
         elif COUNT < FULL and kinds and not {"case_file", "block"} & set(getattr(item, "fixturenames", ())):
             many[item.nodeid.partition("[")[0]].append(item)
     for name, ones in many.items():
+        place = zlib.crc32(name.encode())  # Another one in each test, the same every time.
         if len(ones) > MANY:
-            ones.pop(zlib.crc32(name.encode()) % len(ones))  # Another place in each test, the same every time.
+            ones.pop(place % len(ones))
             left |= set(ones)
+        elif len(ones) > 1:
+            ways = {item: item.callspec.params.get("compiled") for item in ones}
+            if {True, False} <= set(ways.values()):
+                left |= {item for item, compiled in ways.items() if compiled is (place % 2 == 0)}
     if left:
         config.hook.pytest_deselected(items=list(left))
         items[:] = [item for item in items if item not in left]
     config.stash[LEFT_OUT] = len(left)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """The report of a failed test names the files to edit."""
+    report = yield
+    if report.failed and call.excinfo is not None and hasattr(item, "function"):
+        function = getattr(getattr(item.function, "hypothesis", None), "inner_test", item.function)
+        frames = [(Path(frame.path), frame.lineno + 1, frame.name) for frame in call.excinfo.traceback]
+        found = files_to_edit(function, getattr(getattr(item, "callspec", None), "params", {}), frames)
+        report.sections.append(("Files to edit", "\n".join(found)))
+    return report
 
 
 def pytest_sessionfinish(session):
@@ -101,8 +128,9 @@ def pytest_testnodedown(node, error):
 def pytest_terminal_summary(terminalreporter, config):
     """Say, before the closing line, what was left out, and how it is run."""
     if left := config.stash.get(LEFT_OUT, 0):
-        share = f"{left} tests (long ones, further parameters of others), {FULL - COUNT} of {FULL} random models of each class"
-        terminalreporter.write_line(f"left out: {share}; `make test-long` runs them all")
+        tests = f"{left} tests (long ones; further cases, parameters and ways of others)"
+        models = f"{FULL - COUNT} of {FULL} random models of each class"
+        terminalreporter.write_line(f"left out: {tests}, {models}; `make test-long` runs them all")
 
 
 def pytest_generate_tests(metafunc):
@@ -177,11 +205,15 @@ def cases_of(load_case):
 
 @pytest.fixture(scope="session")
 def run_case(load_case):
-    """Return run_case(stem) -> Trajectory of the case file as it stands, interpreted and shared: do not change its arrays."""
+    """Return run_case(stem) -> Trajectory of the case file as it stands, shared: do not change its arrays.
+
+    It is interpreted; crowds run in C where there is a compiler, which takes less time.
+    """
 
     @functools.cache
     def run(stem):
-        return nsmodel.simulate(load_case(stem), compiled=False)
+        model = load_case(stem)
+        return nsmodel.simulate(model, compiled=isinstance(model, nsmodel.ManyBodies) and library.compiler() is not None)
 
     return run
 

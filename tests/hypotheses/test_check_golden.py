@@ -6,7 +6,7 @@ Where a change is meant, ``python -m tests.search.golden --write`` writes them a
 from __future__ import annotations
 
 import pytest
-from conftest import CASES
+from conftest import CASES, REPOSITORY
 from search import golden
 from search.checked import MAKERS
 
@@ -21,9 +21,18 @@ def kept():
     return {name: golden.read(name) for name in MAKERS}
 
 
-def differing(kept, checks):
-    """Return what differs, line by line."""
-    return [f"{name}: {line}" for name, report in checks for line in golden.differences(kept[name], golden.kept_of(name, report))]
+def assert_kept(class_name, kept, checks):
+    """What checks say is what the file of the class has; else say which file that is, and how it is written anew."""
+    __tracebackhide__ = True
+    differences = [
+        f"{name}: {line}"
+        for name, report in checks
+        for line in golden.differences(kept[class_name][name], golden.kept_of(name, report))
+    ]
+    if differences:
+        path = (golden.FILES / f"{class_name}.json").relative_to(REPOSITORY)
+        renew = f"where the change is meant: python -m tests.search.golden --class {class_name} --write"
+        pytest.fail("\n".join([f"{path} has something else ({renew}):", *differences]))
 
 
 def test_the_files_have_every_check(kept):
@@ -38,29 +47,29 @@ def test_the_files_have_every_check(kept):
 
 def test_a_quick_check_of_a_case_says_what_it_said(case_file, kept):
     stem = case_file.stem
-    if (own := kept.get(CLASS_NAMES.get(type(nsmodel.load(stem)), ""))) is not None:
-        assert not differing(own, golden.case_checks(stem, quick_alone=True))
+    if class_name := CLASS_NAMES.get(type(nsmodel.load(stem))):
+        assert_kept(class_name, kept, golden.case_checks(stem, quick_alone=True))
 
 
 @pytest.mark.long
 def test_a_check_of_a_case_says_what_it_said(case_file, kept):
     stem = case_file.stem
-    if (own := kept.get(CLASS_NAMES.get(type(nsmodel.load(stem)), ""))) is not None:
-        assert not differing(own, golden.case_checks(stem))
+    if class_name := CLASS_NAMES.get(type(nsmodel.load(stem))):
+        assert_kept(class_name, kept, golden.case_checks(stem))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("class_name", MAKERS)
 def test_checks_of_random_models_say_what_they_said(class_name, kept):
     checks = ((f"model {seed}", golden.model_check(class_name, seed)) for seed in range(golden.MODELS))
-    assert not differing(kept[class_name], checks)
+    assert_kept(class_name, kept, checks)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("class_name", MAKERS)
 def test_checks_over_boxes_say_what_they_said(class_name, kept):
     checks = (item for item in golden.box_checks(class_name) if item[0] in kept[class_name])
-    assert not differing(kept[class_name], checks)
+    assert_kept(class_name, kept, checks)
 
 
 # -- the comparison ----------------------------------------------------------------------------------------------------
