@@ -173,6 +173,11 @@ def test_a_snippet_is_followed_by_its_picture(pages, site):
     assert any(load.endswith("friction.png") for load in pages[site / "guide.html"].loads)
 
 
+def test_marks_of_tables_are_not_shown(pages, site):
+    for name in ("events", "orders", "study"):
+        assert not any("<!--" in data for _, data in pages[site / f"{name}.html"].text)
+
+
 def test_a_case_is_linked_from_pages_as_a_page(pages, site):
     assert "gallery/diode_bridge.html" in pages[site / "index.html"].links
 
