@@ -351,7 +351,7 @@ RECIPES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("page", ["architecture.md", "residuals.md"])
+@pytest.mark.parametrize("page", ["architecture.md", "decisions.md", "residuals.md"])
 def test_paths_of_a_page_are_there(page):
     """Paths are from the repository, the package or one of its folders on; names in capitals stand for any."""
     text = (REPOSITORY / "docs" / page).read_text(encoding="utf-8")

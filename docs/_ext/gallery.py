@@ -58,6 +58,7 @@ def page(case: Case, found: Made, folder: Path) -> str:
         labelled("What to see", case.see),
         labelled("A wrong answer", case.wrong),
         labelled("Source", case.source),
+        equations(facts["equations"]),
         f"## The file\n\nTake {{download}}`{found.file.name} <{relative(found.file, folder)}>`, "
         f"or copy it with `nsmodel new NAME --like {case.name}`.",
         fenced(case.path.read_text(encoding="utf-8"), "python"),
@@ -66,6 +67,12 @@ def page(case: Case, found: Made, folder: Path) -> str:
         verdicts(facts["findings"]),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def equations(lines: list[str]) -> str:
+    """The equations of the model, as reports have them, one under the other."""
+    rows = "\\\\[0.4em]\n".join(f"& {line}" for line in lines)
+    return f"## Its equations\n\n```{{math}}\n\\begin{{aligned}}\n{rows}\n\\end{{aligned}}\n```"
 
 
 def labelled(label: str, text: str) -> str:

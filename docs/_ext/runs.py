@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import nsmodel
+from nsmodel.hypotheses.equations import model_equations
 
 PROCESSES = 2
 THUMBNAIL = (3.2, 2.0)  # inches, of 150 pixels
@@ -39,7 +40,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Made:
-    """What a job has made: files, and facts that JSON holds (title, summary; of a case findings and verdict)."""
+    """What a job has made: files, and facts that JSON holds (title, summary; of a case equations, findings and verdict)."""
 
     file: Path
     picture: Path
@@ -133,7 +134,7 @@ def _make(job: Job, folder: Path) -> None:
     facts = {"title": run.title, "status": run.status, "model_class": type(model).__name__, "summary": run.summary_text()}
     if job.case:
         save(_thumbnail(run, model), at / f"{file.stem}-small.png", dpi=150)
-        facts |= _checked(model)
+        facts |= {"equations": model_equations(model)} | _checked(model)
     (at / "facts.json").write_text(json.dumps(facts), encoding="utf-8")
     at.rename(folder / job.key)
 

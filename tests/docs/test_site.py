@@ -21,6 +21,7 @@ import nsmodel
 import nsmodel.crowd
 import nsmodel.plot
 from nsmodel.cli import _parser
+from nsmodel.hypotheses.equations import model_equations
 from nsmodel.modeling import model_files
 
 pytestmark = pytest.mark.skipif(
@@ -98,7 +99,7 @@ def case_with_signs(docs):
     )
     picture = docs / "images" / "mfcq.png"
     finding = {"id": EVIL, "statement": EVIL, "verdict": "holds", "how": EVIL}
-    facts = {"title": EVIL, "summary": EVIL, "verdict": EVIL, "findings": [finding]}
+    facts = {"title": EVIL, "summary": EVIL, "verdict": EVIL, "equations": [r"\dot x = v"], "findings": [finding]}
     return gallery.page(case, runs.Made(case.path, picture, picture, facts), docs).replace("\n# ", "\n## ")
 
 
@@ -165,7 +166,9 @@ def test_a_case_has_its_picture_numbers_verdicts_and_file(pages, site):
     [file] = [link for link in page.links if link.endswith("diode_bridge.py")]
     assert (page.path.parent / file).read_bytes() == model_files.find_case("diode_bridge").path.read_bytes()
     text = "".join(data for _, data in page.text)
-    report = nsmodel.check(nsmodel.load(model_files.find_case("diode_bridge").path))
+    model = nsmodel.load(model_files.find_case("diode_bridge").path)
+    assert all(" ".join(formula.split()) in " ".join(text.split()) for formula in model_equations(model))
+    report = nsmodel.check(model)
     assert report.verdict in " ".join(text.split())
     for finding in report.findings:
         assert " ".join(finding.statement.split()) in " ".join(text.split())
@@ -173,6 +176,11 @@ def test_a_case_has_its_picture_numbers_verdicts_and_file(pages, site):
 
 def test_a_snippet_is_followed_by_its_picture(pages, site):
     assert any(load.endswith("friction.png") for load in pages[site / "guide.html"].loads)
+
+
+def test_marks_of_tables_are_not_shown(pages, site):
+    for name in ("events", "orders", "study"):
+        assert not any("<!--" in data for _, data in pages[site / f"{name}.html"].text)
 
 
 def test_a_case_is_linked_from_pages_as_a_page(pages, site):
