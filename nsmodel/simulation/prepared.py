@@ -22,7 +22,7 @@ from nsmodel.event_driven.problem import ContinuousProblem, switch_table
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import Values, finite_number
 from nsmodel.modeling.time_grid import is_number
-from nsmodel.modeling.variants import start_entries, with_inputs, with_start, with_start_parameters
+from nsmodel.modeling.variants import parametric_inputs, start_entries, with_inputs, with_start, with_start_parameters
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.simulation.event_driven import EventDrivenPropagator
 from nsmodel.simulation.options import Options, PrepareKeywords, takes_options
@@ -165,7 +165,7 @@ class _RunsInC:
     @classmethod
     def of(cls, model: Model, options: Options, propagator: Any) -> _RunsInC | None:
         """Those of a model; None where its runs are not of this kind."""
-        if options.certified or model.blocks or not isinstance(propagator, EventDrivenPropagator):
+        if options.certified or model.blocks or parametric_inputs(model) or not isinstance(propagator, EventDrivenPropagator):
             return None
         steps = propagator.maker.steps if isinstance(propagator.maker, CompiledPieces) else None
         switches = steps is not None and any(part.stop > part.start for part in steps.branches.values())
