@@ -28,6 +28,7 @@ import numpy as np
 from nsmodel._utils import cached_per_object, cached_per_object_and_key
 from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.recurrences import ANY_DEGREE, DiscTable, RecurrencePrinter, SeriesColumns, constant_factor_index
+from nsmodel.codegen.step_spec import moving_signals_reason
 from nsmodel.errors import CodegenError
 from nsmodel.event_driven.bernstein import ORDERS
 from nsmodel.event_driven.collocation import Collocation, radau_collocation
@@ -429,6 +430,8 @@ def _symbolic_problem_or_reason(model: Model) -> ContinuousProblem | str:
         return "the model has no parameters: declare the numbers that change, parameters={a: 1.0}"
     if model.blocks:
         return "pieces that blocks end have no C counterpart"
+    if reason := moving_signals_reason(model):
+        return reason
     try:
         return make_symbolic_problem(model)
     except CodegenError as error:

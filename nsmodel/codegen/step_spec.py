@@ -33,6 +33,7 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import Values
 from nsmodel.modeling.signals.pwm import HeldSignal, Pwm
 from nsmodel.modeling.time_grid import TimeGrid
+from nsmodel.modeling.variants import parametric_inputs
 from nsmodel.solvers.catching_up import tolerance_function
 from nsmodel.solvers.initial_checks import admitted, check_start
 from nsmodel.solvers.newton import uses_working_set
@@ -259,6 +260,8 @@ def make_step_spec(
     some values, of a scene of all of them; left out: at those declared.
     """
     given, of_all = model.values_of(parameters), numbers is not None
+    if reason := moving_signals_reason(model, given):
+        raise CodegenError(reason)
     numbers = model.bind(given) if numbers is None else numbers
     left = dict.fromkeys(name for name in model.parameters if name not in given)
     kept = model.bind({**given, **left}, partly=True) if left else numbers
@@ -268,6 +271,18 @@ def make_step_spec(
     return StepSpec(
         kept, numbers, h, grid.has_varying_steps, tolerance, known, projection_tolerances(numbers, grid), for_all_values=of_all
     )
+
+
+def moving_signals_reason(model: Model, given: Collection[str] = ()) -> str:
+    """Why there is no code of a model whose signals move with parameters that are not ``given``; "" where none does."""
+    for name, parameters in parametric_inputs(model).items():
+        if free := [one for one in parameters if one not in given]:
+            values = ", ".join(f"'{one}': ..." for one in free)
+            return (
+                f"the signal of input '{name}' moves with {', '.join(free)}, and code has no signals: "
+                f"give {'its value' if len(free) == 1 else 'their values'}, parameters={{{values}}} (--set {free[0]}=VALUE)"
+            )
+    return ""
 
 
 def _singular_error(h: float) -> CodegenError:
@@ -299,6 +314,8 @@ def spec_for_all_values(model: Model, grid: TimeGrid, tolerance: float) -> StepS
         raise CodegenError("the model has no parameters: declare the numbers that change, parameters={a: 1.0}")
     if getattr(model, "blocks", ()):
         raise CodegenError("a model with blocks has no C for all values of its parameters")
+    if reason := moving_signals_reason(model):
+        raise CodegenError(reason)
     problem = one_step_problem(model)
     given = problem.prediction
     if given is not None and given.tolerances is not None and ca.depends_on(ca.vertcat(given.c, model.start), model.p):

@@ -13,10 +13,12 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
+from nsmodel.derivatives.tangent_equations import TRY_DIFFERENCES
+from nsmodel.errors import UsageError
 from nsmodel.event_driven.problem import AHEAD, SAME_TIME, ContinuousProblem, signal_degree, switch_times_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import model_ticks
-from nsmodel.modeling.signals.base import Signal
+from nsmodel.modeling.signals.base import ParametricSignal, Signal
 from nsmodel.modeling.signals.function import Expression
 from nsmodel.modeling.signals.pwm import HeldSignal, Pwm
 from nsmodel.proof.verdict import not_none
@@ -80,8 +82,8 @@ class KnownTimes:
     ) -> None:
         """``free``: the same model with symbols, of which the entries ``by`` have the first columns of S; then ``numbers``."""
         self._model = model
-        self._columns = {(number.group, number.number): number.column for number in numbers}
-        self._driven = {number.group for number in numbers}
+        self._weights = _number_slopes(model, free, by, numbers)
+        self._driven = {group for group, _ in self._weights}
         self._times = np.array(switch_times_of(model, t_end).times, float)
         self._places = HeldPlaces(model, problem)
         self._signals = {name: s for name, s in model.inputs.items() if isinstance(s, Signal) and not isinstance(s, HeldSignal)}
@@ -119,8 +121,8 @@ class KnownTimes:
             elif not _is_among(t, self._joints[name]):
                 continue
             for number, slope in signal.joint_slopes(t).items():
-                if (column := self._columns.get((name, number))) is not None:
-                    row[len(x) + column] = slope
+                if (weights := self._weights.get((name, number))) is not None:
+                    row[len(x) : len(x) + weights.size] += slope * weights
             rows.append(row)
             names.append(name)
         whole = max(rows, key=lambda row: float(np.abs(row).max()), default=np.zeros(len(x) + q))
@@ -145,11 +147,36 @@ class KnownTimes:
             rows = self._rows(group)
             by_state[rows] = own[rows] = 0.0
             for number, slopes in self._signal(group, x).derivative_slopes(t).items() if group in self._driven else ():
-                if (column := self._columns.get((group, number))) is not None:
-                    own[rows, column] = slopes.ravel()
+                if (weights := self._weights.get((group, number))) is not None:
+                    own[rows, : weights.size] += np.outer(slopes.ravel(), weights)
         if self._ticks is not None:
             u = np.array([0.0 if place is None else x[place] for place in self._places.entries])
             self._ticks.put(t, x, u, by_state, own)
+
+
+def _number_slopes(
+    model: Model, free: Model, by: Sequence[int], numbers: Sequence[SignalNumber]
+) -> dict[tuple[str, str], np.ndarray]:
+    """{(input, number of its signal): its derivatives by the columns of S}: 1 by itself, the chain rule by parameters.
+
+    Raises:
+        UsageError: a number moves that runs are not differentiated by.
+    """
+    width = len(by) + len(numbers)
+    found = {(one.group, one.number): np.eye(width)[one.column] for one in numbers}
+    values = np.array([model.bound_parameters.get(name, 0.0) for name in free.parameters], float)
+    for group, signal in free.inputs.items():
+        if not isinstance(signal, ParametricSignal):
+            continue
+        known = not_none(model.inputs[group]).numbers
+        for number, slopes in signal.number_slopes(free.p, values, by).items():
+            if number not in known and slopes.any():
+                moving = list(free.parameters)[by[int(np.flatnonzero(slopes)[0])]]
+                raise UsageError(
+                    f"by: '{moving}' moves the {number[1:]} of input '{group}', whose duty is no number; {TRY_DIFFERENCES}"
+                )
+            found[group, number] = np.pad(slopes, (0, len(numbers)))
+    return found
 
 
 def _is_among(t: float, times: np.ndarray) -> bool:

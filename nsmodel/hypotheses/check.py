@@ -47,7 +47,7 @@ from nsmodel.hypotheses.report import Report
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import Values, describe_argument, split_boxes
 from nsmodel.modeling.signals import Within
-from nsmodel.modeling.variants import freeze_inputs
+from nsmodel.modeling.variants import freeze_inputs, parametric_inputs, with_signals
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.proof.global_search import quick_searches
 from nsmodel.simulation.simulate import simulate
@@ -173,7 +173,8 @@ def check(
     values = {**model.parameters, **model.values_of(parameters)}
     t_end = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs or ())])
     looked_at = freeze_law(model)
-    motion = input_bounds(looked_at, bounds, t_end)
+    signals = model.bind({**values, **dict.fromkeys(boxes)}, partly=True).inputs if parametric_inputs(model) else {}
+    motion = input_bounds(with_signals(looked_at, signals), bounds, t_end)
     if boxes or motion.names:
         return _check_for_all_values(model, looked_at, values, boxes, motion, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)

@@ -222,7 +222,7 @@ class Model(Picklable):
         if len(time.names) != 1:
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
         p, values, vectors = declare_parameters(self.parameters)
-        driving = DeclaredInputs.of({} if self.inputs is None else self.inputs, self.blocks, self.unblocked)
+        driving = DeclaredInputs.of({} if self.inputs is None else self.inputs, self.blocks, self.unblocked, values)
         self._set(u=driving.u, input_groups=MappingProxyType(driving.groups))
         known = [*([] if self.t is None else [time]), *given.values(), *p, *driving.symbols]
         converter = Converter(known)
@@ -245,7 +245,10 @@ class Model(Picklable):
             if not self.p.numel():
                 self._set(exact=SampledExactState(time.sx, self.exact))
         read = [time.sx, own.sx, *(given[name].sx for name in ("lam",) if name in given)]
-        self._set(**driving.fields(time, converter, lambda expression, label: self._check_symbols(expression, label, read)))
+        own_fields = driving.fields(
+            time, self.p, converter, lambda expression, label: self._check_symbols(expression, label, read)
+        )
+        self._set(**own_fields)
         return converter
 
     def _read_vector(

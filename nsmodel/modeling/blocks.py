@@ -9,7 +9,7 @@ end pieces.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from nsmodel._utils import cached_per_object, short_repr
 from nsmodel.errors import BlockError, ModelError
 from nsmodel.modeling.block import Block
-from nsmodel.modeling.conversion import Converter, DeclaredSymbols, declare
+from nsmodel.modeling.conversion import Converter, DeclaredSymbols, declare, names_read
 from nsmodel.modeling.pickling import Picklable
 from nsmodel.modeling.signals.base import NEAR_TOLERANCE, Signal, just_before, period_numbers
 from nsmodel.modeling.signals.pwm import HeldSignal, Pwm
@@ -197,13 +197,17 @@ def _allowed_values(values: Any, label: str) -> tuple[float, ...]:
     return found
 
 
-def has_held_duty(signal: Any) -> bool:
-    """Whether a signal is a PWM whose duty is an expression, of what blocks hold."""
-    return isinstance(signal, Pwm) and not isinstance(signal.duty, Signal)
+def has_held_duty(signal: Any, parameters: Collection[str]) -> bool:
+    """Whether a signal is a PWM whose duty is an expression, of what blocks hold, and not of these parameters alone."""
+    return isinstance(signal, Pwm) and not isinstance(signal.duty, Signal) and not names_read(signal.duty) <= {*parameters}
 
 
 def latched_pwm(name: str, signal: Pwm, place: int, duty: ca.SX) -> tuple[Pwm, ModelBlock]:
     """A PWM with the duty that its periods begin with, and the block that keeps that."""
+    if other := next((number[1:] for number in signal.expressions if number != ".duty"), None):
+        raise ModelError(
+            f"input '{name}': its duty is of what blocks hold, and its {other} an expression; give {other}= a number beside it"
+        )
     own, offset = f"{name}.duty", signal.phase % signal.period
     clipped = ca.fmin(ca.fmax(duty, 0), 1)
     block = ModelBlock(own, signal.period, offset, (place,), clipped, clipped, latch=True)

@@ -77,6 +77,13 @@ def check_distinct_names(names: Sequence[str], label: str) -> None:
         raise ModelError(f"{label}: the symbol '{repeated[0]}' is declared twice; give each symbol its own name")
 
 
+def names_read(value: Any) -> set[str]:
+    """The names of the scalar symbols that an expression of CasADi or of SymPy reads."""
+    if isinstance(value, ca.SX | ca.MX):
+        return {name for symbol in ca.symvar(value) for name in entry_names(symbol.name(), symbol.numel())}
+    return {name for symbol in value.free_symbols for name, *_ in _sympy_symbols(symbol, "") or ()}
+
+
 def check_declared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None:
     """Refuse a symbol that was not declared."""
     for name in names:

@@ -5,7 +5,7 @@ What drives a model: the inputs that it is given, and behind them what its block
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Self
@@ -16,9 +16,9 @@ import numpy as np
 from nsmodel._utils import did_you_mean
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.modeling.blocks import DeclaredBlock, declare_blocks, has_held_duty, held_signals, latched_pwm, make_model_blocks
-from nsmodel.modeling.conversion import Converter, DeclaredSymbols, declare, entry_names, is_casadi, is_sympy
+from nsmodel.modeling.conversion import Converter, DeclaredSymbols, declare, entry_names, is_casadi, is_sympy, names_read
 from nsmodel.modeling.parameters import RESERVED_RUN_NAMES
-from nsmodel.modeling.signals.base import ConstantSignal, Signal, read_numbers
+from nsmodel.modeling.signals.base import ConstantSignal, ParametricSignal, Signal, read_numbers
 from nsmodel.modeling.signals.function import expression_signal
 from nsmodel.modeling.signals.pwm import HeldSignal
 
@@ -56,6 +56,31 @@ def read_signals(
     return {name: _read_signal(value, f"input '{name}'", len(names[name]), converter, error) for name, value in given.items()}
 
 
+def read_parametric_signals(given: Mapping[str, Any], parameters: ca.SX, error: type[NsmodelError]) -> dict[str, Any]:
+    """What drives each input, those with expressions for numbers as signals of these parameters (np, 1)."""
+    converter = Converter([declare(parameters, "parameters")] if parameters.numel() else [])
+    return {
+        name: _parametric_signal(value, f"input '{name}'", converter, error)
+        if isinstance(value, Signal) and value.expressions and not isinstance(value, ParametricSignal)
+        else value
+        for name, value in given.items()
+    }
+
+
+def _parametric_signal(signal: Signal, label: str, converter: Converter, error: type[NsmodelError]) -> Signal:
+    for number, given in signal.expressions.items():
+        if other := next((name for name in sorted(names_read(given)) if name not in converter.symbols), None):
+            raise error(
+                f"{label}: its {number[1:]} depends on '{other}', but may depend only on parameters "
+                f"({', '.join(converter.symbols) or 'there are none'})"
+            )
+        expression = ca.densify(converter.convert(given, f"{label}: {number[1:]}"))
+        if expression.numel() != 1:
+            raise error(f"{label}: its {number[1:]} has the shape {expression.shape}; expected one number")
+        signal = signal.with_number(number, expression)
+    return ParametricSignal(label, signal).with_values(ca.SX(0, 1), ca.SX(0, 1))
+
+
 def _read_signal(value: Any, label: str, size: int, converter: Converter, error: type[NsmodelError]) -> Signal | None:
     if value is None:
         return None
@@ -79,6 +104,8 @@ def signal_label(signal: Signal) -> str:
     """What messages call it."""
     if isinstance(signal, HeldSignal):
         return "block"
+    if isinstance(signal, ParametricSignal):
+        return signal_label(signal.written)
     return "value" if isinstance(signal, ConstantSignal) else type(signal).__name__.lower()
 
 
@@ -103,22 +130,24 @@ def signals_by_name(given: Any, names: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class DeclaredInputs:
-    """Declared: the symbols of all inputs, what drives each by its name, and the blocks."""
+    """Declared: the symbols of all inputs, what drives each by its name, the blocks, and the inputs whose duty they hold."""
 
     symbols: Sequence[DeclaredSymbols]
     driven: Mapping[str, Any]
     blocks: Sequence[DeclaredBlock]
+    latched: Sequence[str]
 
     @classmethod
-    def of(cls, inputs: Any, blocks: Any, unblocked: str) -> Self:
-        """Read what a user gives; ``unblocked``: why the class takes no blocks.
+    def of(cls, inputs: Any, blocks: Any, unblocked: str, parameters: Collection[str]) -> Self:
+        """Read what a user gives; ``unblocked``: why the class takes no blocks; ``parameters``: the names of their scalars.
 
         Raises:
             ModelError: what is no input or no block, a name that is taken.
         """
         u, driven = declare_inputs(inputs)
         found = declare_blocks(blocks)
-        duties = [declare(f"{name}.duty", "inputs") for name, signal in driven.items() if has_held_duty(signal)]
+        latched = tuple(name for name, signal in driven.items() if has_held_duty(signal, parameters))
+        duties = [declare(f"{name}.duty", "inputs") for name in latched]
         if unblocked and (found or duties):
             raise ModelError(f"blocks: {unblocked}")
         kept = [symbol for block in found for symbol in block.symbols]
@@ -131,7 +160,7 @@ class DeclaredInputs:
                     f"blocks: '{min(clash)}' is an input, or what another block sets, or an attribute of runs; take another name"
                 )
         signals = {**driven, **held_signals(found), **{str(duty.stem): None for duty in duties}}
-        return cls((*u, *kept, *duties), signals, found)
+        return cls((*u, *kept, *duties), signals, found, latched)
 
     @property
     def u(self) -> ca.SX:
@@ -143,18 +172,20 @@ class DeclaredInputs:
         """{name of an input: names of its entries}."""
         return {str(item.stem): item.names for item in self.symbols}
 
-    def fields(self, time: DeclaredSymbols, converter: Converter, only: Callable[[ca.SX, str], None]) -> dict[str, Any]:
+    def fields(
+        self, time: DeclaredSymbols, parameters: ca.SX, converter: Converter, only: Callable[[ca.SX, str], None]
+    ) -> dict[str, Any]:
         """``inputs`` and ``blocks`` of a model; ``only`` refuses an expression, by its label, of what blocks do not read."""
         groups, driven = self.groups, dict(self.driven)
         ends = np.cumsum([0, *(len(names) for names in groups.values())])
         places = {name: range(ends[i], ends[i + 1]) for i, name in enumerate(groups)}
         blocks = list(make_model_blocks(self.blocks, places, converter, only))
-        for name in [name for name, signal in driven.items() if has_held_duty(signal)]:
+        for name in self.latched:
             label = f"input '{name}': duty"
             duty = ca.densify(ca.SX(converter.convert(driven[name].duty, label)))
             only(duty, label)
             driven[name], latch = latched_pwm(name, driven[name], places[f"{name}.duty"][0], duty)
             driven[f"{name}.duty"] = driven[name].duty
             blocks.append(latch)
-        inputs = read_signals(driven, groups, Converter([time]))
+        inputs = read_signals(read_parametric_signals(driven, parameters, ModelError), groups, Converter([time]))
         return {"inputs": MappingProxyType(inputs), "blocks": tuple(blocks)}

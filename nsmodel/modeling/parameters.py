@@ -201,8 +201,12 @@ T = TypeVar("T")
 
 
 def substitute_in_model(model: T, symbols: ca.SX, values: ca.SX) -> T:
-    """A copy of the model with values in place of symbols."""
-    return map_expressions(model, lambda expression: ca.substitute(expression, symbols, values))
+    """A copy of the model with values in place of symbols, in its signals too."""
+    other = map_expressions(model, lambda expression: ca.substitute(expression, symbols, values))
+    inputs: Mapping[str, Any] = getattr(model, "inputs", {})
+    put = {name: None if signal is None else signal.with_values(symbols, values) for name, signal in inputs.items()}
+    object.__setattr__(other, "inputs", MappingProxyType(put))
+    return other
 
 
 def time_as_parameter(model: Any) -> Any:

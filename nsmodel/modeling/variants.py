@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import did_you_mean
+from nsmodel._utils import cached_per_object_and_key, did_you_mean
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import has_held_duty, model_ticks
 from nsmodel.modeling.conversion import Converter, declare
-from nsmodel.modeling.inputs import Signals, read_signals, signals_by_name
+from nsmodel.modeling.inputs import Signals, read_parametric_signals, read_signals, signals_by_name
 from nsmodel.modeling.parameters import substitute_in_model
 from nsmodel.modeling.signals.base import Signal
 from nsmodel.modeling.signals.pwm import HeldSignal
@@ -37,9 +37,10 @@ def with_inputs(model: T, signals: Signals | None = None) -> T:
     if signals is None and all(signal is not None for signal in model.inputs.values()):
         return model
     named = signals_by_name(signals, model.input_groups)
-    for name in [name for name, signal in named.items() if has_held_duty(signal)]:
+    for name in [name for name, signal in named.items() if has_held_duty(signal, model.parameters)]:
         raise UsageError(f"input '{name}': a pwm whose duty is an expression; declare it in the model, whose blocks it reads")
-    given = read_signals(named, model.input_groups, Converter([declare(model.t, "t")]), UsageError)
+    parametric = read_parametric_signals(named, model.p, UsageError)
+    given = read_signals(parametric, model.input_groups, Converter([declare(model.t, "t")]), UsageError)
     for name in given:
         if isinstance(model.inputs[name], HeldSignal):
             raise UsageError(f"input '{name}' is set by the block '{model.inputs[name].by}'; leave it out")
@@ -47,7 +48,7 @@ def with_inputs(model: T, signals: Signals | None = None) -> T:
     for name, signal in inputs.items():
         if signal is None:
             raise UsageError(f"input '{name}' has no signal; give inputs={{'{name}': ...}} or --input {name}=FILE.csv")
-    return _with_fields(model, inputs=MappingProxyType(inputs)) if given else model
+    return with_signals(model, given)
 
 
 def with_inputs_at_any_step(model: T, what: str, signals: Signals | None = None) -> T:
@@ -61,6 +62,29 @@ def with_inputs_at_any_step(model: T, what: str, signals: Signals | None = None)
         if signal.count is not None:
             raise UsageError(f"{what}: input '{name}' is steps(...), a row a step, and steps have many lengths; give table")
     return driven
+
+
+def parametric_inputs(model: Any) -> dict[str, tuple[str, ...]]:
+    """{name: parameters} of the inputs whose signals need values of these to be functions of time."""
+    return {name: signal.parameters for name, signal in model.inputs.items() if signal is not None and signal.parameters}
+
+
+def with_signals_of(model: T, bound: T) -> T:
+    """The model with the signals of ``bound``, which is the same with numbers for parameters, those of signals among them.
+
+    The same object for the same two: what is made of it is made once.
+    """
+    return _with_bound_signals(model, bound) if parametric_inputs(model) else model
+
+
+@cached_per_object_and_key(most=4)
+def _with_bound_signals(model: Any, bound: Any) -> Any:
+    return with_signals(model, bound.inputs)
+
+
+def with_signals(model: T, signals: Mapping[str, Signal | None]) -> T:
+    """The model with these signals, read already, of some of its inputs."""
+    return _with_fields(model, inputs=MappingProxyType({**model.inputs, **signals})) if signals else model
 
 
 def with_initial_inputs(model: T) -> T:

@@ -22,8 +22,16 @@ from nsmodel.event_driven.problem import ContinuousProblem, switch_table
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import Values, finite_number
 from nsmodel.modeling.time_grid import is_number
-from nsmodel.modeling.variants import start_entries, with_inputs, with_start, with_start_parameters
-from nsmodel.proof.verdict import attach_buffers
+from nsmodel.modeling.variants import (
+    parametric_inputs,
+    start_entries,
+    with_inputs,
+    with_signals,
+    with_signals_of,
+    with_start,
+    with_start_parameters,
+)
+from nsmodel.proof.verdict import attach_buffers, not_none
 from nsmodel.simulation.event_driven import EventDrivenPropagator
 from nsmodel.simulation.options import Options, PrepareKeywords, takes_options
 from nsmodel.simulation.piece_sources import MAX_CALL_BYTES, MAX_PIECES_PER_CALL, CompiledPieces, PieceBuffer, PieceLayout
@@ -156,7 +164,8 @@ class _RunsInC:
 
     def __init__(self, model: Model, propagator: EventDrivenPropagator, steps: CompiledPieceIntegrator) -> None:
         """``model``: with symbols for its parameters; ``propagator``: of it at some values, with ``steps`` in C."""
-        self._model, self._bound, self._problem = model, propagator.model, propagator.problem
+        self._bound, self._problem = propagator.model, propagator.problem
+        self._model, self._moving = with_signals_of(model, self._bound), model.inputs if parametric_inputs(model) else {}
         self._T, self._steps, self._x0 = propagator.T, steps, np.array(ca.DM(propagator.problem.x0)).ravel()
         self._room = max(1, min(MAX_PIECES_PER_CALL, MAX_CALL_BYTES // (8 * steps.width)))
         self._layout = PieceLayout(self._problem.x.numel(), self._problem.l.numel(), steps.order + 1)
@@ -184,6 +193,7 @@ class _RunsInC:
         if not (self._is_short and is_number(end) and 0 < end < np.inf and None not in values.values()):
             return None
         p = np.array(list(values.values()), float)
+        held = self._switch_table(p, float(end))
         x0 = self._x0
         if starts or p.tobytes() != self._steps.values.tobytes():
             if (conditions := self._conditions) is None:
@@ -191,7 +201,8 @@ class _RunsInC:
             admitted, x0 = conditions(p, starts)
             if not admitted:
                 return None
-        held = None if end == self._T or not self._bound.inputs else switch_table(self._bound, float(end))
+            if self._moving and held is not None:
+                x0[x0.size - self._problem.held :] = held[1][0]
         steps = self._steps.again(p, held)
         for unique in (False, True):
             if not steps.begin(x0, unique=unique):
@@ -203,6 +214,13 @@ class _RunsInC:
             if unique or steps.proved_unique or not steps.is_unique:
                 return steps, PieceBuffer(rows, self._layout)
         return None
+
+    def _switch_table(self, p: np.ndarray, end: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """When signals switch and what they are then, for these values up to an end; None: as in the run that was prepared."""
+        if self._moving:
+            signals = {name: not_none(one).with_values(self._model.p, ca.SX(p)) for name, one in self._moving.items()}
+            return switch_table(with_signals(self._bound, signals), end)
+        return None if end == self._T or not self._bound.inputs else switch_table(self._bound, end)
 
     @cached_property
     def _conditions(self) -> _StartConditions | None:

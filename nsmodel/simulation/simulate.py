@@ -16,7 +16,7 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import BACKEND_SETTING
 from nsmodel.modeling.parameters import Values, describe_argument
 from nsmodel.modeling.time_grid import TimeGrid, make_grid
-from nsmodel.modeling.variants import with_inputs
+from nsmodel.modeling.variants import with_inputs, with_signals_of
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.simulation import run_folder
 from nsmodel.simulation.error_control import ErrorControlledPropagator
@@ -197,13 +197,14 @@ def _error_controlled_run(model: Model, options: Options) -> RunLoop:
 
 
 def _driven_and_bound(model: Any, options: Options) -> tuple[Model, Model]:
-    """The model as it is driven, and with numbers for its parameters."""
+    """The model as it is driven, with symbols for its parameters but in signals, and with numbers for all."""
     if not isinstance(model, Model):
         raise UsageError(
             f"expected a model such as LureSystem(...), not {describe_argument(model)}; a file is read with nsmodel.load(path)"
         )
     driven = with_inputs(model, options.inputs)
-    return driven, bound_model(driven, options.parameters)
+    bound = bound_model(driven, options.parameters)
+    return with_signals_of(driven, bound), bound
 
 
 def bound_model(model: Model, parameters: Values | None) -> Model:

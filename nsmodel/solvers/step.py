@@ -134,7 +134,7 @@ class RowRecord:
         self.clear()
 
     def __copy__(self) -> Self:
-        """Copy the rows."""
+        """Copy the rows, so that each of the two can grow."""
         other = object.__new__(type(self))
         vars(other).update((name, v.copy() if isinstance(v, np.ndarray) else v) for name, v in vars(self).items())
         return other

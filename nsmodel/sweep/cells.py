@@ -22,6 +22,7 @@ from nsmodel.derivatives.sensitivity import sensitivity
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.event_driven.problem import NotEventDriven
 from nsmodel.modeling.base import Model
+from nsmodel.modeling.variants import parametric_inputs
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.simulation.options import METHODS, Options
 from nsmodel.simulation.propagator import GRID_PROPAGATOR
@@ -310,7 +311,7 @@ def _simulate_cell(
     if request.is_event_driven:
         rows = request.keep or any(isinstance(one, Reduction) for one in request.outputs.values())
         options["times"] = group.rows.times if rows else None
-    elif all(isinstance(one, Reduction) and one.needed_rows for one in request.outputs.values()):
+    elif group.rows.every and all(isinstance(one, Reduction) and one.needed_rows for one in request.outputs.values()):
         options["save_every"] = group.rows.every
     try:
         return CELL_DONE, np.nan, "", _simulate_with_times(group.model, values, options)
@@ -359,7 +360,7 @@ def _column_at_rows(run: Trajectory, name: str, rows: RowSelection, *, done: boo
     is_found = np.abs(t[at] - times) <= room
     if done and not is_found.all():
         if rows.every == 0:
-            return _column_at_times(run, name, times)
+            return _column_at_times(run, name, np.where(is_found, t[at], times))
         is_found |= times > t[-1]  # It ended early, as nothing changes any more.
     out = np.full((len(times), *values.shape[1:]), np.nan if values.dtype.kind == "f" else UNKNOWN_INDEX_SET, values.dtype)
     out[is_found] = values[at[is_found]]
@@ -433,6 +434,8 @@ def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, 
         return "many bodies"
     if signal := next((name for name in request.by if name not in group.names), None):
         return f"'{signal}' is a number of a signal, by which no library differentiates"
+    if moved := next(iter(parametric_inputs(group.model)), None):
+        return f"the edges of '{moved}' move with its parameters"
     whole = [name for name, one in request.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
     if whole:
         return f"the output '{whole[0]}' is of a whole run"

@@ -18,6 +18,7 @@ from nsmodel.errors import UsageError
 from nsmodel.event_driven import integrator as pieces
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.time_grid import TimeGrid, format_value, is_number, make_grid
+from nsmodel.modeling.variants import parametric_inputs
 from nsmodel.simulation.options import METHODS
 from nsmodel.sweep.variable import CELL_NOT_RUN
 
@@ -208,8 +209,9 @@ class SweepRequest:
         return 8 * rows * (len(whole) + len(self.keep) * len(model.names) + 1)
 
     def grid(self, model: Model, step: float | None) -> TimeGrid:
-        """The steps of a cell's run."""
-        return make_grid(model, step, None, self.options.get("t_end"), driven=bool(model.inputs))
+        """The steps of a cell's run, but for the edges of signals that move with what varies."""
+        driven = bool(model.inputs) and not parametric_inputs(model)
+        return make_grid(model, step, None, self.options.get("t_end"), driven=driven)
 
     def rows(self, model: Model, step: float | None, longest: float | None = None) -> RowSelection:
         """The rows that are kept of a run; ``longest``: of the steps that the sweep has, whose rows all of them have."""
@@ -234,7 +236,8 @@ class SweepRequest:
             )
         every *= round(ratio)
         numbers = np.append(np.arange(0, grid.N, every), grid.N)
-        return RowSelection(np.array([grid.time(int(k)) for k in numbers]), every)
+        times = np.array([grid.time(int(k)) for k in numbers])
+        return RowSelection(times, 0 if parametric_inputs(model) else every)  # Edges of each cell put other steps beside these.
 
 
 @dataclass(frozen=True)

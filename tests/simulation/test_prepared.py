@@ -46,6 +46,12 @@ def driven():
                       inputs={U: pwm(duty=0.4, period=0.5)}, t_end=2.0, step=0.01)  # fmt: skip
 
 
+def chopped():
+    signal = pwm(1 / W, K / (1 + K), phase=W / 10, low=-K / 5, high=K)
+    return LureSystem(A=[[-K]], B=[1], C=[1], f=[U], law=relay(1, -0.1, 0.1), x0=[0.3], parameters={K: 1.0, W: 2.0},
+                      inputs={U: signal}, t_end=2.0, step=0.01)  # fmt: skip
+
+
 def friction():
     s = ca.SX.sym("s")
     force = {"friction": 0.2 * ca.fabs(s), "s": s, "potential": K * Q**2 / 2}
@@ -74,6 +80,24 @@ def test_runs_are_those_of_simulate(make, options):
         same(ready.run(parameters=values, x0=start, **end), simulate(moved, parameters=values, **compiled, **end))
         same(ready.run(parameters=values), simulate(model, parameters=values, **compiled))
     same(ready.run(), simulate(model, **compiled))
+
+
+@needs_compiler
+@pytest.mark.parametrize("options", [HOW, HOW | {"times": [0.0, 0.5, 1.25]}, {}])
+def test_signals_of_parameters_have_the_edges_of_each_run(options):
+    model, compiled, rng = chopped(), {"compiled": True, **options}, np.random.default_rng(3)
+    ready = prepare(model, **compiled)
+    assert ("pieces in C" in repr(ready)) == ("rtol" in options)
+    for _ in range(3):
+        k, w = (float(v) for v in rng.uniform(0.5, 4, 2))
+        end = {} if "times" in options else {"t_end": float(rng.uniform(1, 3))}
+        same(
+            ready.run(parameters={"k": k, "w": w}, x0=[k - 1], **end),
+            simulate(with_start(model, {"x": k - 1}), parameters={"k": k, "w": w}, **compiled, **end),
+        )
+        same(ready.run(), simulate(model, **compiled))
+    with pytest.raises(UsageError, match=r"input 'u': period = -0.5; expected a time > 0; it is \(1./w\) with w = -2"):
+        ready.run(parameters={"w": -2.0})
 
 
 @needs_compiler

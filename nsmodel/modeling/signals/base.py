@@ -3,17 +3,20 @@
 What is known of a signal: between which values it stays, how fast it moves at most, and where it jumps.
 
 Bounds of signals as a user gives them.
+
+Signals whose numbers are expressions of a model's parameters, until these have values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Never, Self
 
+import casadi as ca
 import numpy as np
 
-from nsmodel._utils import checks_keywords, short_repr
+from nsmodel._utils import checks_keywords, describe_shortly, short_repr
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.modeling.pickling import Picklable
 
@@ -147,9 +150,27 @@ class Signal(Picklable):
         """What runs can be differentiated by, as it is written behind the name of the input: ``.duty``, ``[3]``, ``.t[3]``."""
         return {}
 
-    def with_number(self, number: str, value: float) -> Signal:
+    def with_number(self, number: str, value: Any) -> Signal:
         """The signal with ``value`` for the one of these that ``number`` names."""
         raise NotImplementedError
+
+    @property
+    def expressions(self) -> dict[str, Any]:
+        """Those of its numbers, by the same names, that are expressions: of parameters of the model that reads it."""
+        return {}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters whose values it needs to be a function of time."""
+        return ()
+
+    def wrong_number(self) -> tuple[str, str] | None:
+        """The first number that no such signal has, and in words what it is and what is expected; None where all are right."""
+
+    def with_values(self, symbols: ca.SX, values: ca.SX) -> Signal:
+        """The signal with ``values`` in place of the ``symbols`` of parameters; UsageError where a number is then a wrong one."""
+        del symbols, values
+        return self
 
     def joint_slopes(self, t: float) -> dict[str, float]:
         """The derivatives of the time of the joint at t by those of these that move it."""
@@ -239,6 +260,123 @@ class ConstantSignal(Signal):
 def constant_bounds(values: np.ndarray) -> Within:
     """Bounds of a signal that does not move."""
     return Within(values, values, np.zeros(values.size), values)
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricSignal(Signal):
+    """A signal whose numbers are expressions of a model's parameters: `with_values` makes it a signal with numbers.
+
+    Attributes:
+        label: what messages call it, such as "input 'u'".
+        written: the signal as it is written, with expressions for these numbers: what they do not change is asked of it.
+    """
+
+    label: str
+    written: Signal
+
+    def __repr__(self) -> str:
+        """Return the signal as it is written."""
+        return repr(self.written)
+
+    @property
+    def size(self) -> int:
+        """The number of values, which parameters do not change."""
+        return self.written.size
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is constant between its edges, wherever these are."""
+        return self.written.flat
+
+    @property
+    def values_taken(self) -> int | None:
+        """How many values it takes at most, whatever they are."""
+        return self.written.values_taken
+
+    @property
+    def degree(self) -> int | None:
+        """Of the polynomials between its joints, wherever these are."""
+        return self.written.degree
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Those that are numbers: the others follow the parameters."""
+        return {name: value for name, value in self.written.numbers.items() if name not in self.written.expressions}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that its numbers are expressions of."""
+        return tuple(symbol.name() for symbol in ca.symvar(ca.vertcat(*self.written.expressions.values())))
+
+    def in_time(self, tau: float) -> ParametricSignal:
+        """The signal where times are tau times as large, of the same parameters."""
+        return replace(self, written=self.written.in_time(tau))
+
+    def with_number(self, number: str, value: Any) -> ParametricSignal:
+        """The signal with another value of a number that is no expression."""
+        return replace(self, written=self.written.with_number(number, value))
+
+    def with_values(self, symbols: ca.SX, values: ca.SX) -> Signal:
+        """The signal with values in place of these parameters: one with numbers where none is left."""
+        found = self.written
+        for number, expression in self.written.expressions.items():
+            put = ca.substitute(expression, symbols, values)
+            found = found.with_number(number, float(put) if put.is_constant() else put)
+        if found.expressions:
+            return replace(self, written=found)
+        if (wrong := found.wrong_number()) is not None:
+            number, why = wrong
+            own = self.written.expressions[number]
+            given = dict(zip(map(str, ca.vertsplit(symbols)), ca.vertsplit(values), strict=True))
+            of = ", ".join(f"{name} = {describe_shortly(float(given[name]))}" for name in map(str, ca.symvar(own)))
+            raise UsageError(f"{self.label}: {why}; it is {describe_shortly(own)}" + (f" with {of}" if of else ""))
+        return found
+
+    def number_slopes(self, symbols: ca.SX, values: np.ndarray, by: Sequence[int]) -> dict[str, np.ndarray]:
+        """The derivatives (q,) of the numbers that are expressions by the entries ``by`` of all parameters, ``symbols``, at
+        ``values`` of them.
+        """
+        own = self.written.expressions
+        slopes = ca.jacobian(ca.vertcat(*own.values()), symbols[list(by)])
+        rows = np.array(ca.Function("slopes", [symbols], [ca.densify(slopes)])(values)).reshape(len(own), len(by))
+        return dict(zip(own, rows, strict=True))
+
+    def within(self, t_end: float) -> Within | None:
+        """Bounds that hold for all values of the parameters; None where its values move with them."""
+        return self.written.within(t_end)
+
+    def jump(self, t_end: float) -> SignalJump | None:
+        """None: where it jumps is not known."""
+        del t_end
+
+    def check_valid(self, label: str, t_end: float) -> Never:
+        """Refuse what needs numbers: as do the functions of time."""
+        del label, t_end
+        self._need_numbers()
+
+    def edges(self, t_end: float) -> Never:
+        """Refuse: where it jumps is not known."""
+        del t_end
+        self._need_numbers()
+
+    def kinks(self, t_end: float) -> Never:
+        """Refuse: where it bends is not known."""
+        del t_end
+        self._need_numbers()
+
+    def after(self, t: np.ndarray) -> Never:
+        """Refuse: what it is at a time is not known."""
+        del t
+        self._need_numbers()
+
+    before = after
+
+    def _need_numbers(self) -> Never:
+        number, expression = next(iter(self.written.expressions.items()))
+        raise UsageError(
+            f"{self.label}: its {number[1:]} is {describe_shortly(expression)}: give the parameters {', '.join(self.parameters)} "
+            "their values first, model.bind({...})"
+        )
 
 
 MAX_PERIODS = 50_000_000  # Of a signal or a block in a run: all of its times are kept, some 8 numbers each.

@@ -53,17 +53,18 @@ class HeldSignal(ConstantSignal):
 
 
 PWM_KINDS = ("trailing", "leading", "centre")
+PWM_NUMBERS = ("period", "duty", "phase", "low", "high")
 
 
 @dataclass(frozen=True, eq=False)
 class Pwm(Signal):
     """A signal by pulse-width modulation, see `pwm`."""
 
-    period: float
-    duty: Any  # A signal; of a PWM that a model has not read yet, an expression.
-    phase: float
-    low: float
-    high: float
+    period: Any  # A number, or an expression, as the phase, low and high may be.
+    duty: Any  # A signal, or an expression.
+    phase: Any
+    low: Any
+    high: Any
     kind: str
 
     __repr__ = short_repr
@@ -89,7 +90,25 @@ class Pwm(Signal):
 
     def in_time(self, tau: float) -> Pwm:
         """With another period and phase, and its duty in that time."""
-        return replace(self, period=tau * self.period, phase=tau * self.phase, duty=self.duty.in_time(tau))
+        duty = self.duty.in_time(tau) if isinstance(self.duty, Signal) else self.duty
+        return replace(self, period=tau * self.period, phase=tau * self.phase, duty=duty)
+
+    @property
+    def expressions(self) -> dict[str, Any]:
+        """Those among the period, the duty, the phase and the two values."""
+        given = {"." + name: getattr(self, name) for name in PWM_NUMBERS}
+        return {name: value for name, value in given.items() if not isinstance(value, float | Signal)}
+
+    def wrong_number(self) -> tuple[str, str] | None:
+        """A period that is not > 0, a constant duty outside [0, 1], a number that is not finite."""
+        duty = float(self.duty.values[0]) if isinstance(self.duty, ConstantSignal) else 0.0
+        given = {"." + name: getattr(self, name) for name in PWM_NUMBERS} | {".duty": duty}
+        for name, value in given.items():
+            if isinstance(value, float) and not np.isfinite(value):
+                return name, f"{name[1:]} = {value:g}; expected a finite number"
+        if isinstance(self.period, float) and not self.period > 0:
+            return ".period", f"period = {self.period:g}; expected a time > 0"
+        return None if 0 <= duty <= 1 else (".duty", f"duty = {duty:g}; expected a number from 0 to 1")
 
     def check_valid(self, label: str, t_end: float) -> None:
         """A duty that leaves [0, 1]."""
@@ -139,10 +158,12 @@ class Pwm(Signal):
         """High within pulses, their end included."""
         return self._value(just_before(t))
 
-    def within(self, t_end: float) -> Within:
+    def within(self, t_end: float) -> Within | None:
         """Low and high; one of them where no pulse begins or ends."""
+        if self.expressions.keys() & {".low", ".high"}:
+            return None
         low, high = np.sort([self.low, self.high])
-        if self.moving:
+        if self.moving or self.expressions:
             return Within(np.full(1, low), np.full(1, high), None, None)
         first = self.after(np.zeros(1))[0]
         if self.jump(t_end) is None and t_end > 0:
@@ -153,14 +174,16 @@ class Pwm(Signal):
     def numbers(self) -> dict[str, float]:
         """Low and high; where the duty is a number it too, the period and the phase."""
         found = {".low": self.low, ".high": self.high}
-        if isinstance(self.duty, HeldSignal) or not isinstance(self.duty, ConstantSignal):
+        if isinstance(self.duty, HeldSignal) or (isinstance(self.duty, Signal) and not isinstance(self.duty, ConstantSignal)):
             return found
-        return {".duty": float(self.duty.values[0]), ".period": self.period, ".phase": self.phase, **found}
+        duty = float(self.duty.values[0]) if isinstance(self.duty, ConstantSignal) else self.duty
+        return {".duty": duty, ".period": self.period, ".phase": self.phase, **found}
 
-    def with_number(self, number: str, value: float) -> Pwm:
+    def with_number(self, number: str, value: Any) -> Pwm:
         """With another value of that."""
-        duty = ConstantSignal(np.array([value]))
-        return replace(self, duty=duty) if number == ".duty" else replace(self, **{number[1:]: value})
+        if number == ".duty":
+            return replace(self, duty=value if is_expression(value) else ConstantSignal(np.array([value])))
+        return replace(self, **{number[1:]: value})
 
     def joint_slopes(self, t: float) -> dict[str, float]:
         """Of phase + (k + part) period, part moving with the duty."""
@@ -197,37 +220,42 @@ class Pwm(Signal):
         return np.where(self._is_high(t), self.high, self.low)[:, None]
 
 
-def _is_expression(value: Any) -> bool:
+def is_expression(value: Any) -> bool:
     """Whether a value is an expression of CasADi or of SymPy."""
     return isinstance(value, ca.SX | ca.MX) or hasattr(value, "free_symbols")
 
 
 @checks_keywords
-def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high: float = 1.0, kind: str = "trailing") -> Pwm:
+def pwm(period: Any, duty: Any, *, phase: Any = 0.0, low: Any = 0.0, high: Any = 1.0, kind: str = "trailing") -> Pwm:
     """A signal that is ``high`` for the part ``duty`` of each ``period``, and ``low`` for the rest; its edges are exact.
+
+    Each number may be an expression of the model's parameters, such as ``period=1/f``: the signal is made of their values.
 
     Args:
         period: > 0.
         duty: a number from 0 to 1, or a signal, whose value when a period begins is that of the period. 0 and 1 give no edge. Or
             an expression of what blocks hold, and of all that they read: read when a period begins, after the blocks that tick
-            then, and moved into [0, 1].
+            then, and moved into [0, 1]; beside it the other numbers are no expressions.
         phase: when a period begins.
         low, high: the two values.
         kind: where the pulse lies: "trailing" begins with the period (its trailing edge is modulated), "leading" ends with it,
             "centre" lies in the middle.
 
     Raises:
-        ModelError: a period that is not > 0, a duty outside [0, 1].
+        ModelError: a period that is not > 0, a duty outside [0, 1]. Of expressions a UsageError, once they have values.
     """
     check_choice("pwm", "kind", kind, PWM_KINDS)
     given = {"period": period, "phase": phase, "low": low, "high": high}
-    values = {name: float(read_numbers("pwm", name, value, 0)) for name, value in given.items()}
-    if not values["period"] > 0:
-        raise ModelError(f"pwm: period = {period:g}; expected a time > 0")
+    values = {
+        name: value if is_expression(value) else float(read_numbers("pwm", name, value, 0)) for name, value in given.items()
+    }
     if isinstance(duty, Signal) and duty.size != 1:
         raise ModelError(f"pwm: duty has {duty.size} values; expected one")
-    if not isinstance(duty, Signal) and not _is_expression(duty):
+    if isinstance(duty, Signal) and duty.expressions:
+        raise ModelError("pwm: duty is a signal of which a number is an expression; give that numbers")
+    if not isinstance(duty, Signal) and not is_expression(duty):
         duty = ConstantSignal(read_numbers("pwm", "duty", duty, 0).reshape(1))
-        if not 0 <= duty.values[0] <= 1:
-            raise ModelError(f"pwm: duty = {duty.values[0]:g}; expected a number from 0 to 1")
-    return Pwm(duty=duty, kind=kind, **values)
+    found = Pwm(duty=duty, kind=kind, **values)
+    if (wrong := found.wrong_number()) is not None:
+        raise ModelError(f"pwm: {wrong[1]}")
+    return found
