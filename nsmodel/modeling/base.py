@@ -77,7 +77,7 @@ LEFT_OUT: Any = None  # A field that may be left out, and has its type once the 
 
 
 @dataclass(frozen=True, eq=False)
-class _Declaration:
+class _GivenFields:
     """What a model was given, and what became of it, by the names of its fields."""
 
     given: Mapping[str, Any]
@@ -85,7 +85,7 @@ class _Declaration:
 
 
 # By the id of its time symbol: `dataclasses.replace` hands it on with all that was declared, of which names may be gone.
-_declarations: WeakValueDictionary[int, _Declaration] = WeakValueDictionary()
+_declarations: WeakValueDictionary[int, _GivenFields] = WeakValueDictionary()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -189,7 +189,7 @@ class Model(Picklable):
         self._declare()
         self._set(outputs=MappingProxyType(declare_outputs(self.outputs, self)))
         self._check_units()
-        self._set(_declaration=_Declaration(given, {name: getattr(self, name) for name in names}))
+        self._set(_declaration=_GivenFields(given, {name: getattr(self, name) for name in names}))
         _declarations[id(self.t)] = self._declaration
 
     def __copy__(self) -> Self:
