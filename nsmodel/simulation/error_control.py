@@ -133,7 +133,7 @@ class ErrorControlledPropagator(SchemePropagator):
         make_grid(model, min(h, T), None, options.t_end)  # refuses a step far too small for the run
         self.rtol, atol = _checked_rtol_atol(model, options.rtol, options.atol)
         self._limited = options.method == METHODS[0]
-        _check_no_fixed_steps(model)
+        check_no_fixed_steps(model, "rtol")
         contacts = impacts.impact_rows(with_initial_inputs(model))
         self._finest = IMPACT if any(watch.impulsive for watch in contacts) else FINEST_LEVEL
         j = self._level_of_step(h)
@@ -545,13 +545,13 @@ def _checked_rtol_atol(model: Model, rtol: Any, atol: Any) -> tuple[float, np.nd
     return float(rtol), checked_atol(atol, model.names or ())
 
 
-def _check_no_fixed_steps(model: Any) -> None:
-    """Refuse what is bound to steps that are known beforehand."""
+def check_no_fixed_steps(model: Any, option: str) -> None:
+    """Refuse what is bound to steps that are known beforehand, where an option takes others."""
     if model.tied_to_step:
-        raise UsageError("x1 is a position one constant step after x0; with rtol give the velocity v0 instead")
+        raise UsageError(f"x1 is a position one constant step after x0; with {option} give the velocity v0 instead")
     tolerances = getattr(model, "tolerances", None)
     if tolerances is not None and not callable(tolerances) and np.size(tolerances) > 1:
-        raise UsageError("tolerances is a value a step; with rtol give a function of the step, such as lambda mu: mu**3")
+        raise UsageError(f"tolerances is a value a step; with {option} give a function of the step, such as lambda mu: mu**3")
 
 
 def turning_point_warnings(

@@ -211,6 +211,7 @@ class RunLoop:
             )
         if saved.get("cut"):
             store.shorten(**saved["cut"])
+        store.drop("halving")
         self._resumed = True
 
     @contextlib.contextmanager
