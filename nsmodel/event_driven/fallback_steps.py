@@ -2,9 +2,8 @@
 
     x1 = x + h (f + g)(t + h, x1, l),   y = h(t + h, x1, l),   -y ∈ N_K(l)
 
-is the continuous problem itself, taken once with h and again as two steps of h/2. With d = x_fine - x_coarse, between switches
-(one index set from the step before to the end) x_fine + d is of second order where it keeps the law, and errs by about
-|d - d_before (h/h_before)^2|; across a switch x_fine errs by |d| or by how far the path bends. Steps are powers of two, and end
+is the continuous problem itself, under step doubling (`solvers.step_doubling`). Between switches (one index set from the step
+before to the end) the step goes on from x_fine + d where that keeps the law, else from x_fine. Steps are powers of two, and end
 at known times. At the least step, where a velocity may jump, d is compared a step later.
 
 The course of a run: pieces of the integrator, and where it stops a stretch of steps, until a mode goes on again.
@@ -27,24 +26,18 @@ from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes
 from nsmodel.event_driven.step_size import ModelEquations, power_of_two_unit
 from nsmodel.modeling.laws.base import LawEnds
 from nsmodel.solvers.one_step_problem import OneStepProblem
-from nsmodel.solvers.step import StepResult, WarmStart
+from nsmodel.solvers.step import StepResult, WarmStart, verified_step
+from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, ErrorScale, controlled_step, extrapolation_error
 from nsmodel.solvers.time_stepper import Stepper
 
 STEP_BUDGET = 100_000  # Steps of a run, over all of its stretches.
 STRICT, TENFOLD = 20_000, 5_000  # Steps from which on more error is allowed, and after which it is ten times as much.
 SMOOTH, SWITCH = 0.1, 0.1  # Of rtol: a smooth step may err by this share times h/t, one across a switch by this.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
-FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = (
-    20,
-    40,
-    6,
-)  # Steps in 2^-j of the time so far: the first, the least, the largest.
+FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6  # Steps in 2^-j of the time so far: first, least, largest.
 # In place of LEAST where walls call for impulses: v behind one is known to eps |y|/h, its time to h. Steps cannot err by less.
 IMPACT, REACHED = 22, 5e-7
-VELOCITY_ROUNDING = (
-    64 * 2.0**-52
-)  # There v differs from step to step by so much of t/h: that is no error of a step, and does not add up.
-NEGLIGIBLE_STATE = 1e-6  # A state below this part of the largest is measured beside that.
+VELOCITY_ROUNDING = 64 * 2.0**-52  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
 MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
 
@@ -76,10 +69,9 @@ class FallbackState:
 
 
 class FallbackTrial(NamedTuple):
-    """A step both ways: where it is in the middle and ends, its error in units of rtol, whether it is smooth, d."""
+    """A step ``both`` ways: where it is in the middle and ends, its error in units of rtol, whether it is smooth, d."""
 
-    half: StepResult
-    fine: StepResult
+    both: BothWays
     middle: np.ndarray
     end: np.ndarray
     error: float
@@ -101,7 +93,10 @@ class FallbackSteps:
         self._least, self._more, self._rounded = MIN_STEP_OCTAVES, 1.0, 0.0
         if impulsive:
             self._least, self._more, self._rounded = IMPACT, max(1.0, REACHED / rtol), VELOCITY_ROUNDING / rtol
-        self.problem, self.rtol, self.atol, self.known = problem, rtol, np.array(atol), known
+        self.problem, self.rtol, self.known = problem, rtol, known
+        every = np.arange(problem.x.numel())
+        scales = [ErrorScale(every, np.ones(every.size))] if every.size else []
+        self._norm = ErrorNorm(rtol, np.array(atol), scales)
         self.tolerance = max(MIN_RESIDUAL_TOLERANCE, min(tolerance, rtol / 10))
         self.sizes, self.width, self.steps = sizes, width, 0
         self.state: FallbackState | None = None
@@ -148,59 +143,49 @@ class FallbackSteps:
             raise StepError(
                 f"t = {at.t:.10g}: the {STEP_BUDGET:,} time steps that a run may take where no mode goes on are used up"
             )
-        coarse, more = None, self._more * error_relaxation(self.steps)
-        while True:
-            h = min(at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES), self._time_to_switch(at))
-            least = h <= math.ldexp(at.scale, -self._least)
-            trial = self._try_step(at, h, coarse, least)
-            smooth = max(SMOOTH * h / (at.t + h), self._rounded * (at.t + h) / h)
-            allowed = more * (smooth if trial is not None and trial.smooth else SWITCH)
-            if trial is not None and (trial.error <= allowed or least):
-                return self._accept_step(at, h, trial, allowed)
-            if least:
-                raise StepError(f"t = {at.t:.10g}: no verified step goes on from here")
-            at.h = power_of_two_unit(h) / 2
-            coarse = trial.half if trial is not None and at.h == h / 2 else None
-
-    def _time_to_switch(self, at: FallbackState) -> float:
-        return self.known.next(at.t, at.x) - at.t
+        return controlled_step(at, self._try_step, self._accept_step, self._shorten_step)
 
     def _solve_step(self, t: float, h: float, x: np.ndarray, warm: WarmStart) -> StepResult:
         with np.errstate(all="ignore"):
-            try:
-                return self._stepper(t, h, x, warm)
-            except UnrecoverableStepError:
-                raise
-            except (ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
-                raise StepError(f"t = {t:.10g}: {error}") from error
+            return verified_step(self._stepper, t, h, x, warm)
 
-    def _try_step(self, at: FallbackState, h: float, coarse: StepResult | None, least: bool) -> FallbackTrial | None:
+    def _step_length(self, at: FallbackState) -> tuple[float, bool]:
+        """The length of the step that is tried, and whether none is shorter."""
+        h = min(at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES), self.known.next(at.t, at.x) - at.t)
+        return h, h <= math.ldexp(at.scale, -self._least)
+
+    def _shorten_step(self, at: FallbackState, trial: FallbackTrial | None) -> tuple[FallbackState, StepResult | None]:
+        """A power of two below the step, at most half of it where it is one itself: then that half is known."""
+        h, _ = self._step_length(at)
+        at.h = power_of_two_unit(h) / 2
+        return at, trial.both.half if trial is not None and at.h == h / 2 else None
+
+    def _try_step(self, at: FallbackState, coarse: StepResult | None) -> FallbackTrial | None:
         """The step both ways; None where a step has no answer."""
-        state, x = self._stepper.layout.state, np.array(at.x)
+        state, x, (h, least) = self._stepper.layout.state, np.array(at.x), self._step_length(at)
         warm = WarmStart(np.array(at.l), np.array(at.index, np.int8))
         try:
-            coarse = self._solve_step(at.t, h, x, warm) if coarse is None else coarse
-            half = self._solve_step(at.t, h / 2, x, warm)
-            fine = self._solve_step(at.t + h / 2, h / 2, half.row[state], half.warm)
-            smooth = all(np.array_equal(one.warm.index, at.index) for one in (coarse, half, fine)) and at.own > 0
-            d = fine.row[state] - coarse.row[state]
+            starts = x, x, lambda half: half.row[state]
+            both = BothWays.take(self._solve_step, (at.t, at.t + h / 2), h, starts, warm, coarse)
+            smooth = all(np.array_equal(one.warm.index, at.index) for one in both) and at.own > 0
+            d = both.difference(state, 1)
             if not smooth and least:
-                d = self._difference_after_next_step(at.t + h, h, coarse, fine)
+                d = self._difference_after_next_step(at.t + h, h, both.coarse, both.fine)
         except StepError as error:
-            if least and isinstance(error, UnrecoverableStepError):
+            if not least:
+                return None
+            if isinstance(error, UnrecoverableStepError):
                 raise
-            return None
-        middle, end, off = half.row[state], fine.row[state], np.abs(d)
-        if smooth and (better := self._extrapolated(at.t + h, end + d, fine)) is not None:
-            end, midway = better, self._extrapolated(at.t + h / 2, middle + d / 2, half)
+            raise StepError(f"t = {at.t:.10g}: no verified step goes on from here") from error
+        middle, end, off = both.half.row[state], both.fine.row[state], np.abs(d)
+        if smooth and (better := self._extrapolated(at.t + h, end + d, both.fine)) is not None:
+            end, midway = better, self._extrapolated(at.t + h / 2, middle + d / 2, both.half)
             middle = middle if midway is None else midway
             if at.d is not None:
-                off = np.abs(d - np.array(at.d) * (h / at.of_h) ** 2)
+                off = extrapolation_error(d, np.array(at.d), h / at.of_h, 1)
         elif not least:
-            moved = middle - x
-            before = moved if at.rate is None else h / 2 * np.array(at.rate)
-            off = np.fmax(off, np.fmax(np.abs(end - x - 2 * moved), np.abs(moved - before)))
-        return FallbackTrial(half, fine, middle, end, self._max_error_ratio(off, end), smooth, d)
+            off = np.fmax(off, both.bend(state, x, np.nan if at.rate is None else h / 2 * np.array(at.rate)))
+        return FallbackTrial(both, middle, end, self._norm(off, end, np.array(self.sizes)), smooth, d)
 
     def _difference_after_next_step(self, t: float, h: float, coarse: StepResult, fine: StepResult) -> np.ndarray:
         """X_fine - x_coarse after one more step."""
@@ -214,29 +199,26 @@ class FallbackSteps:
         y = self._equations(t, x.tolist(), fine.row[self._stepper.layout.l].tolist())[1]
         return x if (fine.warm.index * y * self._box_rows <= 0).all() else None
 
-    def _max_error_ratio(self, off: np.ndarray, x: np.ndarray) -> float:
-        """The largest of the errors in units of what is allowed."""
-        size = np.maximum(self.sizes, np.abs(x))
-        allowed = self.rtol * np.maximum(size, NEGLIGIBLE_STATE * size.max(initial=0.0)) + self.atol
-        units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
-        return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
-
-    def _accept_step(self, at: FallbackState, h: float, trial: FallbackTrial, allowed: float) -> list[Piece]:
-        """Move on, and the two pieces."""
-        middle, x, end = trial.middle, np.array(at.x), at.t + h
+    def _accept_step(self, at: FallbackState, trial: FallbackTrial) -> list[Piece] | None:
+        """Move on, and the two pieces; None where the error is too large."""
+        (h, least), both = self._step_length(at), trial.both
+        smooth_share = max(SMOOTH * h / (at.t + h), self._rounded * (at.t + h) / h)
+        allowed = self._more * error_relaxation(self.steps) * (smooth_share if trial.smooth else SWITCH)
+        if trial.error > allowed and not least:
+            return None
+        state, middle, x, end = self._stepper.layout.state, trial.middle, np.array(at.x), at.t + h
         known = self.known.next(at.t, at.x)
         if h == known - at.t:
             end = known
         bend = 2 * (trial.end + x - 2 * middle) if trial.smooth else np.zeros(x.size)  # Of the parabola through all three.
         pieces = [
-            self._half_step_piece(at.t, at.t + h / 2, x, middle, bend, trial.half, 0.0),
-            self._half_step_piece(at.t + h / 2, end, middle, trial.end, bend, trial.fine, trial.error),
+            self._half_step_piece(at.t, at.t + h / 2, x, middle, bend, both.half, 0.0),
+            self._half_step_piece(at.t + h / 2, end, middle, trial.end, bend, both.fine, trial.error),
         ]
-        smooth = trial.smooth and end != known
-        raw = trial.fine.row[self._stepper.layout.state] - trial.half.row[self._stepper.layout.state]
-        at.rate, at.d, at.of_h = (raw / (h / 2)).tolist(), trial.d.tolist() if smooth else None, h
-        at.t, at.x, at.l = end, self.known.after(end, trial.end.tolist()), trial.fine.row[self._stepper.layout.l].tolist()
-        at.index, at.error, at.own = trial.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
+        at.rate, at.of_h = both.rate(state, h).tolist(), h
+        at.d = trial.d.tolist() if trial.smooth and end != known else None
+        at.t, at.x, at.l = end, self.known.after(end, trial.end.tolist()), both.fine.row[self._stepper.layout.l].tolist()
+        at.index, at.error, at.own = both.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
         self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
         self.steps += 1
         at.scale = max(at.scale, power_of_two_unit(end))
@@ -275,12 +257,8 @@ GAIN = 4  # A piece must go so many times as far as a step.
 SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two.
 
 
-INITIAL_CHECKPOINT: dict[str, Any] = {
-    "stretches": None,
-    "past": [],
-    "look": EVERY,
-    "hold": 0.0,
-}  # As `HybridIntegrator.standing`, before any stretch.
+# As `HybridIntegrator.checkpoint`, before any stretch.
+INITIAL_CHECKPOINT: dict[str, Any] = {"stretches": None, "past": [], "look": EVERY, "hold": 0.0}
 
 
 class HybridIntegrator:
@@ -367,13 +345,8 @@ class HybridIntegrator:
         """What to continue from."""
         steps = None if self.fallback is None else self.fallback.checkpoint()
         past = [dict(one) for one in self.past]
-        return {
-            "integrator": self.integrator.checkpoint(),
-            "stretches": steps,
-            "past": past,
-            "look": self._look,
-            "hold": self._hold,
-        }
+        place = {"integrator": self.integrator.checkpoint(), "stretches": steps}
+        return place | {"past": past, "look": self._look, "hold": self._hold}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""

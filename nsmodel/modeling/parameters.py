@@ -263,7 +263,7 @@ RESERVED_RUN_NAMES = frozenset(
     "index_set residual step active status title arrays metadata multiplier contacts save load to_csv to_pandas to_xarray "
     "plot film view summary summary_text energy reactions newton gap residual_R residual_Ry residual_Rr defect selection "
     "evaluate integral mean rms spectrum "
-    "predictor_distance excess tolerance at events is_event_driven smooth error_estimate "
+    "halving predictor_distance excess tolerance at events is_event_driven smooth error_estimate "
     "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_stepped stepped".split()
 )
 

@@ -49,6 +49,18 @@ class TimeGrid:
         """Whether steps have several lengths."""
         return self.any_step or self.lengths.size > 1
 
+    def halved(self) -> TimeGrid:
+        """The grid that halves each step, the times of this one among its own; of a shorter last step what is left is last."""
+        if self.steps is None or self.times is None:
+            h, whole = self.h / 2, self.last > self.h / 2
+            last = h if self.last == self.h else self.last - h if whole else self.last
+            return replace(self, N=2 * self.N - (not whole), h=h, last=last)
+        times = np.repeat(self.times, 2)[:-1]
+        times[1::2] += self.steps / 2
+        longest = None if self.requested_step is None else self.requested_step / 2
+        halves = np.repeat(self.steps / 2, 2)
+        return replace(self, N=halves.size, h=self.h / 2, last=self.last / 2, steps=halves, times=times, requested_step=longest)
+
     def step(self, k: int) -> float:
         """h_k = t_{k+1} - t_k."""
         if self.steps is not None:

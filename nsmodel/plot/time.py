@@ -153,10 +153,10 @@ def states(
     paint = [colour for colour in style.colours(len(picks) // 2) for _ in "xy"] if discs else style.colours(len(picks))
     looks = [{"color": c, "linewidth": 1.5, "linestyle": "--" if discs and k % 2 else "-"} for k, c in enumerate(paint)]
     ax, chosen = style.get_axes(ax), [known[k] for k in picks]
-    drawn = _PlotColumns(
-        run.x[:, picks], chosen, [style.quantity_unit(run, name) for name in chosen], is_rounding(run, "x", model)[picks]
-    )
-    _draw_series(ax, run, f"States{note}", "state", drawn, looks)
+    units, still, off = [style.quantity_unit(run, name) for name in chosen], is_rounding(run, "x", model)[picks], None
+    if "halving" in run.arrays:
+        off, note = np.abs(run.arrays["halving"][:, picks]), f"{note}, bands: the difference from halved steps"
+    _draw_series(ax, run, f"States{note}", "state", _PlotColumns(run.x[:, picks], chosen, units, still, off), looks)
     return ax
 
 
@@ -278,12 +278,13 @@ def _largest_positions(size: np.ndarray, limit: int) -> np.ndarray:
 
 
 class _PlotColumns(NamedTuple):
-    """Columns (K, k) over time, their names and units, and which of them are rounding."""
+    """Columns (K, k) over time, their names and units, and which of them are rounding; half the width of a band about each."""
 
     values: np.ndarray
     names: Sequence[str]
     units: Sequence[str]
     still: np.ndarray
+    off: np.ndarray | None = None
 
 
 def _draw_series(
@@ -302,6 +303,9 @@ def _draw_series(
         line, width = draw_curve(side, run.t, values[:, k], label=style.safe_text(label + where), **looks[k])
         lines.append(line)
         widths.append(width)
+        if columns.off is not None:
+            low, high = values[:, k] - columns.off[:, k], values[:, k] + columns.off[:, k]
+            side.fill_between(run.t, low, high, color=line.get_color(), alpha=0.22, linewidth=0)
     title += means_note(widths, style.quantity_unit(run, "t"))
     for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
         few = ", ".join(labels[k] for k in group)

@@ -20,7 +20,7 @@ from nsmodel.simulation.run_data import CONTACT_AXES, RunData, input_names, mode
 DATASET_COORDINATES = ("time", "state", "multiplier", "input", "body", *CONTACT_AXES)  # Of an xarray.Dataset.
 # What its arrays have beside time; the first of these axes that a run has.
 COLUMN_AXES = {name: ("multiplier",) for name in ("multipliers", "y", "reactions")}
-COLUMN_AXES |= {name: ("state",) for name in ("v", "selection", "defect")}
+COLUMN_AXES |= {name: ("state",) for name in ("v", "selection", "defect", "halving")}
 COLUMN_AXES |= {"inputs": ("input",), "inputs_begin": ("input",), "pressure": ("body",)}
 COLUMN_AXES |= {name: (axis,) for axis, names in CONTACT_AXES.items() for name in names} | {"gap": ("contact", "multiplier")}
 
@@ -35,6 +35,7 @@ def csv_columns(run: RunData) -> Iterator[tuple[str, np.ndarray]]:
     named = {"x": state_names(run), "multipliers": [f"multiplier:{name}" for name in multipliers]}
     if "y" in run.arrays and run.y.shape[1:] == (len(multipliers),):
         named["y"] = [f"y:{name}" for name in multipliers]
+    named["halving"] = [f"halving:{name}" for name in state_names(run)]
     for name, prefix in (("inputs", "input"), ("inputs_begin", "input after the row before")):
         named[name] = [f"{prefix}:{one}" for one in input_names(run)]
     axes = run.metadata.get("axes", {})

@@ -26,8 +26,15 @@ give a point at rest a speed that rtol sees, and follow its hops. Where a state 
 over such a step.
 
 What is extrapolated is the state; multipliers stay those of a verified step. States that a cone pushes are measured relative to
-a part of the speed (`accuracy_checks`), and steps get no looser there. `c/adaptive.c` is the same loop, order of operations
+a part of the speed (`solvers.step_doubling`), and steps get no looser there. `c/adaptive.c` is the same loop, order of operations
 included; of the packed row both know where the state, the multipliers and the index set are.
+
+What whole and half steps do not see: a path that turns back inside a step whose index set stays; both agree, and err alike.
+
+A row that is held, and does not depend on a held l directly, has in l_i the mean of a half step (with a theta, its value
+there), where nothing is carried (gamma = 1). On the line through both l_i leaves K before the step ends by a part o of
+their difference d: it should have let go. What has bent the path by b, |x_fine - 2 x_half + x| in units of what is
+allowed, has moved it o^2 b/2 too far, and so has l_i, too large by o d/2 in the mean for the part o of a half step.
 """
 
 from __future__ import annotations
@@ -47,25 +54,19 @@ from nsmodel.event_driven.fallback_steps import IMPACT, REACHED, STEP_BUDGET, er
 from nsmodel.event_driven.integrator import checked_atol
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import model_ticks
+from nsmodel.modeling.expressions import derivatives
 from nsmodel.modeling.signals.schedule import InputSchedule
 from nsmodel.modeling.time_grid import TimeGrid, check_times, format_value, input_schedule, is_number, make_grid
 from nsmodel.modeling.variants import with_initial_inputs
-from nsmodel.simulation.accuracy_checks import error_scale_groups, turning_point_warnings
 from nsmodel.simulation.fixed_grid import SchemePropagator
 from nsmodel.simulation.options import METHODS, Options
-from nsmodel.simulation.propagator import (
-    PERCENT_PROGRESS,
-    find_runaway_state,
-    is_numerical_error,
-    plan_with_inputs,
-    plan_with_known_times,
-    unsolvable_step_error,
-)
+from nsmodel.simulation.propagator import PERCENT_PROGRESS, find_runaway_state, plan_with_inputs, plan_with_known_times
 from nsmodel.simulation.step_inputs import SpanInputs
 from nsmodel.solvers import impacts
-from nsmodel.solvers.one_step_problem import state_before_short_step, state_constraints
+from nsmodel.solvers.one_step_problem import OneStepProblem, state_before_short_step, state_constraints
 from nsmodel.solvers.residuals import EPS, numeric_law
-from nsmodel.solvers.step import StepResult, WarmStart
+from nsmodel.solvers.step import UNSET_INDEX, RowRecord, StepResult, WarmStart, verified_step
+from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, controlled_step, error_scale_groups, extrapolation_error
 
 COARSEST_LEVEL, FINEST_LEVEL = 4, 40  # Steps are L/2^j with j between these.
 FIRST_LEVEL = 7  # j of the first step where none is given.
@@ -105,30 +106,15 @@ class StepState(NamedTuple):
 
 
 class StepDoublingTrial(NamedTuple):
-    """One step taken both ways; ``error`` of x_fine in units of what is allowed; ``smooth``: one index set from before it to its
-    end; ``order`` of the scheme in this step.
+    """One step taken ``both`` ways; ``error`` of x_fine in units of what is allowed; ``smooth``: one index set from before it to
+    its end; ``order`` of the scheme in this step.
     """
 
-    coarse: StepResult
-    half: StepResult
-    fine: StepResult
+    both: BothWays
     d: np.ndarray
     error: float
     smooth: bool
     order: int
-
-
-class AcceptedStep(NamedTuple):
-    """A step that is accepted: where it started, its two rows, how far the second was moved and what it errs by, in units of what
-    is allowed; where the next one starts.
-    """
-
-    start: StepState
-    trial: StepDoublingTrial
-    row: np.ndarray
-    correction: float
-    estimate: float
-    end: StepState
 
 
 class ErrorControlledPropagator(SchemePropagator):
@@ -145,17 +131,14 @@ class ErrorControlledPropagator(SchemePropagator):
         self._start, self._length = self._spans.pop()
         h = (model.step if options.step is None else options.step) or T / 2**FIRST_LEVEL
         make_grid(model, min(h, T), None, options.t_end)  # refuses a step far too small for the run
-        self.rtol, self.atol = _checked_rtol_atol(model, options.rtol, options.atol)
+        self.rtol, atol = _checked_rtol_atol(model, options.rtol, options.atol)
         self._limited = options.method == METHODS[0]
-        _check_no_fixed_steps(model)
-        self._finest = (
-            IMPACT if any(watch.impulsive for watch in impacts.impact_rows(with_initial_inputs(model))) else FINEST_LEVEL
-        )
+        check_no_fixed_steps(model, "rtol")
+        contacts = impacts.impact_rows(with_initial_inputs(model))
+        self._finest = IMPACT if any(watch.impulsive for watch in contacts) else FINEST_LEVEL
         j = self._level_of_step(h)
-        first, of_any_step = (
-            TimeGrid(1, h := self._step_size(j), h),
-            TimeGrid(1, h, h, np.array([h]), np.array([0.0, h]), any_step=True),
-        )
+        first = TimeGrid(1, h := self._step_size(j), h)
+        of_any_step = TimeGrid(1, h, h, np.array([h]), np.array([0.0, h]), any_step=True)
         constant = replace(options, compiled=options.compiled is True)
         super().__init__(model, constant, first, of_any_step, lambda: None)
         self._driven = None if drive is None else SpanInputs(drive, self.stepper.layout.inputs, self.starter, model_ticks(model))
@@ -171,15 +154,13 @@ class ErrorControlledPropagator(SchemePropagator):
         velocity = slices[self.problem.velocity] if self.problem.velocity else slice(0, 0)
         self._watched = np.r_[0:n, velocity]
         symbols = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in self.model.stems.values()]
-        self._cones = [watch for watch in impacts.impact_rows(with_initial_inputs(model)) if watch.cone]
-        self._groups = error_scale_groups(symbols, self._cones, options.tolerance, self.rtol)
-        self.atol = np.resize(self.atol, self._watched.size)
+        self._cones = [watch for watch in contacts if watch.cone]
+        scales = error_scale_groups(symbols, self._cones, options.tolerance, self.rtol)
+        self._norm = ErrorNorm(self.rtol, np.resize(atol, self._watched.size), scales)
         begin = self.record.rows[0, self._watched]
         unknown = np.full(begin.size, np.nan)
-        self._size, self.place = (
-            np.abs(begin),
-            StepState(0, j, self.state, self.warm, begin, unknown, None, unknown, self._finest),
-        )
+        self._size = np.abs(begin)
+        self.place = StepState(0, j, self.state, self.warm, begin, unknown, None, unknown, self._finest)
         self._c, self._corrections = _constraint_function(model), [0.0]
         self._law = numeric_law(self.problem.law)
         self._walls = self._wall_rows()
@@ -269,19 +250,14 @@ class ErrorControlledPropagator(SchemePropagator):
 
     def _take_step(self) -> None:
         """Take one step, at whatever length it is accepted."""
-        accepted = first = None
-        while accepted is None:
-            trial = self._try_step(self.place, first)
-            accepted = None if trial is None else self._accept_trial(self.place, trial)
-            if accepted is not None:
-                self._record_step(accepted)
-                self.place = accepted.end
-            else:
-                self.totals["rejected"] += 1
-                shorter = 1 if trial is not None else min(UNSOLVED_HALVINGS, self._finest - self.place.j)
-                after = state_before_short_step(self.model, self.place.state, 0.5**shorter)
-                self.place = self.place._replace(j=self.place.j + shorter, state=after)
-                first = None if trial is None else trial.half
+        self.place = controlled_step(self.place, self._try_step, self._accept_trial, self._shorten_step)
+
+    def _shorten_step(self, at: StepState, trial: StepDoublingTrial | None) -> tuple[StepState, StepResult | None]:
+        """The place with half the step, which is known then; with a much shorter one where there was no answer."""
+        self.totals["rejected"] += 1
+        halvings = 1 if trial is not None else min(UNSOLVED_HALVINGS, self._finest - at.j)
+        self.place = at._replace(j=at.j + halvings, state=state_before_short_step(self.model, at.state, 0.5**halvings))
+        return self.place, None if trial is None else trial.both.half
 
     def _advance_in_c(self) -> bool:
         """Take steps in C and record them, as many as there is time and room for; whether then one was not certified."""
@@ -332,7 +308,8 @@ class ErrorControlledPropagator(SchemePropagator):
             "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONTROL_CONSTANTS,
             "largest": self._coarsest_level, "least": self._finest,
             "order": self.problem.order.most, "t": place.t, "j": place.j,
-            "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
+            "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf,
+            "atol": self._norm.atol,
             "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
             "looser": self._tolerance_factor, "estimate": totals["estimate"], "no_jump": bool(self._cones),
         }  # fmt: skip
@@ -341,37 +318,32 @@ class ErrorControlledPropagator(SchemePropagator):
         control["l"][:m], control["index"][:m] = place.warm.l, place.warm.index
         control["lowering"][list(self.problem.order.lowered_by)] = 1
         control["wall"][:m] = self._walls
-        for number, group in enumerate(self._groups):
+        for number, group in enumerate(self._norm.scales):
             control["group"][group.at], control["part"][group.at], control["unit"][group.at] = number, group.part, group.unit
         return control
 
     def _try_step(self, at: StepState, coarse: StepResult | None) -> StepDoublingTrial | None:
         """The step from here both ways, None where a step has no answer; ``coarse``: where it is known already."""
-        h, t, middle = self._step_size(at.j), self._time(at.t), self._time(at.t + at.half)
+        h, t, middle, states = self._step_size(at.j), self._time(at.t), self._time(at.t + at.half), self.stepper.layout.state
         first = whole = at.state
         second: Callable[[np.ndarray], np.ndarray] = lambda state: state  # noqa: E731
         if self._driven is not None:
             first, whole, second = self._driven.halves(at.state, [t, middle, self._time(at.t + 2 * at.half)])
         try:
-            coarse = self._step(t, h, whole, at.warm) if coarse is None else coarse
-            half = self._step(t, h / 2, state_before_short_step(self.model, first, 0.5), at.warm)
-            fine = self._step(middle, h / 2, second(half.row[self.stepper.layout.state]), half.warm)
+            first = state_before_short_step(self.model, first, 0.5)
+            starts = whole, first, lambda half: second(half.row[states])
+            both = BothWays.take(self._step, (t, middle), h, starts, at.warm, coarse)
         except StepError as error:
             if at.j == self._finest or isinstance(error, UnrecoverableStepError):
                 raise
             return None
-        sets = [self._step_index_set(result) for result in (coarse, half, fine)]
+        sets = [self._step_index_set(result) for result in both]
         before = sets[0] if at.index_set is None else at.index_set
         smooth = all(np.array_equal(one, before) for one in sets)
-        order = self._step_order(at, fine) if smooth else 1
-        x_coarse, x_half, x_fine = (result.row[self._watched] for result in (coarse, half, fine))
-        d = (x_fine - x_coarse) / (2**order - 1)
-        off = np.abs(d)
-        if not smooth:  # not less than the bends within the step and at its start: none hides
-            moved = x_half - at.watched
-            bends = np.abs(x_fine - x_half - moved), np.abs(moved - self._step_size(at.j) / 2 * at.rate)
-            off = np.fmax(off, np.fmax(*bends))
-        return StepDoublingTrial(coarse, half, fine, d, self._error_ratio(off, x_fine), smooth, order)
+        order = self._step_order(at, both.fine) if smooth else 1
+        d = both.difference(self._watched, order)
+        off = np.abs(d) if smooth else np.fmax(np.abs(d), both.bend(self._watched, at.watched, h / 2 * at.rate))
+        return StepDoublingTrial(both, d, self._norm(off, both.fine.row[self._watched], self._size), smooth, order)
 
     def _step_order(self, at: StepState, fine: StepResult) -> int:
         """The order of a step on one index set; 1 for the first one where it uses a multiplier of the start."""
@@ -382,78 +354,66 @@ class ErrorControlledPropagator(SchemePropagator):
 
     def _step(self, t: float, h: float, state: np.ndarray, warm: WarmStart) -> StepResult:
         found = None if self.rollout is None else self.rollout.step(t, h, state, warm, self.stepper.layout)
-        if found is not None:
-            return found
-        try:
-            return self.stepper(t, h, state, warm, self.k)
-        except Exception as error:
-            if not is_numerical_error(error):
-                raise
-            raise unsolvable_step_error(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
+        return verified_step(self.stepper, t, h, state, warm, self.k) if found is None else found
 
     def _time(self, t: int) -> float:
         return self._start + math.ldexp(t, -self._finest - 1) * self._length
-
-    def _error_ratio(self, off: np.ndarray, x: np.ndarray) -> float:
-        """The largest of the errors at x in units of what is allowed."""
-        allowed = self._allowed_error(np.maximum(self._size, np.abs(x)))
-        units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
-        return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
-
-    def _allowed_error(self, size: np.ndarray) -> np.ndarray:
-        """The error allowed of each x_i, where ``size`` (..., n) holds the largest |x_i| so far."""
-        size = size.copy()
-        for group in self._groups:
-            size[..., group.at] = group.apply_floor(size[..., group.at])
-        return self.atol + self.rtol * size
 
     def _step_index_set(self, result: StepResult) -> np.ndarray:
         """The index set of a step; for catching-up also the sides of the selection, which no row of its law tells."""
         selection = self.stepper.layout.slices.get("selection", slice(0, 0))
         return np.concatenate([result.warm.index, np.sign(result.row[selection])])
 
-    def _accept_trial(self, at: StepState, trial: StepDoublingTrial) -> AcceptedStep | None:
-        """The step as it is kept; None where its error is too large."""
-        error, least, h, more = trial.error, at.j == self._finest, self._step_size(at.j), self._tolerance_factor
+    def _accept_trial(self, at: StepState, trial: StepDoublingTrial) -> StepState | None:
+        """Record the step, and where the next one starts; None where its error is too large."""
+        error, both, least, h, more = trial.error, trial.both, at.j == self._finest, self._step_size(at.j), self._tolerance_factor
         state = self._extrapolate(at, trial) if error <= more and trial.smooth else None
         allowed = more * (1.0 if state is not None else h / self.T if trial.smooth else SWITCH_ERROR_SHARE)
         if error > allowed:
             if not least:
                 return None
             self._check_no_jump(at, trial)
-        row, correction = trial.fine.row, 0.0
+        row, correction, estimate = both.fine.row, 0.0, 0.0 if least else error
         if state is not None:
             row, correction = self._row_with_state(at, trial, *state), error
-        j, t = at.j, at.t + 2 * at.half
+            if not least:
+                off = extrapolation_error(trial.d, at.d, 2.0 ** (at.of_j - at.j), trial.order)
+                estimate = self._norm(off, both.fine.row[self._watched], self._size)
+        j, t, watched = at.j, at.t + 2 * at.half, row[self._watched]
+        self._record_step(at, both, row, correction, estimate)
         growth, of_double = 2.0 ** (trial.order + trial.smooth), 2.0 if trial.smooth and state is None else 1.0
         if j > self._coarsest_level and error * growth <= STEP_DOUBLING_LIMIT * allowed * of_double and t % (4 * at.half) == 0:
             j -= 1
         after = state_before_short_step(self.model, row[self.stepper.layout.state], self._step_size(j) / (h / 2))
-        rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
-        d = trial.d if state is not None and at.index_set is not None else np.full(rate.size, np.nan)
-        end = StepState(
-            t, j, after, trial.fine.warm, row[self._watched], rate, self._step_index_set(trial.fine), d, self._finest, at.j
-        )
-        estimate = 0.0 if least else error if state is None else self._extrapolation_error(at, trial)
-        return AcceptedStep(at, trial, row, correction, estimate, end)
+        d = trial.d if state is not None and at.index_set is not None else np.full(watched.size, np.nan)
+        index_set, rate = self._step_index_set(both.fine), both.rate(self._watched, h)
+        return StepState(t, j, after, both.fine.warm, watched, rate, index_set, d, self._finest, at.j)
+
+    def _record_step(self, at: StepState, both: BothWays, row: np.ndarray, correction: float, estimate: float) -> None:
+        """Add its two rows; the second was moved by ``correction``, and errs by ``estimate``, in units of what is allowed."""
+        totals, h = self.totals, self._step_size(at.j) / 2
+        self._add_row(self._time(at.t) + h, h, both.half.row, both.half, 0.0)
+        self._add_row(self._time(at.t + 2 * at.half), h, row, both.fine, correction)
+        self._size = np.maximum(self._size, np.abs(row[self._watched]))
+        totals["accepted"] += 1
+        totals["extrapolated"] += int(correction > 0)
+        totals["at_least_step"] += int(at.j == self._finest)
+        totals["estimate"] += estimate
+        totals["least_step"] = min(totals["least_step"] or np.inf, h)
+        self._check_step_count()
 
     def _check_no_jump(self, at: StepState, trial: StepDoublingTrial) -> None:
         """Refuse what the least step moves by more than is allowed where a cone pushes that calls for impulses."""
         layout = self.stepper.layout
         l = layout.slices.get("multipliers", layout.slices["l"])
         for watch in self._cones:
-            if not all(watch.free(result.row[l][watch.column]) for result in (trial.coarse, trial.half, trial.fine)):
+            if not all(watch.free(result.row[l][watch.column]) for result in trial.both):
                 raise StepError(impacts.cone_impact_message(watch, self._time(at.t)))
-
-    def _extrapolation_error(self, at: StepState, trial: StepDoublingTrial) -> float:
-        """What x_fine + d errs by, in units of what is allowed: d falls like h^(p+1), the rest is of x_fine + d."""
-        expected = np.nan_to_num(at.d) * 2.0 ** ((at.of_j - at.j) * (trial.order + 1))
-        return self._error_ratio(np.abs(trial.d - expected), trial.fine.row[self._watched])
 
     def _extrapolate(self, at: StepState, trial: StepDoublingTrial) -> tuple[np.ndarray, np.ndarray | None] | None:
         """The combination, and its gaps; None where a velocity changes its sign, y is past a wall or a constraint is broken."""
         states = self.stepper.layout.state
-        fine, coarse = trial.fine.row[states], state_before_short_step(self.model, trial.coarse.row[states], 0.5)
+        fine, coarse = trial.both.fine.row[states], state_before_short_step(self.model, trial.both.coarse.row[states], 0.5)
         state, end = fine + (fine - coarse) / (2**trial.order - 1), at.t + 2 * at.half
         if self.problem.start is not None:
             state[self._watched.size :] = fine[self._watched.size :]
@@ -464,14 +424,14 @@ class ErrorControlledPropagator(SchemePropagator):
             if (np.sign(state[n : 2 * n]) != np.sign(fine[n : 2 * n])).any():
                 return None
         if self._c is None:
-            y, before = (result.row[self.stepper.layout.y] for result in (trial.fine, trial.coarse))
-            past = self._is_beyond_wall(trial.fine.warm.index, y + (y - before) / (2**trial.order - 1))
+            y, before = (result.row[self.stepper.layout.y] for result in (trial.both.fine, trial.both.coarse))
+            past = self._is_beyond_wall(trial.both.fine.warm.index, y + (y - before) / (2**trial.order - 1))
             return None if past else (state, None)
         if not self.problem.gap:
             return (state, None) if self._is_feasible(self._time(end), state) else None
         start = state if self._driven is None else self._driven.state_at_end(state)
         try:
-            closing = self._step(self._time(end - 1), self._step_size(self._finest + 1), start, trial.fine.warm).row
+            closing = self._step(self._time(end - 1), self._step_size(self._finest + 1), start, trial.both.fine.warm).row
         except StepError:
             return None
         return closing[states], closing[self.stepper.layout.slices[self.problem.gap]]
@@ -484,28 +444,14 @@ class ErrorControlledPropagator(SchemePropagator):
 
     def _row_with_state(self, at: StepState, trial: StepDoublingTrial, state: np.ndarray, gaps: np.ndarray | None) -> np.ndarray:
         """The second row with another state, and what follows from the state alone: gaps, velocities."""
-        layout, n, row = self.stepper.layout, len(self.model.names), trial.fine.row.copy()
+        layout, n, row = self.stepper.layout, len(self.model.names), trial.both.fine.row.copy()
         row[layout.state] = state
         if gaps is not None:
             row[layout.slices[self.problem.gap]] = gaps
         if self.problem.velocity:
-            row[layout.slices[self.problem.velocity]] = state[n : 2 * n] / (
-                self._step_size(at.j) / 2 if self.problem.difference else 1.0
-            )
+            unit = self._step_size(at.j) / 2 if self.problem.difference else 1.0
+            row[layout.slices[self.problem.velocity]] = state[n : 2 * n] / unit
         return row
-
-    def _record_step(self, accepted: AcceptedStep) -> None:
-        at, trial, totals = accepted.start, accepted.trial, self.totals
-        h = self._step_size(at.j) / 2
-        self._add_row(self._time(at.t) + h, h, trial.half.row, trial.half, 0.0)
-        self._add_row(self._time(accepted.end.t), h, accepted.row, trial.fine, accepted.correction)
-        self._size = np.maximum(self._size, np.abs(accepted.row[self._watched]))
-        totals["accepted"] += 1
-        totals["extrapolated"] += int(accepted.correction > 0)
-        totals["at_least_step"] += int(at.j == self._finest)
-        totals["estimate"] += accepted.estimate
-        totals["least_step"] = min(totals["least_step"] or np.inf, h)
-        self._check_step_count()
 
     @property
     def _tolerance_factor(self) -> float:
@@ -526,19 +472,15 @@ class ErrorControlledPropagator(SchemePropagator):
         """Add the row of a half step."""
         if self.record.full:
             self.record.grow()
-        layout, totals, index = self.stepper.layout, self.totals, result.warm.index
-        self.k += 1
+        layout, index, k = self.stepper.layout, result.warm.index, self.k + 1
         self.times.append(t)
-        self.record.add(self.k, t, h, h, row, index)
+        self.record.add(k, t, h, h, row, index)
         self._corrections.append(correction)
         self.counts[result.solver] += 1
-        if row[layout.residual] > totals["worst_residual"]:
-            totals["worst_residual"], totals["worst_residual_t"] = float(row[layout.residual]), t
-        if self.counts_iterations:
-            totals["newton"] += float(row[layout.newton])
-            totals["newton_max"] = max(totals["newton_max"], float(row[layout.newton]))
-        totals["index_set_changes"] += int(self.last_index is not None and not np.array_equal(index, self.last_index))
-        totals["steps"], self.last_index = self.k, index
+        worst, newton = float(row[layout.residual]), float(row[layout.newton]) if self.counts_iterations else 0.0
+        worst_t = t if worst > self.totals["worst_residual"] else None
+        changed = self.last_index is not None and not np.array_equal(index, self.last_index)
+        self._update_state(k, self.state, self.warm, index, worst, worst_t, newton, newton, changed)
 
     def _is_beyond_wall(self, index: np.ndarray, y: np.ndarray) -> bool:
         """Whether y is beyond 0 in a row that is let go, or outside a cone whose l is 0: an impulse alone would bring it back."""
@@ -573,10 +515,8 @@ class ErrorControlledPropagator(SchemePropagator):
 
     def metadata(self) -> dict[str, Any]:
         """As of every scheme, with what its steps err by, and what whole and half steps do not see."""
-        found, estimate = (
-            turning_point_warnings(self.problem, self.model, self.record, self._watched, self._allowed_error),
-            self.totals["estimate"],
-        )
+        found = turning_point_warnings(self.problem, self.model, self.record, self._watched, self._norm.allowed)
+        estimate = self.totals["estimate"]
         if self._limited and estimate > MISSED_TOLERANCE_FACTOR:
             found.append(f"the errors of the steps are estimated to add up to {estimate:.2g} times what rtol allows")
         self.warnings += [text for text in found if text not in self.warnings]
@@ -605,10 +545,63 @@ def _checked_rtol_atol(model: Model, rtol: Any, atol: Any) -> tuple[float, np.nd
     return float(rtol), checked_atol(atol, model.names or ())
 
 
-def _check_no_fixed_steps(model: Any) -> None:
-    """Refuse what is bound to steps that are known beforehand."""
+def check_no_fixed_steps(model: Any, option: str) -> None:
+    """Refuse what is bound to steps that are known beforehand, where an option takes others."""
     if model.tied_to_step:
-        raise UsageError("x1 is a position one constant step after x0; with rtol give the velocity v0 instead")
+        raise UsageError(f"x1 is a position one constant step after x0; with {option} give the velocity v0 instead")
     tolerances = getattr(model, "tolerances", None)
     if tolerances is not None and not callable(tolerances) and np.size(tolerances) > 1:
-        raise UsageError("tolerances is a value a step; with rtol give a function of the step, such as lambda mu: mu**3")
+        raise UsageError(f"tolerances is a value a step; with {option} give a function of the step, such as lambda mu: mu**3")
+
+
+def turning_point_warnings(
+    problem: OneStepProblem, model: Model, record: RowRecord, watched: np.ndarray, allowed: Callable[[np.ndarray], np.ndarray]
+) -> list[str]:
+    """A warning where the state of such a step is off by more than is allowed; ``allowed``: of each x_i, by its largest size."""
+    layout, filled, law = record.layout, record.filled, numeric_law(problem.law)
+    if problem.start is not None or not law.size or filled < 3:
+        return []
+    rows, index = record.rows[:filled], record.index[:filled, : law.size]
+    start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
+    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET_INDEX))
+    free = held.copy()
+    for i, j in zip(*problem.jacobians[3].sparsity().get_triplet(), strict=True):
+        free[:, i] &= ~held[:, j]
+    step = rows[fine, layout.l] - rows[half, layout.l]
+    theta = (model.weights or (0.5, 1.0))[0]
+    end = rows[fine, layout.l] + (1 - theta) * step
+    outside = np.maximum(law.lower - end, end - law.upper)
+    part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=free & (outside > 0))
+    at = np.flatnonzero(part.any(axis=1))
+    if not at.size:
+        return []
+    x = rows[:, watched]
+    most = allowed(np.abs(x).max(axis=0))
+    off = part[at].max(axis=1, keepdims=True) ** 2 / 2 * np.abs(x[fine] - 2 * x[half] + x[start])[at]
+    n, late = len(model.names), part[at] ** 2 / 2 * np.abs(step[at])
+    off[:, :n] = np.maximum(off[:, :n], _multiplier_displacement(problem, model, record, 2 * at + 1, late))
+    error = np.divide(off, most, out=np.zeros_like(off), where=most > 0).max(axis=1)
+    found = np.flatnonzero(error > 1)
+    if not found.size:
+        return []
+    return [
+        f"the path turned back inside {found.size} step{'s' if found.size > 1 else ''}, first before "
+        f"t = {record.t[2 * at[found[0]] + 2]:.6g}, unseen by whole and half steps: off by about {error.max():.2g} "
+        "times what rtol allows; compare with constant steps"
+    ]
+
+
+def _multiplier_displacement(
+    problem: OneStepProblem, model: Model, record: RowRecord, at: np.ndarray, l: np.ndarray
+) -> np.ndarray:
+    """How far multipliers l (k, m) >= 0 move the model's state (k, n) at the end of the step from each of k rows."""
+    p, layout, x = problem, record.layout, problem.next_state[: len(model.names)]
+    parts = [*p.jacobians[:2], derivatives(x, p.z), derivatives(x, p.l)]
+    of = ca.Function("push", [p.t, p.h, p.state, p.l], ca.substitute(parts, [p.z], [p.guess]))
+    moved, h = np.zeros((len(at), x.numel())), np.diff(record.t[: record.filled])
+    for row, k, own in zip(moved, at, l, strict=True):
+        E_z, E_l, x_z, x_l = of(record.t[k], h[k], record.rows[k, layout.state], record.rows[k + 1, layout.l])
+        some = np.flatnonzero(own).tolist()
+        push = x_l[:, some] - x_z @ ca.solve(E_z, E_l[:, some])
+        row[:] = np.abs(np.array(ca.densify(push))) @ own[some]
+    return moved

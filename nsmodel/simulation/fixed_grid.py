@@ -385,3 +385,7 @@ class FixedGridPropagator(GridProgress, SchemePropagator):
         super().restore(saved)
         if self.driven is not None:
             self.driven.seek(self.state, self.k)
+
+    def metadata(self) -> dict[str, Any]:
+        """As of every scheme, and whether its steps are known to have one answer."""
+        return super().metadata() | {"monotone": bool(self.plan.monotone) and not self._monotonicity_warnings()}

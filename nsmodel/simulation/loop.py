@@ -25,11 +25,12 @@ from nsmodel.files.metadata import CHECKPOINT_FIELDS, check_field_types, setting
 from nsmodel.modeling.fingerprint import BACKEND_SETTING, settings_difference
 from nsmodel.simulation import propagator as told
 from nsmodel.simulation.options import Options
-from nsmodel.simulation.propagator import CHUNK_SECONDS, Propagator, is_numerical_error, unsolvable_step_error
+from nsmodel.simulation.propagator import CHUNK_SECONDS, Propagator
 from nsmodel.simulation.run_data import Contents, deferred_run
 from nsmodel.simulation.run_folder import JOINED_FILE, ChunkStore, unfinished_manifest
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
+from nsmodel.solvers.step import is_numerical_error, unsolvable_step_error
 from nsmodel.version import VERSION
 
 
@@ -211,6 +212,7 @@ class RunLoop:
             )
         if saved.get("cut"):
             store.shorten(**saved["cut"])
+        store.drop("halving")
         self._resumed = True
 
     @contextlib.contextmanager

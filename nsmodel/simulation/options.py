@@ -101,6 +101,12 @@ def _checked_compiled(value: Any) -> Any:
     return value
 
 
+def _checked_halve(value: Any) -> Any:
+    if not isinstance(value, bool):
+        raise UsageError(f"halve = {value!r}; expected True or False")
+    return value
+
+
 def _one_of(name: str, choices: Sequence[str]) -> Callable[[Any], Any]:
     def check(value: Any) -> Any:
         if value not in choices:
@@ -262,6 +268,13 @@ class Options:
     times: Sequence[float] | None = option(
         None, "the rows of an event-driven run, increasing, from 0 to t_end; left out: the ends of its pieces."
     )
+    halve: bool = option(
+        False,
+        "run once more with each time step halved, and keep as ``run.halving`` (N+1, n) the states of that run less those "
+        "of this one: an estimate of their error, no bound; not with ``rtol``.",
+        check=_checked_halve,
+        flag=flag("--halve", {"run": "run once more with halved steps: an estimate of the error"}, action="store_true"),
+    )
     certify: str = option(
         "estimate",
         '"interval": prove of each piece of an event-driven run, by interval arithmetic, a bound of its defect and the signs of '
@@ -281,6 +294,11 @@ class Options:
             )
         if self.method == METHODS[1] and self.rtol is None:
             raise UsageError(f"method '{self.method}' needs rtol (--rtol), the error that is allowed")
+        if self.halve and (self.rtol is not None or self.atol is not None):
+            raise UsageError(
+                "halve (--halve) and rtol are both given: rtol controls the error already, halve estimates that of time steps; "
+                "leave one of them out"
+            )
         if self.times is not None and (self.rtol is None or self.method == METHODS[2]):
             raise UsageError("times are rows of an event-driven run: give rtol, and leave method out; else take step or steps")
         if self.certified and (self.rtol is None or self.method == METHODS[2]):
@@ -348,6 +366,7 @@ class PrepareKeywords(ExplainKeywords, total=False):
 class OptionKeywords(PrepareKeywords, total=False):
     """The options of `simulate`: all."""
 
+    halve: bool
     out: str | Path | None
     resume: bool
     progress: bool

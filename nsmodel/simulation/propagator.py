@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.errors import StepError, UsageError
+from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import versions
 from nsmodel.modeling.outputs import Quantity
@@ -187,16 +187,6 @@ def plan_with_inputs(plan: Plan, drive: InputSchedule | None) -> Plan:
 
 
 # -- failures ----------------------------------------------------------------------------------------------------------
-
-
-def is_numerical_error(error: Exception) -> bool:
-    """Whether an exception speaks of numbers, and not of a fault in the program: of CasADi, LAPACK, SuperLU, Python's own."""
-    return isinstance(error, ArithmeticError | np.linalg.LinAlgError) or type(error) is RuntimeError
-
-
-def unsolvable_step_error(span: str, error: Exception) -> StepError:
-    """The error of a step whose numbers a library refuses."""
-    return StepError(f"{span}: its numbers cannot be computed with ({type(error).__name__}: {error})")
 
 
 def find_runaway_state(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:

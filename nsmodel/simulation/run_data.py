@@ -250,7 +250,7 @@ CONTACT_AXES = {  # What metadata["axes"] names: of each axis the arrays that ha
 # What the arrays of a run must be: {name: (kinds of number, axes)}.
 _ARRAY_TYPES = {
     **dict.fromkeys(("t",), ("if", 1)),
-    **dict.fromkeys(("x",), ("if", 2)),
+    **dict.fromkeys(("x", "halving"), ("if", 2)),
     **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("if", 1)),
     **dict.fromkeys("multipliers y v gap reactions selection defect inputs inputs_begin pressure".split(), ("f", 2)),
     **dict.fromkeys("piece_start piece_unit piece_event_width contact_reaction".split(), ("f", 1)),
@@ -296,7 +296,7 @@ def check_run_arrays(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, An
         if not (ends and np.isfinite(values).all() and (np.diff(values) >= 0).all()):
             raise StorageError(f"{path}: array '{name}' is not of this run, or not in order: it is no trajectory")
     columns = {"x": max((i for stem in metadata.get("stems", {}).values() for i in stem), default=-1) + 1}
-    columns["inputs"] = len(metadata.get("input_names", ()))
+    columns["halving"], columns["inputs"] = arrays["x"].shape[1], len(metadata.get("input_names", ()))
     for name, members in metadata.get("input_groups", {}).items():
         if set(members) - set(metadata.get("input_names", ())):
             raise StorageError(f"{path}: input_groups['{name}'] is {members}; expected some of {metadata.get('input_names', [])}")

@@ -166,7 +166,20 @@ class ChunkStore:
         away = {"rows": rows, "listed": listed}
         arrays = {name: array[: len(array) - away[_length_key(name)]] for name, array in self.read().items()}
         metadata = {**self._manifest["metadata"], "status": "running", "message": ""}
-        checkpoint = {**self._manifest["checkpoint"], "cut": None}
+        self._replace_chunks(arrays, {**self._manifest["checkpoint"], "cut": None}, metadata)
+
+    def rewrite(self, arrays: Mapping[str, np.ndarray], metadata: Metadata) -> None:
+        """Write a whole run anew, with other columns."""
+        self._replace_chunks(arrays, self._manifest["checkpoint"], metadata)
+        self.join(metadata)
+
+    def drop(self, name: str) -> None:
+        """Take an array away that the rows to come do not have."""
+        if name in self._first_layout():
+            arrays = {own: array for own, array in self.read().items() if own != name}
+            self._replace_chunks(arrays, self._manifest["checkpoint"], self._manifest["metadata"])
+
+    def _replace_chunks(self, arrays: Mapping[str, np.ndarray], checkpoint: Metadata, metadata: Metadata) -> None:
         self._commit([self._write_chunk(1, arrays, _run_digest(checkpoint))], checkpoint, metadata)
 
     def discard(self) -> None:

@@ -19,10 +19,10 @@ from nsmodel.modeling.time_grid import TimeGrid, make_grid
 from nsmodel.modeling.variants import with_inputs, with_signals_of
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.simulation import run_folder
-from nsmodel.simulation.error_control import ErrorControlledPropagator
+from nsmodel.simulation.error_control import ErrorControlledPropagator, check_no_fixed_steps
 from nsmodel.simulation.event_driven import EventDrivenPropagator, event_driven_problem, plan_with_reason
 from nsmodel.simulation.fixed_grid import FixedGridPropagator
-from nsmodel.simulation.loop import RunLoop, check_not_unfinished
+from nsmodel.simulation.loop import RunInterrupted, RunLoop, check_not_unfinished
 from nsmodel.simulation.options import METHODS, ExplainKeywords, OptionKeywords, Options, takes_options
 from nsmodel.simulation.propagator import GRID_PROPAGATOR, ResumedBackend, plan_with_inputs, plan_with_known_times
 from nsmodel.simulation.run_folder import ChunkStore
@@ -48,7 +48,10 @@ def simulate(model: Model, **options: Unpack[OptionKeywords]) -> Trajectory:
     """
     requested = Options(**options)
     with contextlib.nullcontext() if requested.folder is None else run_folder.hold_folder(requested.folder):
-        return make_run(model, requested).go()
+        run = make_run(model, requested)
+        halved = _run_with_halved_steps(model, requested) if requested.halve else None
+        done = run.go()
+        return done if halved is None else _with_halving(done, halved, run.store)
 
 
 def prepared_loop(model: Model, **options: Any) -> RunLoop:
@@ -77,6 +80,44 @@ def explain(model: Model, **options: Unpack[ExplainKeywords]) -> str:
         return controlled.plan.text(controlled.problem)
     propagator = _fixed_grid_propagator(bound, requested, _make_run_grid(bound, requested), lambda: None, symbolic_model)
     return propagator.plan.text(propagator.problem)
+
+
+def _run_with_halved_steps(model: Model, options: Options) -> RunLoop:
+    """The run of these options with each step halved, in memory."""
+    symbolic_model, bound = _driven_and_bound(model, options)
+    grid = _make_run_grid(bound, options)
+    check_no_fixed_steps(bound, "halve")
+    for name, signal in bound.inputs.items():
+        if signal.count is not None:
+            raise UsageError(f"input '{name}': steps(...) has a row a step, and halve takes twice as many; give table(...)")
+    nested = not (options.resume or (grid.drive is not None and grid.drive.moving))
+    own = replace(options, out=None, resume=False, halve=False, save_every=2 * options.save_every if nested else 1)
+    return RunLoop(_fixed_grid_propagator(bound, own, grid.halved(), lambda: None, symbolic_model), own, None)
+
+
+def _with_halving(run: Trajectory, halved: RunLoop, store: ChunkStore | None) -> Trajectory:
+    """The run with the states of the other less its own, in its folder too; NaN from where the other stopped.
+
+    Between the rows of the other, where blocks place edges, its states are on straight lines.
+    """
+    warnings = list(run.metadata["warnings"])
+    try:
+        fine = halved.go()
+    except RunInterrupted as stop:
+        why = "the run is done; the one with halved steps was interrupted"
+        raise RunInterrupted(replace(run, metadata=run.metadata | {"message": why}), stop.signal) from None
+    except StepError as error:
+        if error.trajectory is None:
+            raise
+        fine = error.trajectory
+        warnings.append(f"halve: with halved steps the run stops, and the error is not estimated from there on: {error}")
+    x = fine.at(np.minimum(run.t, fine.t[-1])).x
+    if fine.status != "done":
+        x[run.t > fine.t[-1]] = np.nan
+    compared = Trajectory(run.arrays | {"halving": x - run.x}, run.metadata | {"warnings": warnings})
+    if store is not None:
+        store.rewrite(compared.arrays, compared.metadata)
+    return compared
 
 
 def make_run(model: Model, options: Options) -> RunLoop:

@@ -22,19 +22,12 @@ from nsmodel.modeling.time_grid import SAME_STEP_TOLERANCE, TimeGrid, format_val
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.simulation.fixed_grid import make_stepper
 from nsmodel.simulation.options import Options, StepperKeywords, takes_options
-from nsmodel.simulation.propagator import (
-    GRID_PROPAGATOR,
-    Row,
-    is_numerical_error,
-    model_metadata,
-    scheme_metadata,
-    unsolvable_step_error,
-)
+from nsmodel.simulation.propagator import GRID_PROPAGATOR, Row, model_metadata, scheme_metadata
 from nsmodel.simulation.step_inputs import FreeInput, StateInitialiser, StepInputs, finite_numbers
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.initial_checks import check_start
 from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem
-from nsmodel.solvers.step import RowLayout, RowRecord, StepResult, WarmStart
+from nsmodel.solvers.step import RowLayout, RowRecord, StepResult, WarmStart, verified_step
 from nsmodel.solvers.time_stepper import ReactionInitialiser, completed_start_state
 
 if TYPE_CHECKING:
@@ -292,12 +285,7 @@ class ModelStepper:
                 state = self._starter(t, h, state)
         found = self._in_c.step(k, t, h, state, self._warm, layout)
         if found is None:
-            try:
-                found = self._step(t, h, state, self._warm, k)
-            except Exception as error:
-                if not is_numerical_error(error):
-                    raise
-                raise unsolvable_step_error(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
+            found = verified_step(self._step, t, h, state, self._warm, k)
         if h != self._last:
             self._base, self._since, self._last = t, 0, h
         self._since, self.k = self._since + 1, k + 1

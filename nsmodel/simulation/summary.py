@@ -22,6 +22,8 @@ STANDSTILL_REASONS = {  # How a run of many bodies knows that nothing will ever 
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
 }
+NO_ERROR_KNOWN = "the error of these steps is not known; halve=True (--halve) estimates it, rtol (--rtol) controls it"
+HALVING_HEAD = "an estimate of the error, no bound: with steps of half the length the states differ by at most"
 ERROR_CONTROL_KEYS = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step", "estimate")
 EVENT_DRIVEN_KEYS = ("rtol", "order", "pieces", "collocated", "events", "worst_estimate", "worst_estimate_t")
 
@@ -49,6 +51,8 @@ def run_summary(run: RunData) -> dict[str, Any]:
         "event_driven": {key: totals[key] for key in EVENT_DRIVEN_KEYS} if totals.keys() >= {*EVENT_DRIVEN_KEYS} else None,
         "stretches": list(totals.get("stretches", [])),
         "certificate": about.get("certificate"),
+        "monotone": about.get("monotone"),
+        "halving": _largest_halving(run, units),
         "residual": _worst_residual(run, totals, computed),
         "index_set_changes": _index_set_changes(run, totals, computed),
         "solver_counts": dict(about.get("solver_counts") or {}),
@@ -67,6 +71,20 @@ def run_summary(run: RunData) -> dict[str, Any]:
         ],
         "warnings": list(about.get("warnings") or []),
     }
+
+
+def _largest_halving(run: RunData, units: dict[str, str]) -> list[dict[str, Any]] | None:
+    """Of each state, the largest first: how far the run with halved steps is from this one at most, and when."""
+    if "halving" not in run.arrays:
+        return None
+    off = np.nan_to_num(np.abs(run.arrays["halving"]), nan=-1.0)
+    rows, names = off.argmax(axis=0), state_names(run)
+    found = [
+        {"name": name, "largest": float(off[row, i]), "t": float(run.t[row]), "unit": units.get(name, "")}
+        for i, (name, row) in enumerate(zip(names, rows, strict=True))
+        if off[row, i] >= 0
+    ]
+    return sorted(found, key=lambda one: -one["largest"])
 
 
 def _worst_residual(run: RunData, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
@@ -162,6 +180,8 @@ def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
         "step size": s["step"] and _step_range_text(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _error_control_text(**s["error_control"]),
         "event-driven": s["event_driven"] and _event_driven_text(**s["event_driven"], unit=unit),
+        "accuracy": NO_ERROR_KNOWN if s.get("monotone") is False and s.get("halving") is None else None,
+        "halved steps": s.get("halving") and _halving_lines(s["halving"], unit),
         "time steps": _fallback_text(s.get("stretches", []), unit),
         "certificate": s["certificate"] and _proof_lines(s["certificate"], unit),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_format_time(s['residual']['t'], unit)}",
@@ -272,6 +292,14 @@ def _event_driven_text(
         f"{worst_estimate:.2g} of rtol"
         f"{_format_time(worst_estimate_t, unit)}"
     )
+
+
+def _halving_lines(found: list[dict[str, Any]], unit: str) -> list[str]:
+    """The states that differ most between this run and the one with halved steps."""
+    first = found if len(found) <= _MAX_STATES else found[: _MAX_STATES - 1]
+    texts = [(one["name"], f"{one['largest']:.3g} {one['unit']}".rstrip() + _format_time(one["t"], unit)) for one in first]
+    rest = [f"... {len(found) - len(first)} more, no larger"] if len(first) < len(found) else []
+    return [HALVING_HEAD, *_align_pairs(texts), *rest]
 
 
 def _fallback_text(intervals: list[dict[str, Any]], unit: str) -> str | None:

@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import short_repr
+from nsmodel.errors import StepError
 from nsmodel.modeling.base import Model
 from nsmodel.solvers.one_step_problem import OneStepProblem, derived_columns
 
@@ -113,6 +114,26 @@ class PackedStep(Step[np.ndarray, WarmStart, StepResult], Protocol):
     def cold_start(self) -> WarmStart:
         """Return the warm start of a first step."""
         ...
+
+
+def is_numerical_error(error: Exception) -> bool:
+    """Whether an exception speaks of numbers, and not of a fault in the program: of CasADi, LAPACK, SuperLU, Python's own."""
+    return isinstance(error, ArithmeticError | np.linalg.LinAlgError) or type(error) is RuntimeError
+
+
+def unsolvable_step_error(span: str, error: Exception) -> StepError:
+    """The error of a step whose numbers a library refuses."""
+    return StepError(f"{span}: its numbers cannot be computed with ({type(error).__name__}: {error})")
+
+
+def verified_step(step: PackedStep, t: float, h: float, state: np.ndarray, warm: WarmStart, k: int = 0) -> StepResult:
+    """Take a step; what a library says of its numbers is a StepError too."""
+    try:
+        return step(t, h, state, warm, k)
+    except Exception as error:
+        if not is_numerical_error(error):
+            raise
+        raise unsolvable_step_error(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
 
 
 ROWS_PER_BLOCK = 4096  # Rows that are taken apart at a time.

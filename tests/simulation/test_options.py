@@ -34,7 +34,7 @@ KEYWORDS = {
     nsmodel.sweep: SweepKeywords,
 }
 OF_COMMANDS = {  # Flags that stay, whatever is added.
-    "run": "step t-end set input solver tolerance save-every out resume compiled rtol atol method certify",
+    "run": "step t-end set input solver tolerance save-every out resume compiled rtol atol method halve certify",
     "sweep": "t-end set input solver tolerance compiled rtol atol method",
     "study": "t-end set input",
     "stress": "step set input",

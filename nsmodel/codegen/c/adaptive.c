@@ -1,5 +1,5 @@
 
-/* Steps chosen by local error control: the rules, the names and the order of operations are those of nsmodel/run/controlled.py. */
+/* Steps chosen by local error control: the rules, the names and the order of operations are those of nsmodel/simulation/error_control.py. */
 #if VELOCITY
 #define WATCHED (2*MODEL_NX)
 #else

@@ -43,6 +43,7 @@ PANEL_ARRAYS = {
     "energy",
     "residual",
     "pressure",
+    "halving",
 }
 
 
@@ -116,6 +117,9 @@ def further_panels(run: Trajectory) -> list[TimePanel]:
         found.append(
             TimePanel("Residual", ["residual"], [run.residual], "", look="log", level=level, note=_off_scale_note(run.residual))
         )
+    if "halving" in run.arrays:
+        states, off = state_names(run), list(run.arrays["halving"].T)
+        found += _panels_by_unit("Difference from halved steps", "line", states, units_of(run), off, largest=True)
     taken, units = PANEL_ARRAYS | {*run.metadata.get("outputs", ())}, units_of(run)
     for name, array in run.arrays.items():
         if name not in taken and not name.startswith(LIST_PREFIXES) and array.ndim <= 2 and array.dtype.kind in "biuf":
