@@ -309,7 +309,9 @@ def _simulate_cell(
     """A run: its status, when it failed, why, and what there is of it."""
     options = _run_options(request, group)
     if request.is_event_driven:
-        rows = request.keep or any(isinstance(one, Reduction) for one in request.outputs.values())
+        rows = options.get("method") != METHODS[2] and (
+            request.keep or any(isinstance(one, Reduction) for one in request.outputs.values())
+        )
         options["times"] = group.rows.times if rows else None
     elif group.rows.every and all(isinstance(one, Reduction) and one.needed_rows for one in request.outputs.values()):
         options["save_every"] = group.rows.every

@@ -522,3 +522,15 @@ def test_a_function_that_fails_refuses_its_cells():
     assert found.messages == {1: "make() raised KeyError: 'none'"}
     with pytest.raises(UsageError, match="out is empty"):
         sweep(make, grid={"n": [1, 3]}, outputs={"end": "x_1[-1]"}, out="")
+
+
+def test_rows_of_runs_by_steps_under_error_control():
+    """These have no rows at given times: the rows that are kept are read off the runs."""
+    options = {"rtol": 1e-5, "method": "time-stepping", "t_end": 1.0}
+    found = sweep(friction(), grid={K: [0.5, 2.0]}, keep=["x"], outputs={"end": "x[-1]"}, **options)
+    for i, k in enumerate((0.5, 2.0)):
+        run = simulate(friction(), parameters={"k": k}, **options)
+        np.testing.assert_array_equal(found.end.values[i].ravel(), run.x[-1])
+        times = np.linspace(0, 1, found.x.values.shape[1])
+        exact = simulate(friction(), parameters={"k": k}, rtol=1e-10, t_end=1.0).at(times).x
+        assert np.abs(found.x.values[i].reshape(exact.shape) - exact).max() < 1e-3
