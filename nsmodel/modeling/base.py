@@ -78,8 +78,9 @@ LEFT_OUT: Any = None  # A field that may be left out, and has its type once the 
 
 @dataclass(frozen=True, eq=False)
 class _GivenFields:
-    """What a model was given, and what became of it, by the names of its fields."""
+    """What a model of a class was given, and what became of it, by the names of its fields."""
 
+    of: type
     given: Mapping[str, Any]
     declared: Mapping[str, Any]
 
@@ -179,7 +180,8 @@ class Model(Picklable):
     def __post_init__(self) -> None:
         """Check and convert what was given, anew where `dataclasses.replace` hands on what was converted."""
         names = [field.name for field in dataclasses.fields(self) if field.init]
-        if (known := _declarations.get(id(self.t))) is not None:
+        known = _declarations.get(id(self.t))
+        if known is not None and self._replaces(known):
             converted = [name for name in names if name in known.declared and getattr(self, name) is known.declared[name]]
             self._set(
                 **{name: known.given[name] for name in converted if not isinstance(getattr(self, name), int | float | str | None)}
@@ -189,8 +191,16 @@ class Model(Picklable):
         self._declare()
         self._set(outputs=MappingProxyType(declare_outputs(self.outputs, self)))
         self._check_units()
-        self._set(_declaration=_GivenFields(given, {name: getattr(self, name) for name in names}))
+        self._set(_declaration=_GivenFields(type(self), given, {name: getattr(self, name) for name in names}))
         _declarations[id(self.t)] = self._declaration
+
+    def _replaces(self, known: _GivenFields) -> bool:
+        """Whether `dataclasses.replace` makes this model: each argument is handed on or given anew, none is left out."""
+        return type(self) is known.of and all(
+            getattr(self, one.name) is known.declared[one.name] or getattr(self, one.name) is not one.default
+            for one in dataclasses.fields(self)
+            if one.init
+        )
 
     def __copy__(self) -> Self:
         """Copy the model, not its parts."""

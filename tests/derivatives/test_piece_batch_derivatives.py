@@ -214,7 +214,7 @@ def test_bad_input():
     given: dict[str, Any] = {"grid": {"p": [1.0, 1.2]}, "times": [2.0], "rtol": 1e-8}
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"keep": ["x by w"]}, "by: 'w' is no parameter, start or number"),
-        ({"keep": ["z by p"]}, "'z' is no column"),
+        ({"keep": ["z by p"]}, "keep: 'z' is not there; there are t, x"),
         ({"keep": ["x by p"], "rtol": None, "times": None}, "'x by p' is a derivative, which event-driven runs have: give rtol"),
         ({"keep": ["x by p"], "method": "time-stepping", "times": None}, "'x by p' is a derivative"),
     ]
