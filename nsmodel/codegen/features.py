@@ -120,6 +120,7 @@ def _implied_flags(spec: StepSpec, given: dict[str, bool]) -> dict[str, bool]:
     has["NEARBY"] = (
         stepped and has["LAW"] and not (few and structure.affine) and constant_steps.index_set_count(law, MAX_INDEX_SETS) > 0
     )
+    has["SIDES"] = has["NEARBY"] and spec.problem.has_infinite_slopes
     has["INDEX_SETS"] = has["NEARBY"] or (has["BOX_PROBLEM"] and has["ENUMERATION"])
     has["INVERTED"] = has["FIXED_MAPS"] or has["LENGTHS"]
     has["INVERSE"] = has["INVERTED"] or has["PIVOTING"]

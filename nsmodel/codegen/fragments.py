@@ -118,7 +118,7 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
         "SEMISMOOTH_ITERATIONS GAUSS_SEIDEL_SWEEPS SWEPT CONVERGED ACCEPTED ARMIJO MIN_DAMPED_STEP:LEAST_STEP REGULARISATIONS",
     ),
     ("solvers.constant_matrices", "ILL_CONDITIONED"),
-    ("solvers.linearisation", "NEWTON_ITERATIONS REFINEMENTS HALVINGS EARLY"),
+    ("solvers.linearisation", "NEWTON_ITERATIONS REFINEMENTS HALVINGS EARLY NEAREST"),
     ("solvers.linearisation", "ENOUGH"),
     ("solvers.newton", "GAIN EXTRA_ROW_OPERATIONS:BESIDE"),
     ("solvers.time_stepper", "NEARBY_SETS"),

@@ -637,10 +637,10 @@ class Integrator:
         return f"of {names} " if names else ""
 
     def _no_mode_error(self, when: str) -> StepError:
-        why = f"t = {self.place.t:.10g}: no mode {self._open_switches_text}is valid {when}: no smooth piece goes on from here"
-        if not self.system.m and not self.system.branches:
-            why = f"t = {self.place.t:.10g}: f has no number, or no Taylor series, {when}: no smooth piece goes on from here"
-        return self.final_error or StepError(why)
+        place, system = self.place, self.system
+        rate = self.bound.equations(place.t, place.x, system.middle)[0]
+        why = system.why_no_mode(place.t, place.x, rate, self._open_switches_text, when)
+        return self.final_error or StepError(f"t = {self.place.t:.10g}: {why}")
 
     @property
     def final_error(self) -> UnrecoverableStepError | None:

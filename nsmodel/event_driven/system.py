@@ -91,6 +91,7 @@ HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 SOLVED = ROUNDING / TIE  # Of what l of a held row is the sum of: what stands for the rounding of its solve, where TIE of it is.
 LITTLE = 1e-6  # Of the largest multiplier, or y, of rows that are tied: a smaller one is measured beside that.
 RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
+AT_ONCE = 2.0**-40  # Of the time: what comes to 0 so soon is at 0.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
 
@@ -180,6 +181,31 @@ class ModeSystem(ModeSeries):
         """Whether each y (m,) depends on l directly."""
         rows = set(ca.jacobian_sparsity(self.problem.h, self.problem.l).row()) if self.m else set()
         return np.array([i in rows for i in range(self.m)], bool)
+
+    def why_no_mode(self, t: float, x: list[float], rate: Sequence[float], of: str, when: str) -> str:
+        """Why no mode ``of`` the open switches goes on; ``when``: at the start, after a switch; ``rate``: x' for some l."""
+        if parts := self._parts_with_root_at_zero(t, x, rate):
+            at = f"a root, or another power without a Taylor series at 0, is at 0 in {' and '.join(parts)}"
+            return f"{at}; time steps go over that: method='auto' or 'time-stepping' (--method auto)"
+        if not self.m and not self.branches:
+            return f"f has no number, or no Taylor series, {when}: no smooth piece goes on from here"
+        return f"no mode {of}is valid {when}: no smooth piece goes on from here"
+
+    def _parts_with_root_at_zero(self, t: float, x: list[float], rate: Sequence[float]) -> list[str]:
+        """Of f, g and h those with a root, or a power, whose base comes to 0 within rounding of the time."""
+        own = {name: [line.of[0] for line in jet.lines if line.kind in ("root", "power")] for name, jet in self.jets.items()}
+        if not any(own.values()):
+            return []
+        soon = AT_ONCE * max(abs(t), self.t[1])
+
+        def bases(t: float, x: list[float]) -> dict[str, np.ndarray]:
+            self.outputs(t, x)
+            for part in self.parts.values():
+                part.compute(0)
+            return {name: np.array([self.parts[name].rows[base][0] for base in rows]) for name, rows in own.items()}
+
+        next_, now = bases(t + soon, [a + soon * b for a, b in zip(x, rate, strict=True)]), bases(t, x)
+        return [name for name, base in now.items() if (np.abs(base) <= np.abs(next_[name] - base)).any()]
 
     def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(B, D, C) at order 0."""

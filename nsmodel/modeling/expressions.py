@@ -18,6 +18,7 @@ from nsmodel.proof.expression_graph import (
     apply_operation,
     fold_graph,
     operation_codes,
+    rewrite_nodes,
     stack_column,
     stored_entries,
     symbol_hashes,
@@ -38,6 +39,41 @@ def derivatives(expr: ca.SX, symbols: ca.SX) -> ca.SX:
         if simple.nz[k].is_constant():
             J.nz[k] = simple.nz[k]
     return J
+
+
+def without_infinite_slopes(J: ca.SX, symbols: ca.SX) -> ca.SX:
+    """Derivatives in which a root or a power of ``symbols`` that has no finite slope where its base is 0 adds nothing there.
+
+    sqrt|s| has the slope sgn(s)/(2 sqrt|s|), and 0 at s = 0: the mean of those on both sides.
+    """
+    entries, left_out = stack_column(stored_entries(J)), []
+
+    def rule(op: int, new: list[ca.SX], _: ca.SX) -> ca.SX | None:
+        regular = _where_slope_is_finite(op, new)
+        if regular is None:
+            return None
+        left_out.append(regular)
+        return ca.SX.binary(ca.OP_IF_ELSE_ZERO, regular, apply_operation(op, new))
+
+    if not ca.depends_on(entries, symbols) or ca.OP_CALL in operation_codes(entries):
+        return J
+    found = rewrite_nodes(entries, rule, SINGULAR_OPERATIONS, symbols, "the model")
+    return ca.SX(J.sparsity(), found) if left_out else J
+
+
+SINGULAR_OPERATIONS = (ca.OP_DIV, ca.OP_INV, ca.OP_POW, ca.OP_CONSTPOW)
+
+
+def _where_slope_is_finite(op: int, args: list[ca.SX]) -> ca.SX | None:
+    """What is 0 where a quotient by a root, or a power, is infinite; None where it is another operation, or never so."""
+    last = args[-1]
+    if op in (ca.OP_POW, ca.OP_CONSTPOW):
+        if last.is_constant():
+            return args[0] != 0 if float(last) < 0 else None
+        return ca.logic_or(args[0] != 0, last >= 0)
+    while not last.is_leaf() and last.op() == ca.OP_TWICE:
+        last = last.dep(0)
+    return last != 0 if not last.is_leaf() and last.op() == ca.OP_SQRT else None
 
 
 def is_constant(expr: ca.SX, z: ca.SX) -> bool:

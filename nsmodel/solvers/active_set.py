@@ -43,6 +43,8 @@ def solve_on_index_set(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.
 
 def solve_or_least_squares(A: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Solve A x = rhs with one refinement; the least-squares solution of least norm where A is singular in any units."""
+    if not A.any():
+        return np.zeros(rhs.shape)
     x = _solve_refined(A, rhs)
     if x is not None:
         return x
@@ -112,15 +114,17 @@ def primal_dual_active_set(
         if l is None or key in seen:
             return None
         seen.add(key)
-        y = W @ l + b
-        y[index == 0] = 0.0
-        l_in = np.clip(l, law.lower, law.upper)
-        tiny = INSIDE * EPS * np.abs(l)
-        noise = SUM_ERROR * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))
-        consistent = np.where(index == 0, np.abs(l - l_in) <= tiny, index * y <= noise)
-        if consistent.all():
+        y, size = W @ l + b, np.abs(W) @ np.abs(l) + np.abs(b)
+        outside = np.where(
+            np.abs(l - np.clip(l, law.lower, law.upper)) <= INSIDE * EPS * np.abs(l), 0, np.where(l < law.lower, -1, 1)
+        )
+        open_ = np.where(np.abs(y) <= POLISHED * size, 0, -np.sign(y))  # no l of the rows coded 0 holds it
+        open_ = np.where(np.isfinite(np.where(open_ < 0, law.lower, law.upper)), open_, 0)
+        held = np.where(outside == 0, open_, outside)
+        called_for = np.where(index == 0, held, np.where(index * y <= SUM_ERROR * EPS * size, index, 0)).astype(np.int8)
+        if (called_for == index).all():
             return l, index
-        index = np.where(consistent, index, np.where(index == 0, np.where(l < law.lower, -1, 1), 0)).astype(np.int8)
+        index = called_for
     return None
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
 from nsmodel.errors import EmptyLawError
 from nsmodel.modeling.laws import CoulombSet
 from nsmodel.modeling.laws.base import find_invalid_row
+from nsmodel.proof.expression_graph import OpaqueExpression
+from nsmodel.proof.jumps import find_jump
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.active_set import enumerate_index_sets
 from nsmodel.solvers.one_step_problem import OneStepProblem
@@ -24,9 +25,7 @@ from nsmodel.solvers.structure import StepStructure, is_eigenvalue_nonnegative, 
 JUMP_ADVICE = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
 MIN_OPPOSING_ANGLE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
 DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
-JUMP_OPERATIONS = frozenset({  # Operations with derivative 0 whose value changes.
-    ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO,
-})  # fmt: skip
+NEIGHBOURHOOD = 10  # Times the state: where jumps are looked for.
 MAX_NAMES = 12  # Contacts that a message names.
 MODERATE = 1e-4  # Of the largest: parts of W and friction beside which linear programmes tell what is infeasible.
 MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one.
@@ -54,9 +53,10 @@ def find_empty_law(problem: OneStepProblem, t: float, h: float, state: np.ndarra
 
 def explain_step_failure(
     problem: OneStepProblem, structure: StepStructure, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None,
-    state: np.ndarray, finite: bool, least: float,
+    at: tuple[float, float, np.ndarray], finite: bool, least: float,
 ) -> str:  # fmt: skip
-    """Return the most specific reason that can be proved, else what is known."""
+    """Return the most specific reason that can be proved, else what is known; ``at``: t, h and the state of the step."""
+    state = at[2]
     if not np.isfinite(state).all():
         return "the state is not finite"
     if not finite:
@@ -78,7 +78,7 @@ def explain_step_failure(
         or (_describe_nearly_opposite(problem, W) if structure.projection else "")
         or (_describe_exhausted_index_sets(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
         or _describe_failing_modes(problem, structure, law, W, b)
-        or _describe_unproved_failure(problem, structure, law, plan, W) + _describe_closing_contacts(problem, law, b)
+        or _describe_unproved_failure(problem, structure, law, plan, W, at) + _describe_closing_contacts(problem, law, b)
     )
 
 
@@ -117,14 +117,15 @@ def _describe_exhausted_index_sets(structure: StepStructure, law: NumericLaw, le
 
 
 def _describe_unproved_failure(
-    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, plan: Plan, W: np.ndarray
-) -> str:
+    problem: OneStepProblem, structure: StepStructure, law: NumericLaw, plan: Plan, W: np.ndarray,
+    at: tuple[float, float, np.ndarray],
+) -> str:  # fmt: skip
     """What is known where nothing is proved."""
     if not plan.use_last and plan.chain:
         return "the forced solver did not find it"
     if not (structure.affine and law.size):
-        return "Newton's method did not converge" + (f"; {JUMP_ADVICE}" if _has_jumps(problem) else "")
-    if _has_jumps(problem):
+        return "Newton's method did not converge" + (f"; {JUMP_ADVICE}" if _jumps(problem, *at) else "")
+    if _jumps(problem, *at):
         return f"no solver reached the tolerance; {JUMP_ADVICE}"
     part, dependent = dependent_rows(W)
     if part < DEPENDENCE_LIMIT and len(dependent) > 1:
@@ -199,13 +200,16 @@ def _has_answer_in_modes(W: np.ndarray, b: np.ndarray, mu: Sequence[float], mode
     return bool(linprog(zero, A_ub=-G, b_ub=-d, A_eq=A, b_eq=c, bounds=(None, None)).status != INFEASIBLE)
 
 
-@cached_per_object
-def _has_jumps(problem: OneStepProblem) -> bool:
-    """Whether equations jump where the unknowns do."""
-    unknown, equations = ca.vertcat(problem.z, problem.l), ca.vertcat(problem.E, problem.Y)
-    known = ca.vertcat(*(symbol for symbol in ca.symvar(equations) if not ca.depends_on(unknown, symbol)))
-    f = ca.Function("equations", [unknown], [ca.substitute(equations, known, 0.5)])
-    return any(f.instruction_id(k) in JUMP_OPERATIONS for k in range(f.n_instructions()))
+def _jumps(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> bool:
+    """Whether the equations of a step jump somewhere: two points next to each other were found with different values."""
+    unknown = ca.vertcat(problem.z, problem.l)
+    known, values = [problem.t, problem.h, problem.state], [t, h, ca.DM(state)]
+    equations = ca.substitute([ca.vertcat(problem.E, problem.Y)], known, list(map(ca.SX, values)))[0]
+    reach = np.full(unknown.numel(), NEIGHBOURHOOD * max(1.0, np.abs(state).max(initial=0.0)))
+    try:
+        return find_jump(equations, unknown, -reach, reach, lambda points: np.ones(len(points), bool)) is not None
+    except OpaqueExpression:
+        return False
 
 
 def _weighted_row_names(problem: OneStepProblem, rows: Sequence[tuple[int, float]]) -> list[str]:

@@ -263,6 +263,7 @@ REFINEMENTS = 5  # Of an affine step on an index set.
 LAST_NEWTON_STEP_SHARE = 1e-6  # Part of the unknowns: the size of a last step of Newton's method.
 HALVINGS = 20  # Of a step of Newton's method, at most.
 MIN_STEP_FRACTION = 2.0**-HALVINGS  # Its least part.
+NEAREST = 1e-3  # Part of its way to 0 that y keeps in a step where slopes are infinite there.
 EARLY = 3  # Iterations up to which Newton's method on an index set goes on where a step brings nothing.
 NEWTON_ITERATIONS = 30  # Linearisations in a step.
 
@@ -391,6 +392,8 @@ class IndexSetNewton(LinearisedStep):
             return None
         n, self._offsets = z.size, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
+        if (mirrored := self._mirrored(at, index)) is not None:
+            at = self.linearise(t, h, state, mirrored, l)
         J, free = self._index_set_system(at, index)
         size, best, exact = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None, False
         for iteration in range(1, (REFINEMENTS if self.structure.affine else NEWTON_ITERATIONS) + 1):
@@ -400,8 +403,10 @@ class IndexSetNewton(LinearisedStep):
             if exact:  # z is so by these rows, as near as doubles come: the others are solved for it
                 at.Y[[row for row, *_ in self.structure.unit_rows if index[row] == 0]] = 0.0
             step = columns * active_set.solve_or_least_squares(scaled, -rows * np.concatenate([at.E, at.Y[free]]))
-            t_step, old, found, z_new, l_new, at_new = 1.0, size, None, z, l, at
             z = at.z
+            t_step, old, found, z_new, l_new, at_new = self._step_within_sides(at, index, step), size, None, z, l, at
+            if not t_step:
+                break
             extent = np.abs(np.concatenate([z, l[free]])) / columns
             near = self.structure.affine or np.abs(step / columns).max(initial=0.0) <= LAST_NEWTON_STEP_SHARE * extent.max(
                 initial=0.0
@@ -414,7 +419,7 @@ class IndexSetNewton(LinearisedStep):
                     self._make_exact(at, z_new, index)
                 at_new = self.linearise(t, h, state, z_new, l_new)
                 size = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
-                if size <= (1 - ARMIJO * t_step) * old or t_step in (1.0, MIN_STEP_FRACTION) or self.structure.affine:
+                if size <= (1 - ARMIJO * t_step) * old or t_step == 1 or t_step <= MIN_STEP_FRACTION or self.structure.affine:
                     found = self.evaluate_residual(known, at_new, l_new, index, "newton on the index set", iteration, near)
                     if t_step == 1.0 and found.residual > self.tolerance and not size <= (1 - ARMIJO) * old:
                         found = found if self.structure.affine or old == 0 else None
@@ -425,3 +430,24 @@ class IndexSetNewton(LinearisedStep):
                 break
             J = self._index_set_system(at, index)[0]
         return best
+
+    def _mirrored(self, at: Linearisation, index: np.ndarray) -> np.ndarray | None:
+        """A start with y on the side that the index set says, where slopes are infinite; None where y is there."""
+        wrong = index * at.Y > 0
+        if not self.problem.has_infinite_slopes or not wrong.any() or not np.isfinite(at.Y_z).all():
+            return None
+        sizes = (at.Y_z**2).sum(axis=1)
+        moved = wrong & (sizes > 0)
+        return at.z - 2 * (at.Y[moved] / sizes[moved]) @ at.Y_z[moved]
+
+    def _step_within_sides(self, at: Linearisation, index: np.ndarray, step: np.ndarray) -> float:
+        """The part of a step up to which each y stays on the side that the index set says, where slopes are infinite; else 1.
+
+        Beyond y = 0 sqrt|y| is the mirror image of what l at this end goes with, and steps would go to and fro.
+        """
+        if not self.problem.has_infinite_slopes:
+            return 1.0
+        n, free = at.z.size, index == 0
+        room, taken = -index * at.Y, index * (at.Y_z @ step[:n] + at.Y_l[:, free] @ step[n:])
+        crosses = (room >= 0) & (taken > (1 - NEAREST) * room)
+        return float(((1 - NEAREST) * room[crosses] / taken[crosses]).min(initial=1.0))

@@ -98,10 +98,15 @@ class NewtonSolver(IndexSetNewton):
         z, known = self.start(t, h, state, l)
         best, unsolved, self._offsets = None, 0, self._offset(t, h, state)[0]
         at = at_best = self.linearise(t, h, state, z, l)
+        seen: set[bytes] = set()
         for iteration in range(1, NEWTON_ITERATIONS + 1):
             moved = self._newton_iteration(at, l, index, chain)
             if moved is None:
                 break
+            iterate = b"".join(part.tobytes() for part in moved[:3])
+            if iterate in seen and not (best is not None and best.residual <= self.tolerance):
+                break  # it goes in circles
+            seen.add(iterate)
             z, l, index, solver, is_solved = moved
             at = self.linearise(t, h, state, z, l)
             found = self.evaluate_residual(known, at, l, index, solver, iteration, thorough=self.structure.affine)

@@ -16,7 +16,7 @@ import numpy as np
 from nsmodel._utils import cached_per_object
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.convex_split import ConvexSplit
-from nsmodel.modeling.expressions import derivatives
+from nsmodel.modeling.expressions import derivatives, without_infinite_slopes
 from nsmodel.modeling.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 from nsmodel.modeling.laws.base import LawEnds, RewrittenLaw
 from nsmodel.modeling.parts import Part
@@ -147,10 +147,19 @@ class OneStepProblem:
 
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """(E_z, E_l, Y_z, Y_l), sparse, exact."""
-        E_z, E_l = (derivatives(self.E, v) for v in (self.z, self.l))
-        Y_z, Y_l = (derivatives(self.Y, v) for v in (self.z, self.l))
+        """(E_z, E_l, Y_z, Y_l), sparse, exact but for infinite slopes, which are left out."""
+        unknown = ca.vertcat(self.z, self.l)
+        E_z, E_l, Y_z, Y_l = (without_infinite_slopes(J, unknown) for J in self._exact_jacobians)
         return E_z, E_l, Y_z, Y_l
+
+    @cached_property
+    def has_infinite_slopes(self) -> bool:
+        """Whether an exact derivative has points where it is infinite, as that of sqrt|z|."""
+        return any(J is not exact for J, exact in zip(self.jacobians, self._exact_jacobians, strict=True))
+
+    @cached_property
+    def _exact_jacobians(self) -> tuple[ca.SX, ...]:
+        return tuple(derivatives(rows, v) for rows in (self.E, self.Y) for v in (self.z, self.l))
 
     @cached_property
     def explicit_eliminated(self) -> tuple[ca.SX, ca.SX]:

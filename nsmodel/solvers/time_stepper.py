@@ -368,7 +368,7 @@ class Stepper:
         at = self._newton.linearise(t, h, state, self._newton.guess(t, h, state, warm.l), warm.l)
         finite = bool(np.isfinite(at.E).all())
         reason = diagnosis.explain_step_failure(
-            self.problem, self.structure, self.law, self.plan, W, b, state, finite, self._newton.least_eigenvalue
+            self.problem, self.structure, self.law, self.plan, W, b, (t, h, state), finite, self._newton.least_eigenvalue
         )
         residual = np.inf if best is None else best.residual
         component = None if best is None or best.worst_row is None else self.rows[best.worst_row]

@@ -227,19 +227,23 @@ static int primal_dual(model_solver *s, const affine_problem *p)
             return 0;
         for (int i = 0; i < p->m; i++) {
             const double *W = p->W + i*p->m;
-            if (code[i] == 0) {
-                if (fabs(l[i] - clip(l[i], p->lo[i], p->up[i])) <= INSIDE*EPS*fabs(l[i]))
-                    continue;
-                code[i] = l[i] < p->lo[i] ? -1 : 1;
-            } else {
-                double y = 0, size = 0;
-                for (int j = 0; j < p->m; j++) {
-                    y += W[j]*l[j];
-                    size += fabs(W[j]*l[j]);
-                }
-                if (code[i]*(y + p->b[i]) <= SUM_ERROR*EPS*(size + fabs(p->b[i])))
+            double y = 0, size = 0;
+            for (int j = 0; j < p->m; j++) {
+                y += W[j]*l[j];
+                size += fabs(W[j]*l[j]);
+            }
+            y += p->b[i];
+            size += fabs(p->b[i]);
+            if (code[i] != 0) {
+                if (code[i]*y <= SUM_ERROR*EPS*size)
                     continue;
                 code[i] = 0;
+            } else if (fabs(l[i] - clip(l[i], p->lo[i], p->up[i])) > INSIDE*EPS*fabs(l[i])) {
+                code[i] = l[i] < p->lo[i] ? -1 : 1;
+            } else { /* a row that no l of those coded 0 holds goes to its end */
+                if (fabs(y) <= POLISHED*size || !is_finite(y > 0 ? p->lo[i] : p->up[i]))
+                    continue;
+                code[i] = y > 0 ? -1 : 1;
             }
             settled = 0;
         }

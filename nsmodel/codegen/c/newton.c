@@ -880,6 +880,49 @@ static int smooth_direction(model_solver *s, int free)
     return solve_or_least_squares(s, size, J, step);
 }
 
+#if SIDES
+
+/* Put y on the side that the index set says; return 0 where something is not finite there. Slopes are infinite where y = 0. */
+static int mirror(model_solver *s)
+{
+    double *dz = s->newton.dz;
+    int wrong = 0;
+    memset(dz, 0, sizeof s->newton.dz);
+    for (int i = 0; i < MODEL_M; i++) {
+        const double *row = s->newton.Y_z + MODEL_N*i, size = dot(MODEL_N, row, row);
+        if (s->work.code[i]*s->newton.Y[i] > 0 && size > 0) {
+            wrong = 1;
+            for (int j = 0; j < MODEL_N; j++)
+                dz[j] -= 2*s->newton.Y[i]/size*row[j];
+        }
+    }
+    for (int j = 0; j < MODEL_N; j++)
+        s->work.z[j] += dz[j];
+    return !wrong || evaluate(s);
+}
+
+/* The part of newton.step up to which each y stays on the side that the index set says: beyond y = 0, sqrt|y| is the mirror image
+   of what l at this end goes with, and steps would go to and fro. */
+static double part_within_sides(const model_solver *s, int free)
+{
+    double part = 1;
+    for (int i = 0; i < MODEL_M; i++) {
+        const int code = s->work.code[i];
+        const double room = -code*s->newton.Y[i];
+        double taken = code*Y_z_times(s, i, s->newton.step);
+#if FEEDTHROUGH
+        for (int j = 0; j < free; j++)
+            taken += code*s->newton.Y_l[MODEL_M*i + s->newton.free[j]]*s->newton.step[MODEL_N + j];
+#else
+        (void)free;
+#endif
+        if (room >= 0 && taken > (1 - NEAREST)*room)
+            part = min_of(part, (1 - NEAREST)*room/taken);
+    }
+    return part;
+}
+#endif
+
 /* Damped Newton for the smooth system of the index set in work.code: E = 0, Y_i = 0 (code 0), l_i at its bound (code +-1).
    Return 1 where its solution passes the certificate. */
 static int on_index_set(model_solver *s)
@@ -895,6 +938,10 @@ static int on_index_set(model_solver *s)
     }
     if (!evaluate(s))
         return 0;
+#if SIDES
+    if (!mirror(s))
+        return 0;
+#endif
     double size = defect(s, free);
     for (int iteration = 1; iteration <= NEWTON_ITERATIONS; iteration++) {
         const double old = size;
@@ -903,14 +950,23 @@ static int on_index_set(model_solver *s)
             return 0;
         memcpy(s->newton.z_0, z, sizeof s->work.z);
         memcpy(s->newton.l_0, l, sizeof s->work.l);
+#if SIDES
+        const double most = part_within_sides(s, free);
+        if (most == 0)
+            return 0;
+#endif
         for (int k = 0; k <= HALVINGS; k++) {
+#if SIDES
+            const double t = ldexp(most, -k);
+#else
             const double t = ldexp(1, -k);
+#endif
             for (int i = 0; i < MODEL_N; i++)
                 z[i] = s->newton.z_0[i] + t*s->newton.step[i];
             for (int i = 0; i < free; i++)
                 l[s->newton.free[i]] = s->newton.l_0[s->newton.free[i]] + t*s->newton.step[MODEL_N + i];
 #if EXACT_ROWS
-            if (k == 0)
+            if (t == 1)
                 make_exact(s);
 #endif
             size = evaluate(s) ? defect(s, free) : INFINITY;
