@@ -50,7 +50,7 @@ HALVES = {  # Where few random models are tried, these files take every second c
     "test_compiled_runs": 0, "test_codegen_cases": 1, "test_schemes": 1, "test_check_cases": 0,
 }  # fmt: skip
 LEFT_OUT = pytest.StashKey[int]()
-MANY = 3  # Of more parameters of a test that is not fast one is taken, where few random models are tried.
+MANY = 2  # Of more parameters of a test that is not fast one is taken, where few random models are tried.
 
 
 def kinds_of(path):

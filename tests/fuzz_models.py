@@ -34,7 +34,7 @@ from nsmodel import (
 )
 
 FULL = 400  # Models of each class: `make test-long`.
-COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL // 16))  # Those of this run; other tests take the same part.
+COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL // 25))  # Those of this run; other tests take the same part.
 
 
 def share(number: int, least: int = 1) -> int:

@@ -6,6 +6,7 @@ import casadi as ca
 import input_scenes as scenes
 import numpy as np
 import pytest
+from fuzz_models import share
 
 from nsmodel import (
     Bodies,
@@ -264,7 +265,7 @@ def test_random_tables_by_pieces_and_by_steps():
     """Pieces against steps of order 2 between the same edges, two inputs, one of them within h."""
     rng = np.random.default_rng(11)
     for kind in ("hold", "linear", "cubic"):
-        for _ in range(2):
+        for _ in range(share(2)):
             x, l, u, w = ca.SX.sym("x", 2), ca.SX.sym("l"), ca.SX.sym("u"), ca.SX.sym("w")
             times = np.concatenate([[0], np.sort(rng.uniform(0, 4, 6))])
             model = FirstOrderSystem(
