@@ -89,7 +89,7 @@ def add_view_command(commands: Commands) -> None:
 def _no_run_hint(given: Path) -> str:
     """What to do where no run was kept."""
     if model_files.case_or_file_path(given).suffix == ".py":
-        return f"{given} is a model file: run it first, nsmodel run {given} --out DIR, and then nsmodel view DIR"
+        return f"{given} is a model file: run it first, nsmodel run {given} --out DIR, and give DIR"
     return f"there is no run in '{given}': runs are kept by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 
 
@@ -129,6 +129,9 @@ def _write_view(arguments: argparse.Namespace) -> int:
 REPORT_FILE = "report.md"  # Beside the run's file.
 REPORTED_PACKAGES = ("casadi", "numpy", "scipy", "sympy", "matplotlib", "xarray", "pandas", "dask")
 _PATH_PATTERN = re.compile(r"(?<![\w./~:)\]-])(?:file://|~|[A-Za-z]:)?(?:[\\/][\w.@+~-]+){2,}[\\/]?")
+_HOME_PATTERN = re.compile(  # Home folders, of any user.
+    r"(?:file://|(?<![A-Za-z])[A-Za-z]:)?[\\/]+(?:home|Users)[\\/]+[\w.@+-]+|(?<![\w~])~[A-Za-z][\w.-]*(?=[\\/])"
+)
 _MODEL_ENDS = "the run's folder does not say which file its model is in: give --model FILE"
 
 
@@ -164,7 +167,7 @@ def _model_text(folder: Path, given: str | None) -> str:
         except (StorageError, KeyError, TypeError):
             return f"({_MODEL_ENDS})"
         if not model_files.case_or_file_path(given).is_file():
-            return "(the model file is no longer where it was: give --model FILE)"
+            return "(the model file is not found from this folder: give --model FILE)"
     try:
         return model_files.case_or_file_path(given).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -224,6 +227,7 @@ def without_machine(text: str) -> str:
         text = re.sub(rf"{re.escape(folder)}(?=[\\/])", "/-/-", text)
     for folder, sign in folders:
         text = re.sub(rf"{re.escape(folder)}(?!\w)", sign, text)
+    text = _HOME_PATTERN.sub("~", text)
     text = _PATH_PATTERN.sub(lambda found: ".../" + re.split(r"[\\/]", found[0].rstrip("\\/"))[-1], text)
     for name, instead in ((_user_name(), "USER"), (socket.gethostname(), "HOST")):
         if name:

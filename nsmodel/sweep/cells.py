@@ -10,6 +10,7 @@ import pickle
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -369,11 +370,17 @@ def _column_at_rows(run: Trajectory, name: str, rows: RowSelection, *, done: boo
     return out
 
 
+INTERPOLATED = ("t", "x", "v", "multipliers", "y")  # Columns that `Trajectory.at` gives at any time.
+
+
 def _column_at_times(run: Trajectory, name: str, times: np.ndarray) -> np.ndarray:
-    """A column of states, multipliers or outputs at any times."""
+    """A column at any times: states, multipliers and what is made of these; of other columns that of the step there."""
     at = run.at(times)
-    held = Trajectory({key: getattr(at, key) for key in ("t", "x", "v", "multipliers", "y")}, run.metadata)
-    return run_column(held, name)
+    held = Trajectory({key: getattr(at, key) for key in INTERPOLATED}, run.metadata)
+    if name in INTERPOLATED or name not in run.arrays:
+        with suppress(AttributeError, KeyError, UsageError):
+            return run_column(held, name)
+    return run_column(run, name)[np.minimum(np.searchsorted(run.t, times), len(run.t) - 1)]
 
 
 def _refused_cells(cells: int, why: str) -> CellResults:

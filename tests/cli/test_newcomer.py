@@ -17,6 +17,7 @@ from conftest import REPOSITORY
 from nsmodel import UsageError, load
 from nsmodel.cli import main
 from nsmodel.cli.completion import DESCRIPTION
+from nsmodel.cli.export import without_machine
 from nsmodel.modeling import model_files
 from nsmodel.modeling.pickling import defined_in
 from nsmodel.version import VERSION
@@ -333,3 +334,9 @@ def test_what_is_built_is_said():
     assert targets["wheel"]["sources"] == {"cases": "nsmodel/cases"}
     assert {"nsmodel", "cases", "README.md"} <= set(targets["sdist"]["include"])
     assert model_files._CASE_FOLDERS[0] == REPOSITORY / "nsmodel" / "cases"
+
+
+@pytest.mark.parametrize("text", ["/home/jdoe", "C:\\Users\\jdoe", "C:/Users/jdoe/m.py", "~jdoe/m.py", "file:///home/jdoe/m.py"])
+def test_homes_of_other_users_are_left_out_of_reports(text):
+    assert "jdoe" not in without_machine(f"cannot read {text}, line 3")
+    assert without_machine("A/home, ~mask, a ~ b") == "A/home, ~mask, a ~ b"

@@ -85,3 +85,13 @@ def test_a_cell_whose_number_is_none_is_refused_alone():
     found = swept(grid={"f": [-1.0, 1e5]}, outputs={"end": "v[-1]"})
     assert np.isnan(found.end.values).tolist() == [True, False]
     assert "period = -1; expected a time > 0" in found.messages[0]
+
+
+@pytest.mark.parametrize("column", ["newton", "u", "index_set", "residual", "step"])
+def test_columns_that_have_no_value_between_rows_are_those_of_the_step(column):
+    found = sweep(buck(pwm(1 / F, 0.4), {F: 2.3, G: 0.2}), grid={"f": FREQUENCIES}, keep=[column])
+    for i, f in enumerate(FREQUENCIES):
+        run = simulate(buck(pwm(1 / F, 0.4), {F: f, G: 0.2}))
+        times = np.linspace(0, run.t[-1], found[column].values.shape[1])
+        rows = [int(np.flatnonzero(run.t >= t * (1 - 1e-12))[0]) for t in times]
+        np.testing.assert_array_equal(np.squeeze(found[column].values[i]), np.squeeze(run[column][rows]))
