@@ -109,6 +109,15 @@ class KnownTimes:
         signal: Any = self._signals[name]
         return signal.holding({signal.duty.name: x[self._places.of[signal.duty.name]]}) if signal.moving else signal
 
+    def moving_edges(self, t: float) -> list[str]:
+        """The signals with an edge at t that moves with what the run is differentiated by."""
+        return [
+            name
+            for name, signal in self._signals.items()
+            if _is_among(t, self._joints[name])
+            and any(slope and (name, number) in self._weights for number, slope in signal.joint_slopes(t).items())
+        ]
+
     def moved(self, t: float, x: np.ndarray, q: int) -> MovedTime:
         """How the known time t moves, where the state just before it is x."""
         rows, names = [], []

@@ -194,6 +194,12 @@ class DifferentiatedModel(_Movable):
         for k, e in enumerate(self.integrals.values(), len(own.names) - len(self.integrals)):
             value[:, k] = [run.integral(e, 0.0, t) if t else 0.0 for t in self.t]
         switches, margins, warnings = _report(along, self.t, columns, np.abs(self.start), self.by.names)
+        if self.t[-1] == self.t_end:
+            warnings += tuple(
+                f"t = {self.t_end:.10g}: the run ends on an edge of '{name}' that moves: the derivative there is that "
+                "before the edge; give a later t_end for that after it"
+                for name in known.moving_edges(self.t_end)
+            )
         return Sensitivity(
             self.t, own.names, self.by.names, value, after[:, :, columns], before[:, :, columns], switches, margins, warnings,
             run, DERIVATIVE_METHODS[0], self,

@@ -66,6 +66,13 @@ def test_a_table_of_a_thousand_entries():
     np.testing.assert_allclose(found.gradient(w), w @ found.jacobian[0])
 
 
+def test_a_run_that_ends_on_an_edge_says_which_side_it_gives():
+    for t_end, count in ((1.5, 1), (1.6, 0)):
+        model = oscillator(pwm(1.0, 0.5))
+        found = sensitivity(model, by="u.duty", t_end=t_end, compiled=False)
+        assert len([text for text in found.warnings if "the run ends on an edge of 'u' that moves" in text]) == count
+
+
 def test_both_sides_of_an_event():
     """At an edge whose time moves x is what it was before, or what it is after."""
     model = oscillator(pwm(1.0, 0.5, low=-1.0), law=relay(1, -0.001, 0.001))
