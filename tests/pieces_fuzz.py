@@ -180,7 +180,7 @@ def _constant(header: str, name: str) -> int:
 
 
 def commands(model: Any, sizes: tuple[int, int, int], rng: np.random.Generator, count: int) -> np.ndarray:
-    """Random commands (count, numbers): plausible numbers mostly, of all sizes now and then, and what is no number."""
+    """Random commands (count, numbers): plausible numbers mostly, of all sizes now and then, and what is not a number."""
     n, own, inputs = sizes
     rows = np.zeros((count, 1 + TIMES + n + own + inputs + 1))
     values = np.resize([v for v in model.parameters.values() if v is not None] or [1.0], own)

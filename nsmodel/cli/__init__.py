@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         "2 usage, missing file or wrong model; 3 a step failed, or cells of a sweep, 130 interrupted by Ctrl-C, 143 by SIGTERM "
         "(what was computed is saved); "
         "4 the model has no C counterpart; "
-        "5 files cannot be read or written: no room, no right to, in use, damaged",
+        "5 files cannot be read or written: no space, no permission, in use, damaged",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -122,7 +122,7 @@ def add_new_command(commands: Commands) -> None:
     parser = commands.add_parser("new", help="write a model file to start from", description=about)
     parser.add_argument("name", metavar="NAME", help="name of the file, which is NAME.py in this folder")
     parser.add_argument("--like", metavar="CASE", help="the case to copy (see nsmodel cases)")
-    parser.add_argument("--force", action="store_true", help="replace NAME.py where it is there already")
+    parser.add_argument("--force", action="store_true", help="replace NAME.py if it exists already")
     parser.set_defaults(command=_write_new_model)
 
 
@@ -131,8 +131,8 @@ def _write_new_model(arguments: argparse.Namespace) -> int:
     name = arguments.name.removesuffix(".py")
     if not re.fullmatch(r"[A-Za-z_][\w-]*", name, re.ASCII):
         raise UsageError(
-            f"'{arguments.name}' is no name for a model file: expected letters, digits, _ and -, a letter first, such as "
-            "my_model; the file is written into this folder"
+            f"'{arguments.name}' is not a valid name for a model file: expected letters, digits, _ and -, a letter first, such "
+            "as my_model; the file is written into this folder"
         )
     if name in FORBIDDEN_NAMES:
         raise UsageError(
@@ -140,7 +140,7 @@ def _write_new_model(arguments: argparse.Namespace) -> int:
         )
     path = Path(f"{name}.py")
     if path.exists() and not arguments.force:
-        raise UsageError(f"{path} is there already; take another name, or --force to replace it")
+        raise UsageError(f"{path} exists already; take another name, or give --force to replace it")
     if arguments.like is None:
         text, what = MODEL_TEMPLATE.replace("NAME", name), "a mass on a spring with dry friction"
     else:

@@ -51,7 +51,7 @@ def add_check_command(commands: Commands) -> None:
         "that |u'| may be, start=U, its value at t = 0; repeatable",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="skip runs and global searches")
-    parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
+    parser.add_argument("--strict", action="store_true", help="exit with status 1 if a hypothesis is violated")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument(
         "--markdown", type=output_path, metavar="PATH", help="also write the report as Markdown, with the equations"
@@ -141,7 +141,7 @@ def _parse_bound(setting: str) -> tuple[str, Within]:
         try:
             given[key] = float(text)
         except ValueError:
-            raise UsageError(f"--bound {setting}: {key} = '{text}' is no number") from None
+            raise UsageError(f"--bound {setting}: {key} = '{text}' is not a number") from None
     try:
         return name, within(low, high, **given)
     except UsageError as error:

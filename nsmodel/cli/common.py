@@ -205,7 +205,7 @@ def _read_input_columns(path: Path, names: list[str], text: str) -> tuple[np.nda
         try:
             found.append([float(row[column]) for column in at])
         except (ValueError, IndexError):
-            raise UsageError(f"--input {text}: {path}, row {number}: {', '.join(row)!r:.60} is no row of numbers") from None
+            raise UsageError(f"--input {text}: {path}, row {number}: {', '.join(row)!r:.60} is not a row of numbers") from None
     values = np.array(found, float).reshape(len(found), len(at))
     return values[:, 0], values[:, 1:]
 

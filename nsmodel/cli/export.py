@@ -39,7 +39,7 @@ def add_codegen_command(commands: Commands) -> None:
         metavar="H,...",
         help="time step of the code, or up to 8 lengths of steps (default: the model's)",
     )
-    parser.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
+    parser.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not only this one")
     add_options(parser, "codegen")
     parser.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
     parser.add_argument(
@@ -77,12 +77,12 @@ RUN_FILE = "trajectory.npz"  # In the folder of a run.
 def add_view_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Write one HTML file in which a saved run can be looked at: zoomed, played, column by column; no network, no server."
-    parser = commands.add_parser("view", help="look at a saved run in a browser", description=about)
+    parser = commands.add_parser("view", help="show a saved run in a browser", description=about)
     parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {RUN_FILE} in it")
     parser.add_argument(
-        "--out", type=output_path, metavar="PAGE", help="the HTML file (default: view.html beside the run's file)"
+        "--out", type=output_path, metavar="PAGE", help="the HTML file (default: view.html next to the run's file)"
     )
-    parser.add_argument("--open", action="store_true", help="show it in the browser")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
     parser.set_defaults(command=_write_view)
 
 
@@ -90,7 +90,7 @@ def _no_run_hint(given: Path) -> str:
     """What to do where no run was kept."""
     if model_files.case_or_file_path(given).suffix == ".py":
         return f"{given} is a model file: run it first, nsmodel run {given} --out DIR, and give DIR"
-    return f"there is no run in '{given}': runs are kept by nsmodel run FILE --out DIR, or with --plot in FILE-run"
+    return f"there is no run in '{given}': runs are saved by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 
 
 def _saved_run(given: str) -> Path:
@@ -145,7 +145,7 @@ def add_report_command(commands: Commands) -> None:
     parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {RUN_FILE} in it")
     parser.add_argument("--model", metavar="FILE", help="the model file (default: the one that the folder's summary.json names)")
     parser.add_argument(
-        "--out", type=output_path, metavar="PATH", help=f"the text file (default: {REPORT_FILE} beside the run's file)"
+        "--out", type=output_path, metavar="PATH", help=f"the text file (default: {REPORT_FILE} next to the run's file)"
     )
     parser.set_defaults(command=_write_report)
 

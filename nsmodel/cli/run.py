@@ -51,15 +51,13 @@ def add_run_command(commands: Commands) -> None:
     parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
     parser.add_argument(
-        "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
+        "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 only; either may be left out, as in 0.9:"
     )
-    parser.add_argument(
-        "--html", type=output_path, metavar="PAGE", help="also write a page on which the run is looked at in a browser"
-    )
+    parser.add_argument("--html", type=output_path, metavar="PAGE", help="also write a page that shows the run in a browser")
     parser.add_argument(
         "--film", type=output_path, metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg"
     )
-    parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
+    parser.add_argument("--explain", action="store_true", help="say which methods are used, which are not, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     parser.set_defaults(command=_run_files)

@@ -37,7 +37,7 @@ def add_sensitivity_command(commands: Commands) -> None:
     parser.add_argument("--outputs", metavar="NAME,...", help="states, multipliers, columns (default: all states)")
     add_options(parser, "sensitivity")
     parser.add_argument("--method", choices=DERIVATIVE_METHODS, default=DERIVATIVE_METHODS[0], help="how (default event-driven)")
-    parser.add_argument("--step", type=float, metavar="H", help="of differences: the step of runs by time stepping")
+    parser.add_argument("--step", type=float, metavar="H", help="with differences: the step of the time-stepping runs")
     parser.add_argument("--error", action="store_true", help="estimate the error too, by a second run")
     parser.add_argument("--json", action="store_true", help="print all as JSON")
     parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for sensitivity.txt, .json, .csv and .png")

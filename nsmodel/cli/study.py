@@ -40,10 +40,10 @@ def add_study_command(commands: Commands) -> None:
     parser.add_argument("--steps", metavar="H1,H2,...", help="time steps (default: 16 h, 8 h, ... h/8 around the model's own)")
     parser.add_argument("--target", type=float, metavar="ERROR", help="say what this relative error costs")
     add_options(parser, "study")
-    parser.add_argument("--solvers", metavar="A,B,...", help="solvers to time alone (default: all that apply; '' for none)")
+    parser.add_argument("--solvers", metavar="A,B,...", help="solvers to time separately (default: all that apply; '' for none)")
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
-    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row a point as CSV")
+    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row for each point as CSV")
     parser.add_argument("--html", type=output_path, metavar="PAGE", help="also write the study as a page for a browser")
     parser.add_argument(
         "--out", type=output_path, metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png"
@@ -108,7 +108,7 @@ def _parse_steps(text: str) -> list[float]:
 def add_stress_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Push a model: its step, its units, its parameters; say of each short run whether it is right, stopped or wrong."
-    parser = commands.add_parser("stress", help="push a model's step, units and parameters", description=about)
+    parser = commands.add_parser("stress", help="stress test: vary a model's step, units and parameters", description=about)
     add_file(parser)
     add_options(parser, "stress")
     parser.add_argument(
@@ -116,7 +116,7 @@ def add_stress_command(commands: Commands) -> None:
         help="values of a parameter or of an argument of model(); repeatable: all combinations are run",
     )  # fmt: skip
     parser.add_argument(
-        "--budget", type=float, metavar="SECONDS", help="wall time; cells beyond it are left out (default: none is)"
+        "--budget", type=float, metavar="SECONDS", help="wall time; cells beyond it are left out (default: no limit)"
     )
     parser.add_argument("--json", action="store_true", help="print all cells as JSON")
     parser.add_argument("--out", type=output_path, metavar="DIR", help="folder for stress.txt, stress.json and stress.png")

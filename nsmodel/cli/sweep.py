@@ -46,8 +46,8 @@ OPTION_SPELLINGS = {  # What messages say of arguments, and the options for it.
     "seeds=range(20)": "--seeds 20",
     "several steps or inputs": "--step H1,H2",
     "nsmodel.simulate": "nsmodel run",
-    "is varied, and parameters gives": "is varied, and --set gives",
-    "give times=, those of the rows": "leave --every out",
+    "is varied, but parameters= also gives": "is varied, but --set also gives",
+    "give times=, the times of the rows": "leave --every out",
 }
 VALUES_FORMAT = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
 
@@ -61,13 +61,15 @@ def add_sweep_command(commands: Commands) -> None:
         "--grid", action="append", default=[], metavar=VALUES_FORMAT, help="values of a parameter, a dimension; repeatable"
     )
     parser.add_argument(
-        "--samples", metavar="TABLE.csv", help="points that belong together: a column for each name, a first row of names"
+        "--samples", metavar="TABLE.csv", help="points in parameter space: a column for each name, names in the first row"
     )
-    parser.add_argument("--start", action="append", default=[], metavar=VALUES_FORMAT, help="starts of a state; repeatable")
+    parser.add_argument(
+        "--start", action="append", default=[], metavar=VALUES_FORMAT, help="initial values of a state; repeatable"
+    )
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 ... N-1 for def model(seed=...)")
     parser.add_argument("--step", metavar="H or H1,H2,...", help="time step; several are a dimension")
     add_options(parser, "sweep")
-    parser.add_argument("--keep", default="", metavar="A,B,...", help="columns of which rows are kept")
+    parser.add_argument("--keep", default="", metavar="A,B,...", help="columns to keep over time")
     parser.add_argument("--every", type=int, metavar="N", help="keep every N-th row (default: about 200 rows)")
     parser.add_argument(
         "--output",
@@ -76,14 +78,17 @@ def add_sweep_command(commands: Commands) -> None:
         metavar="NAME=TEXT",
         help="number of a run: x[-1], max(x), mean(x), ...; repeatable",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="how many at once (default: the cores)")
+    parser.add_argument("--workers", type=int, metavar="N", help="how many cells run at once (default: the number of cores)")
     parser.add_argument("--entropy", type=int, metavar="E", help="of random starts (default 0)")
     parser.add_argument(
-        "--out", type=output_path, metavar="DIR", help="folder of the sweep; NAME.nc and NAME.zarr are written so when it is done"
+        "--out",
+        type=output_path,
+        metavar="DIR",
+        help="folder of the sweep; NAME.nc or NAME.zarr: written in that format when it is done",
     )
     parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
     parser.add_argument("--retry", action="store_true", help="with --resume: run failed cells again")
-    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row a cell as CSV")
+    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row for each cell as CSV")
     parser.add_argument("--plot", action="store_true", help="write a picture of each quantity into --out (default: FILE-sweep)")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
@@ -159,7 +164,7 @@ def _report_sweep(arguments: argparse.Namespace, found: Sweep) -> None:
 
 
 def _cell_rows(found: Sweep) -> str:
-    """What varies and the outputs of the first cells, a row each; "" where an output is no number."""
+    """What varies and the outputs of the first cells, a row each; "" where an output is not a number."""
     from nsmodel.sweep import result
     from nsmodel.sweep.request import CELL_FACTS, EVENT_DRIVEN_FACTS
 

@@ -159,7 +159,7 @@ class StepBatch:
             stop: asked about every SECONDS; where it says True the cells that are not done get the status -1.
 
         Raises:
-            UsageError: a name that is no column; another number of parameters or of steps.
+            UsageError: a name that is not a column; another number of parameters or of steps.
         """
         given = np.ascontiguousarray(values, float)
         if given.ndim != 2 or given.shape[1] != len(self.names):
@@ -181,7 +181,7 @@ class StepBatch:
         unknown = [name for name in keep if name not in self._columns and name != "index_set"]
         if unknown:
             near = did_you_mean(unknown[0], self.columns())
-            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}{near}")
+            raise UsageError(f"keep: '{unknown[0]}' is not a column; there are {', '.join(self.columns())}{near}")
         return {name: self._columns[name] for name in keep if name != "index_set"}
 
     def _initialise(self, work: _BatchArrays, given: np.ndarray) -> None:
@@ -201,7 +201,7 @@ class StepBatch:
         if inputs is None and self._grid.drive is not None:
             inputs = self._grid.drive.limits(self._grid.between(0, N))
         if inputs is None:
-            raise UsageError("inputs: nothing drives the grid; give u at both ends of each step, or a grid that is driven")
+            raise UsageError("inputs: the grid has no input signals; give u at both ends of each step, or a grid with signals")
         found = np.ascontiguousarray(inputs, float)
         if found.shape != (N, 2 * nu):
             raise UsageError(f"inputs: shape {found.shape}; expected ({N}, {2 * nu}), both ends of each step")

@@ -82,7 +82,7 @@ class PieceBatch:
     Raises:
         CodegenError: the model has no parameters, or no pieces in C that are those of all their values (blocks; a curved law;
             many bodies; more than LARGE operations; what time stepping alone takes), or there is no compiler, or it fails.
-        UsageError: a time, rtol or atol that is none; ``by``: what is no parameter.
+        UsageError: a time, rtol or atol that is none; ``by``: what is not a parameter.
     """
 
     def __init__(
@@ -126,12 +126,12 @@ class PieceBatch:
         """The entries of p that runs are differentiated by."""
         if unknown := next((name for name in self._by if name not in self.names), None):
             near = did_you_mean(unknown, self.names)
-            raise UsageError(f"by: '{unknown}' is no parameter; there are {', '.join(self.names)}{near}")
+            raise UsageError(f"by: '{unknown}' is not a parameter; there are {', '.join(self.names)}{near}")
         rows = max(self._p.x.numel(), self._p.l.numel())
         if self._by and rows > MAX_TANGENT_ROWS:
-            raise CodegenError(f"{rows} states or rows are more than the {MAX_TANGENT_ROWS} that derivatives in C have room for")
+            raise CodegenError(f"{rows} states or rows are more than the {MAX_TANGENT_ROWS} for which derivatives in C have room")
         if self._by and (curved := next((block for _, block in self._p.law.parts() if not block.separable), None)):
-            raise CodegenError(f"derivatives in C are not there for the law '{curved.label}', whose rows act together")
+            raise CodegenError(f"there are no derivatives in C for the law '{curved.label}', whose rows act together")
         return [self.names.index(name) for name in self._by]
 
     @property
@@ -184,7 +184,7 @@ class PieceBatch:
             stop: asked about every SECONDS; where it says True the cells that are not done get the status -1.
 
         Raises:
-            UsageError: a name that is no column; another number of parameters.
+            UsageError: a name that is not a column; another number of parameters.
         """
         given = np.ascontiguousarray(values, float)
         if given.ndim != 2 or given.shape[1] != len(self.names):
@@ -192,7 +192,7 @@ class PieceBatch:
         unknown = [name for name in keep if name not in self.columns()]
         if unknown:
             near = did_you_mean(unknown[0], self.columns())
-            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}{near}")
+            raise UsageError(f"keep: '{unknown[0]}' is not a column; there are {', '.join(self.columns())}{near}")
         work = _PieceBatchArrays(len(given), len(self._times), self._width, self._p.l.numel())
         if self._by:
             work.slopes = np.full((*work.kept.shape[:2], self._p.x.numel() + self._p.l.numel(), len(self._by)), np.nan)

@@ -171,7 +171,9 @@ class CompiledPieceIntegrator:
         self.width = self._calls.width(self.order)
         self._allocate(np.array(values, float))
         if self.values.size and (status := self._calls.takes(self._solver, self.values.ctypes.data)):
-            raise UnsupportedValuesError(f"the library of all values is not for these: {STATUSES[status].meaning}")
+            raise UnsupportedValuesError(
+                f"the library for all parameter values does not apply to these: {STATUSES[status].meaning}"
+            )
 
     def _allocate(self, values: np.ndarray) -> None:
         """Memory of a solver of its own, and the values of the parameters."""

@@ -429,7 +429,7 @@ def _symbolic_problem_or_reason(model: Model) -> ContinuousProblem | str:
     if not model.p.numel():
         return "the model has no parameters: declare the numbers that change, parameters={a: 1.0}"
     if model.blocks:
-        return "pieces that blocks end have no C counterpart"
+        return "pieces that end at blocks have no C counterpart"
     if reason := moving_signals_reason(model):
         return reason
     try:
@@ -456,7 +456,9 @@ def make_symbolic_problem(model: Model) -> ContinuousProblem:
         problem = with_input_states(continuous_problem(model), model)
         _check_constant_ends(problem)
         if not np.isfinite(numeric_constants(ca.veccat(problem.f, problem.g, problem.h))).all():
-            raise CodegenError("there is an infinite number in f, g or h beside a parameter; write the model without that row")
+            raise CodegenError(
+                "f, g or h has an infinite number in an expression with a parameter; write the model without that row"
+            )
         if problem.growths:
             raise CodegenError(_slip_series_message(problem))
         for _, block in problem.law.parts():
@@ -473,7 +475,7 @@ def _check_constant_ends(problem: ContinuousProblem) -> None:
     """Refuse a law whose ends move: whether it is empty is looked at by runs of given values alone."""
     if problem.ends:
         raise CodegenError(
-            f"event-driven libraries have laws that stay; that of '{problem.ends[0].name}' moves: no --event-driven"
+            f"event-driven libraries need a constant law; that of '{problem.ends[0].name}' moves: no --event-driven"
         )
 
 

@@ -113,7 +113,9 @@ class Rollout:
             self._solver, values.ctypes.data
         )
         if status or not (assumed > 0).all():
-            raise CodegenError(f"the library for all values does not take these: {STATUSES[status or NOT_SOLVED].text}")
+            raise CodegenError(
+                f"the library for all parameter values does not apply to these: {STATUSES[status or NOT_SOLVED].text}"
+            )
 
     def advance(
         self, k: int, steps: int, state: np.ndarray, warm: WarmStart, least: float, every: int, rows: np.ndarray,

@@ -244,9 +244,9 @@ def _supported_prediction(spec: StepSpec) -> Prediction:
     given, model, t = not_none(spec.problem.prediction), spec.model, spec.problem.t
     faces = ca.vertcat(given.u, given.c)
     if given.l.numel() and ca.depends_on(faces, t):
-        raise CodegenError("sign or another jump of S beside a set or a switching surface that moves has no counterpart in C")
+        raise CodegenError("sign or another jump of S together with a moving set or switching surface has no counterpart in C")
     if given.tolerances is not None and given.box is None and ca.depends_on(given.c, t):
-        raise CodegenError("tolerances of the projection on a set that moves have no counterpart in C; leave tolerances out")
+        raise CodegenError("tolerances of the projection on a moving set have no counterpart in C; leave tolerances out")
     box = () if given.box is None else given.box
     fixed = ca.vertcat(ca.SX(0, 1), *box, given.law.numbers)
     if model.p.numel() and fixed.numel() and ca.depends_on(fixed, model.p):

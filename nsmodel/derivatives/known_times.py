@@ -182,7 +182,7 @@ def _number_slopes(
             if number not in known and slopes.any():
                 moving = list(free.parameters)[by[int(np.flatnonzero(slopes)[0])]]
                 raise UsageError(
-                    f"by: '{moving}' moves the {number[1:]} of input '{group}', whose duty is no number; {TRY_DIFFERENCES}"
+                    f"by: '{moving}' moves the {number[1:]} of input '{group}', whose duty is not a number; {TRY_DIFFERENCES}"
                 )
             found[group, number] = np.pad(slopes, (0, len(numbers)))
     return found

@@ -82,8 +82,8 @@ def _unknown_direction(name: str, known: Sequence[str]) -> str:
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     hint = did_you_mean(name, [start_name(name)] if start_name(name) in known else known)
     return (
-        f"by: '{name}' is no parameter, start or number of a signal of this model; there are {listed or 'none'}{hint or '.'} A "
-        "constant of the model file becomes a parameter by a symbol: k = ca.SX.sym('k'), and parameters={k: 2.0} in the model"
+        f"by: '{name}' is not a parameter, start or number of a signal of this model; there are {listed or 'none'}{hint or '.'} "
+        "A constant of the model file becomes a parameter by a symbol: k = ca.SX.sym('k'), and parameters={k: 2.0} in the model"
     )
 
 
@@ -91,7 +91,7 @@ def read_times(at: Any, t_end: float) -> np.ndarray:
     """The times (K,) that are asked for, increasing; left out the end of the run.
 
     Raises:
-        UsageError: what is no number, or outside the run.
+        UsageError: what is not a number, or outside the run.
     """
     try:
         times = np.atleast_1d(np.asarray(t_end if at is None else at, float)).ravel()

@@ -221,8 +221,8 @@ class SwitchJumps:
         off = np.abs(rates[1] - rates[0] - flow @ jump)
         if self._tangents.pieces.impulse[after.number].any() or (off > SAME_RATE * size).any():
             raise StepError(
-                f"t = {t:.10g}: edges of {', '.join(moved.names)} are at one time and move apart, and what they change is not "
-                "the sum of what each does: the run has no derivative there"
+                f"t = {t:.10g}: edges of {', '.join(moved.names)} are at one time and move apart, and their joint effect is not "
+                "the sum of their effects: the run has no derivative there"
             )
         for rows, dt in moved.edges:
             own = np.zeros(n)
@@ -465,7 +465,7 @@ class RunTangents:
             j = wrong[int(length.argmin())]
             pieces = self.tangents.pieces
             t = float(pieces.t[parts.piece[j]] + pieces.tau[parts.piece[j]] * parts.begin[j])
-            raise StepError(f"t = {t:.10g}: derivatives move too fast there for {MAX_PARTS:,} steps; {TRY_DIFFERENCES}")
+            raise StepError(f"t = {t:.10g}: derivatives change too fast there for {MAX_PARTS:,} steps; {TRY_DIFFERENCES}")
 
     def stop(self, t: float) -> Stop:
         """Where a time is: at the begin of a piece, or inside."""

@@ -232,7 +232,7 @@ class DifferentiatedModel(_Movable):
         except NsmodelError as error:
             raise UsageError(f"not with symbols for {', '.join(self.by.names)}: {error}; {TRY_DIFFERENCES}") from error
         if problem.names != propagator.problem.names or problem.rows != propagator.problem.rows:
-            raise UsageError(f"the rows of the model are others at these values than for symbols; {TRY_DIFFERENCES}")
+            raise UsageError(f"the model has other rows at these values than with symbols; {TRY_DIFFERENCES}")
         outputs = read_outputs(model, problem, bound, self.what.outputs)
         integrands = read_outputs(model, problem, bound, self.integrals, "integrals") if self.integrals else {}
         if clash := next((name for name in integrands if name in outputs), None):
@@ -318,7 +318,7 @@ class DifferencedModel(_Movable):
         }
         for name in self._outputs:
             if name not in columns:
-                raise UsageError(f"outputs: '{name}' is no column of runs of this model; there are {', '.join(columns)}")
+                raise UsageError(f"outputs: '{name}' is not a column of runs of this model; there are {', '.join(columns)}")
         integrals = [[run.integral(e, 0.0, t) if t else 0.0 for t in self.t] for e in self.integrals.values()]
         return np.column_stack([*(columns[name] for name in self._outputs), *integrals])
 

@@ -258,7 +258,7 @@ def multiplier_slopes(
     at: LinearisedEquations, rows: ModeRows, ends: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """L = Λ S + λ at K points, whose modes have these ``rows``: (K, m, n), (K, m, q); least in norm where rows are redundant."""
-    slips = np.diagonal(rows.of_slip, axis1=-2, axis2=-1)[..., None] != 0  # Where y = 0 the direction of slip is no number.
+    slips = np.diagonal(rows.of_slip, axis1=-2, axis2=-1)[..., None] != 0  # Where y = 0 the direction of slip is not a number.
     by_x, by_l, by_p = (np.where(slips, part, 0.0) for part in at.slip[2:])
     M = rows.of_y @ at.y.by_l + rows.of_y_rate @ at.y_rate.by_l + by_l + rows.own
     N = rows.of_y @ at.y.by_x + rows.of_y_rate @ at.y_rate.by_x + by_x

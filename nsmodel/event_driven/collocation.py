@@ -272,7 +272,7 @@ def _max_on_real_part(c: np.ndarray, r: float) -> float:
 
 
 def max_error_ratio(off: np.ndarray, allowed: np.ndarray) -> float:
-    """The largest of errors, 0 or less where they are rounding, in units of what is allowed; inf where it is no number."""
+    """The largest of errors, 0 or less where they are rounding, in units of what is allowed; inf where it is not a number."""
     with np.errstate(all="ignore"):
         shares = np.where(off <= 0, 0.0, off / allowed)
     return float(np.where(np.isnan(shares), np.inf, shares).max(initial=0.0))

@@ -76,4 +76,4 @@ def read_outputs(
 
 
 def _unknown_output(name: str, known: Mapping[str, ca.SX], label: str) -> str:
-    return f"{label}: '{name}' is no column of runs of this model; there are {', '.join(known)}" + did_you_mean(name, known)
+    return f"{label}: '{name}' is not a column of runs of this model; there are {', '.join(known)}" + did_you_mean(name, known)

@@ -141,7 +141,7 @@ class FallbackSteps:
         """
         if self.steps >= STEP_BUDGET:
             raise StepError(
-                f"t = {at.t:.10g}: the {STEP_BUDGET:,} time steps that a run may take where no mode goes on are used up"
+                f"t = {at.t:.10g}: the {STEP_BUDGET:,} time steps that a run may take where no mode can continue are used up"
             )
         return controlled_step(at, self._try_step, self._accept_step, self._shorten_step)
 
@@ -176,7 +176,7 @@ class FallbackSteps:
                 return None
             if isinstance(error, UnrecoverableStepError):
                 raise
-            raise StepError(f"t = {at.t:.10g}: no verified step goes on from here") from error
+            raise StepError(f"t = {at.t:.10g}: no verified step is found from here") from error
         middle, end, off = both.half.row[state], both.fine.row[state], np.abs(d)
         if smooth and (better := self._extrapolated(at.t + h, end + d, both.fine)) is not None:
             end, midway = better, self._extrapolated(at.t + h / 2, middle + d / 2, both.half)

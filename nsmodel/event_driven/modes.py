@@ -81,7 +81,7 @@ def all_switches(system: ModeSystem) -> set[Switch]:
 
 
 def has_own_row(system: ModeSystem, condition: SwitchCondition) -> bool:
-    """Whether a condition's row is made of l, or of a block, and is no row of h or of a branch."""
+    """Whether a condition's row is made of l, or of a block, and is not a row of h or of a branch."""
     return condition.acts in ("l", "inside") or (condition.of[0] == ROW and condition.of[1] in system.blocks.of)
 
 

@@ -301,5 +301,5 @@ def piece_end(
         if place.t + place.tau * s == place.t:
             break
     raise bound.pole_error(place) or StepError(
-        f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece"
+        f"t = {place.t:.10g}: x' = f + g, y = 0 is off by {error:.3g} times rtol, however short the piece is"
     )

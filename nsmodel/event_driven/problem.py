@@ -186,7 +186,7 @@ def with_input_states(problem: ContinuousProblem, model: Model, start: Sequence[
     ``start``: what these states are at t = 0; left out it is computed, of a model with blocks one with numbers for parameters.
 
     Raises:
-        NotEventDriven: a signal that is no polynomial between known times, by name.
+        NotEventDriven: a signal that is not a polynomial between known times, by name.
     """
     if not model.u.numel():
         return problem
@@ -240,7 +240,7 @@ def signal_degree(group: str, signal: Any) -> int:
     """The degree of a signal between known times; NotEventDriven where it has none."""
     degree = signal.degree if isinstance(signal, Signal) else None
     if degree is None:
-        raise NotEventDriven(f"input '{group}' is no polynomial between known times ({type(signal).__name__.lower()})")
+        raise NotEventDriven(f"input '{group}' is not a polynomial between known times ({type(signal).__name__.lower()})")
     return degree
 
 

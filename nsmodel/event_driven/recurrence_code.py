@@ -83,7 +83,7 @@ def sum_text(line: Recurrence, size: Callable[[int], str], choice: str, language
 
 
 def order_0_statements(recurrences: TaylorRecurrences, language: Dialect) -> list[str]:
-    """The statements of order 0; a choice that is no number is made here."""
+    """The statements of order 0; a choice that is not a number is made here."""
     lines = []
     for line in recurrences.lines:
         if line.branch >= 0:

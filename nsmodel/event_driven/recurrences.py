@@ -222,7 +222,7 @@ class _RecurrenceTape:
         if op == ca.OP_CALL or (op not in UNARY_RECURRENCES and op not in BINARY_RECURRENCES):
             name = next((name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op), str(op))
             raise OpaqueExpression(
-                f"{self.label} holds {name.removeprefix('OP_').lower()}, of which no Taylor series is known here"
+                f"{self.label} holds {name.removeprefix('OP_').lower()}, which has no known Taylor series at this point"
             )
         if self.rounded and all(row in self.numbers for row in args):
             return self.constant(float(apply_operation(op, [ca.SX(self.numbers[row]) for row in args])))

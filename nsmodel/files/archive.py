@@ -443,7 +443,7 @@ def _read_archive_header(path: Path, stream: IO[bytes]) -> Archive:
     document = _read_metadata(stream, *places.pop(METADATA_MEMBER))
     number = file_format(document, path)
     if number == 1 and {"version", "arrays", "digest"} & document.keys():
-        raise ValueError(f"{METADATA_MEMBER} has lost its format")
+        raise ValueError(f"{METADATA_MEMBER} does not say its format")
     if number >= FIRST_DIGEST_FORMAT:
         _check_metadata_digest(path, document)
     listed: Any = document.pop("arrays", None) if "format" in document else [name.removesuffix(".npy") for name in places]
@@ -470,7 +470,7 @@ def _member_places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
             mark, *lengths = _LOCAL_HEADER.unpack(stream.read(_LOCAL_HEADER.size))
             begin = entry.header_offset + _LOCAL_HEADER.size + sum(lengths)
             if mark != b"PK\3\4" or entry.header_offset < free or begin + entry.file_size > archive.start_dir:
-                raise ValueError(f"its member {entry.filename} is not where it says")
+                raise ValueError(f"its member {entry.filename} is not at the place that the file gives")
             free = begin + entry.file_size
             found[entry.filename] = begin, entry.file_size, entry.CRC
     return found
@@ -484,7 +484,7 @@ def _read_metadata(stream: IO[bytes], begin: int, size: int, crc: int) -> dict[s
         raise ValueError(f"{METADATA_MEMBER} was changed")
     document = loads(text.decode())
     if not isinstance(document, dict):
-        raise ValueError(f"{METADATA_MEMBER} is no dictionary")
+        raise ValueError(f"{METADATA_MEMBER} is not a dictionary")
     return document
 
 
@@ -509,7 +509,7 @@ def _read_array_header(path: Path, stream: IO[bytes], one: dict[str, Any], begin
     if int(bytes_each) not in DTYPE_ITEMSIZES.get(kind, ()) and not (texts and 0 < int(bytes_each) < size):
         raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}; files hold numbers and booleans")
     if order != ("|" if (kind, bytes_each) in (("b", "1"), ("i", "1"), ("u", "1")) else "<"):
-        raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}, in another byte order; expected <")
+        raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}, big-endian; expected little-endian, <")
     if fortran == "True":
         raise ValueError(f"array '{name}' is in Fortran order; expected C order")
     dtype, shape = np.dtype(f"{order}{kind}{bytes_each}"), tuple(int(one) for one in sizes.replace(",", " ").split())

@@ -152,7 +152,7 @@ def check_field_types(data: Any, of: Any, path: str | Path) -> None:
     if fault is not None:
         field, value, expected = fault
         raise StorageError(
-            f"{path}: {field or 'metadata'} is {value!r:.60}; expected {expected}: it was changed, or is no such file"
+            f"{path}: {field or 'metadata'} is {value!r:.60}; expected {expected}: it was changed, or is a file of another kind"
         )
 
 

@@ -53,7 +53,7 @@ def loads(text: str) -> Any:
 
 
 def _reject_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def write_json(path: str | Path, data: Any) -> None:
@@ -127,7 +127,7 @@ def file_format(data: Metadata, path: str | Path) -> int:
 def check_regular_file(path: Path) -> None:
     """Raise OSError for a pipe, a socket or a device, which would be waited for."""
     if stat.S_IFMT(path.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
-        raise OSError("it is no file")
+        raise OSError("it is not a file")
 
 
 def path_inside(folder: Path, name: str, by: str) -> Path:
@@ -136,7 +136,7 @@ def path_inside(folder: Path, name: str, by: str) -> Path:
         raise StorageError(f"{by} names the file {name!r:.80}; expected a plain name, of a file in {folder}: it was changed")
     path = folder / name
     if path.is_symlink():
-        raise StorageError(f"{path} is a link, and what is in a folder of results is not: put the file itself in its place")
+        raise StorageError(f"{path} is a link, which is not allowed in a folder of results: put the file itself in its place")
     return path
 
 

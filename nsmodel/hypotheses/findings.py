@@ -135,7 +135,7 @@ def make_finding(
 ) -> Finding:
     """Return the finding; a verdict without its number, witness or reason is a defect and refused.
 
-    What double precision makes NaN of (0 log 0, where exact arithmetic decides) is no number, and left out; so is an infinity
+    What double precision makes NaN of (0 log 0, where exact arithmetic decides) is not a number, and left out; so is an infinity
     under "holds" of what nothing limits (a width, a margin). Any other infinity there is no proof, and refused.
 
     Raises:

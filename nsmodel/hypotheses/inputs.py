@@ -173,10 +173,10 @@ def _given_bounds(name: str, bounds: Any, size: int) -> SizedBounds:
 def _signal_bounds(name: str, signal: Signal | None, size: int, t_end: float) -> SizedBounds:
     fix = BOUNDS_ADVICE.format(name)
     if signal is None:
-        raise UsageError(f"input '{name}' has no signal, and no bounds; {fix}")
+        raise UsageError(f"input '{name}' has neither a signal nor bounds; {fix}")
     found = signal.within(t_end)
     if found is None:
-        raise UsageError(f"input '{name}': between which values its signal stays is not known; {fix}")
+        raise UsageError(f"input '{name}': the bounds of its signal are not known; {fix}")
     return found.of_size(size)
 
 
@@ -238,7 +238,7 @@ def out_of_bounds_reason(model: Model, motion: InputBounds, run: Trajectory) -> 
         most = (meant.rate * (1 + BOUND_SLACK))[limited] * np.diff(t)[:, None] + room[limited]
         fast = (np.abs(np.diff(u[:, limited], axis=0)) > most).any(axis=1)
         if fast.any():
-            return f"'{name}' of the run moves faster at t = {t[int(fast.argmax())]:.6g} than its bounds say"
+            return f"'{name}' of the run changes faster at t = {t[int(fast.argmax())]:.6g} than its bounds allow"
     return ""
 
 

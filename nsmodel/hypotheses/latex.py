@@ -189,7 +189,7 @@ def translate_expression(
 
     def apply_known(op: int, args: list[T]) -> T:
         if op == ca.OP_CALL:
-            raise ModelError("the expression calls a Function that cannot be looked into; write it with elementary operations")
+            raise ModelError("the expression calls a Function whose code cannot be read; write it with elementary operations")
         return args[0] if op in _IDENTITIES else apply(op, args)
 
     return fold_graph(expr, lambda node: symbol(node.name()), number, apply_known)

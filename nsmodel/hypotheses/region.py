@@ -113,7 +113,7 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
     for name, interval in (given or {}).items():
         rows = [names.index(name)] if name in names else stems.get(name)
         if rows is None:
-            raise UsageError(f"region: '{name}' is no state; the model has {', '.join(names)}")
+            raise UsageError(f"region: '{name}' is not a state; the model has {', '.join(names)}")
         try:
             low, high = (float(end) for end in interval)
         except (TypeError, ValueError):

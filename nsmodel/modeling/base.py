@@ -348,7 +348,7 @@ class Model(Picklable):
         """Raise UsageError where the class refuses to be used for it, or the model's inputs have no place there."""
         if self.u.numel() and what in INPUT_FREE_USES:
             of = f"'{self.title or type(self).__name__}' has inputs ({', '.join(self.input_groups)})"
-            raise UsageError(f"{what}: {of}; a certificate says nothing of signals")
+            raise UsageError(f"{what}: {of}; certificates do not cover signals")
         if why := self.refuses.get(what):
             raise UsageError(f"{what}: '{self.title or type(self).__name__}' {why}")
 
@@ -442,7 +442,7 @@ class Model(Picklable):
                 or group.startswith(KINK_PREFIXES)
             ):
                 raise ModelError(
-                    f"units: '{name}' is no state, multiplier or time; the model has {', '.join(dict.fromkeys(known))}"
+                    f"units: '{name}' is not a state, multiplier or time; the model has {', '.join(dict.fromkeys(known))}"
                     + did_you_mean(name, known)
                 )
 

@@ -384,7 +384,7 @@ def split_convex(phi: ca.SX, y: ca.SX, label: str) -> ConvexSplit:
     for node in parts.nodes:
         if node.kind == "abs" and not is_affine(node.args, ca.vertcat(y, parts.symbols)):
             raise ModelError(
-                f"{label} is not seen to be convex: {node.text} is the absolute value of a nonlinear expression; "
+                f"{label} is not recognised as convex: {node.text} is the absolute value of a nonlinear expression; "
                 "write it with fabs of affine expressions, or with fmax"
             )
     nested = _epigraph_nodes(parts, y)
@@ -442,7 +442,7 @@ def _rewrite_domain_bound(bound: PotentialCondition, parts: PotentialParts, y: c
     if node is None:
         return [bound]
     if weight > 0:
-        raise ModelError(f"{label} is not convex: its domain {bound.text} is not convex; turn the inequality round")
+        raise ModelError(f"{label} is not convex: its domain {bound.text} is not convex; reverse the inequality")
     if node.kind == "norm":
         r = ca.substitute(bound.u, node.symbol, 0)
         return [PotentialCondition("cone", ca.vertcat(r / -weight, node.args), bound.text)]
@@ -526,7 +526,7 @@ def _check_growth(parts: PotentialParts, nested: Sequence[NonsmoothNode], y: ca.
         fall = np.where(finite, before - after - 1e-9 * (1 + np.abs(before)), -1)
         if not finite[:, 0].any() or (fall > 0).any():
             raise ModelError(
-                f"{label} is not seen to be convex: it does not grow with the nested term {node.text}; "
+                f"{label} is not recognised as convex: it does not grow with the nested term {node.text}; "
                 "write it as a sum of fabs, fmax and norm_2 with weights >= 0"
             )
 

@@ -82,11 +82,11 @@ class Quantity:
 
     @classmethod
     def from_text(cls, text: Mapping[str, Any]) -> Self:
-        """What ``text`` gave; StorageError where it is no expression, but code that CasADi would load from elsewhere."""
+        """What ``text`` gave; StorageError where it is not an expression, but code that CasADi would load from elsewhere."""
         code = text["code"]
         if _EXPRESSION_KIND not in code[:_HEAD_LETTERS] or any(word in code for word in _EXTERNAL_KINDS):
             raise StorageError(
-                f"the quantity of {', '.join(text['of']) or 'no column'} is no expression of CasADi: it was changed"
+                f"the quantity of {', '.join(text['of']) or 'no column'} is not a CasADi expression: it was changed"
             )
         return cls(tuple(text["of"]), int(text["size"]), code)
 
@@ -136,7 +136,7 @@ def declare_outputs(given: Any, model: Any) -> dict[str, ca.SX]:
 
 
 def check_output_name(name: Any, taken: set[str]) -> None:
-    """Refuse what is no name, or one that a run has already; ModelError."""
+    """Refuse what is not a name, or one that a run has already; ModelError."""
     if not isinstance(name, str) or not name:
         raise ModelError(f"outputs: {name!r}; expected a name")
     if name in RESERVED_RUN_NAMES | {"x"} | taken or name.startswith(RUN_LIST_PREFIXES):

@@ -34,7 +34,7 @@ def declare_parameters(given: Any) -> tuple[list[DeclaredSymbols], dict[str, flo
     The entries of a vector or matrix th are th_0, th_1, ..., column by column, as those of ``ca.SX.sym("th", 2, 3)``.
 
     Raises:
-        ModelError: no dictionary, a name that repeats, values of another shape than their symbol, what is no finite number.
+        ModelError: no dictionary, a name that repeats, values of another shape than their symbol, what is not a finite number.
     """
     if not isinstance(given, Mapping):
         raise ModelError(f"parameters: expected a dictionary {{symbol or name: value}}, not a {type(given).__name__}")
@@ -61,7 +61,7 @@ def scalar_values(values: Any, known: Mapping[str, Any], vectors: Mapping[str, n
 
     Raises:
         UsageError: no dictionary, a name that is not among those ``known``, one that is given twice, values of another shape.
-        ModelError: what is no finite number.
+        ModelError: what is not a finite number.
     """
     if values is None:
         return {}

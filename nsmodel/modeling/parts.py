@@ -75,5 +75,5 @@ def _package_of(model: Any) -> str:
     kind = model if isinstance(model, type) else type(model)
     package = MODEL_CLASSES.get(kind.__name__, "")
     if not package or kind.__module__ != f"{package}.model":
-        raise ModelError(f"{kind.__name__} is no class of models; expected one of {', '.join(MODEL_CLASSES)}")
+        raise ModelError(f"{kind.__name__} is not a class of models; expected one of {', '.join(MODEL_CLASSES)}")
     return package

@@ -133,7 +133,7 @@ def dead_time(on: Any, off: Any, command: Any, t: Any, *, delay: float, period: 
 def _memory_block(
     name: str, period: float | None, memory: Mapping[Any, Any], update: Mapping[Any, Any], values: Mapping[Any, Sequence[Any]]
 ) -> Block:  # fmt: skip
-    """A block of memory alone; ``values``: those that its symbols take, left out where one is no number."""
+    """A block of memory alone; ``values``: those that its symbols take, left out where one is not a number."""
     few = {symbol: taken for symbol, taken in values.items() if all(isinstance(one, int | float) for one in taken)}
     if period is None:
         return each_step(name, memory=memory, update=update, values=few)

@@ -134,7 +134,9 @@ def make_grid(
         times = np.concatenate([[0.0], np.cumsum(array)])
         drive = input_schedule(model, float(times[-1])) if driven else None
         if drive is not None and drive.moving:
-            raise UsageError("steps: a block places edges of a pwm, which given steps do not know; give step= instead")
+            raise UsageError(
+                "steps: a block places edges of a pwm, at times not known in advance, where a step must end; give step= instead"
+            )
         if drive is not None:
             _check_edges_hit(times, drive.points)
         return _with_schedule(TimeGrid(array.size, float(array[0]), float(array[-1]), array, times), drive)

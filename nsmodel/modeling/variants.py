@@ -60,7 +60,9 @@ def with_inputs_at_any_step(model: T, what: str, signals: Signals | None = None)
     driven = with_inputs(model, signals)
     for name, signal in driven.inputs.items():
         if signal.count is not None:
-            raise UsageError(f"{what}: input '{name}' is steps(...), a row a step, and steps have many lengths; give table")
+            raise UsageError(
+                f"{what}: input '{name}' is steps(...), one row for each step, but the steps have many lengths; give table"
+            )
     return driven
 
 
@@ -200,7 +202,7 @@ def with_start(model: M, starts: Mapping[str, Any]) -> M:
     for state, value in starts.items():
         if state not in known:
             available = f"there are {', '.join(known)}" if known else f"{type(model).__name__} has its start in its own arguments"
-            raise UsageError(f"start: '{state}' is no state; {available}" + did_you_mean(state, known))
+            raise UsageError(f"start: '{state}' is not a state; {available}" + did_you_mean(state, known))
         field, entry = known[state]
         fields.setdefault(field, ca.SX(getattr(model, field)))[entry] = value
     other = model.__copy__()

@@ -227,7 +227,7 @@ def density(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = Non
 def pressure(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
     """Draw the mean pressure on those who were there, with the walls of the run."""
     if found.pressure is None:
-        raise PlotError("these maps have no pressure: their run knows no reactions")
+        raise PlotError("these maps have no pressure: their run has no reactions")
     unit = _pressure_unit(run) if run is not None else ""
     return _draw_map(found, found.pressure, "Mean pressure", style.with_unit("sum of reactions", unit), PRESSURE_COLOURS, run, ax)
 

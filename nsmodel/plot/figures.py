@@ -58,7 +58,7 @@ def window(run: Trajectory, t: Window | None) -> Trajectory:
     first, stop = int(np.searchsorted(run.t, begin, "left")), int(np.searchsorted(run.t, end, "right"))
     if stop - first < 2:
         rows = f"the rows next to it are at t = {', '.join(f'{time:.6g}' for time in run.t[max(first - 1, 0) : stop + 1])}"
-        raise PlotError(f"window t = {begin:.6g} to {end:.6g} holds {stop - first} rows, and a picture needs 2: {rows}")
+        raise PlotError(f"window t = {begin:.6g} to {end:.6g} holds {stop - first} rows, but a picture needs at least 2: {rows}")
     return replace(kept, arrays=_cut_arrays(run, first, stop))
 
 
@@ -69,7 +69,7 @@ def _window_ends(t: Any) -> Window:
     except (TypeError, ValueError):
         raise PlotError(f"t = {t!r}; expected a window (t0, t1), two numbers, or None for an end of the run") from None
     if any(one is not None and math.isnan(one) for one in (begin, end)):
-        raise PlotError(f"t = {t!r}: nan is no time; give None for an end of the run")
+        raise PlotError(f"t = {t!r}: nan is not a time; give None for an end of the run")
     return begin, end
 
 

@@ -122,7 +122,7 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], count: int, fps: floa
 def _ffmpeg() -> str:
     program = shutil.which("ffmpeg")
     if program is None:
-        raise MissingExtraError("MP4 needs the program ffmpeg, which is not found; install it, or write a .gif")
+        raise MissingExtraError("MP4 needs the program ffmpeg, which was not found; install it, or write a .gif")
     return program
 
 

@@ -31,7 +31,7 @@ def configuration(run: Trajectory, model: Any, row: int = -1, ax: Axes | None = 
     if not -rows <= row < rows:
         raise PlotError(f"row {row} does not exist: this run has rows 0 to {rows - 1}")
     if not scene and n > 2:
-        raise PlotError(f"a configuration needs one state, two, or a scene of discs; this run has {n} and no scene")
+        raise PlotError(f"a configuration needs one state, two states, or a scene of discs; this run has {n} and no scene")
     if not scene and model is None:
         raise PlotError("the forbidden set is drawn from the constraints: give the model as well")
     row %= rows

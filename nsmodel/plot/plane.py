@@ -75,7 +75,7 @@ def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, 
         unit = f"{length}/{time}" if length and time else ""
         return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.shorten(names[i])}", unit), ("v", i)
     if n < 2:
-        raise PlotError(f"a phase portrait needs two states, or a velocity; this run has the state {names[0]} alone")
+        raise PlotError(f"a phase portrait needs two states, or a velocity; this run has only the state {names[0]}")
     if j is None:
         others = [(i + k) % n for k in range(1, n)]
         chosen = next((k for k in others if style.quantity_unit(run, names[k]) != style.quantity_unit(run, names[i])), others[0])
@@ -187,7 +187,9 @@ def draw_discs(ax: Axes, run: Trajectory, scene: dict[str, Any], row: int) -> Ax
 
     radii = np.array(scene["radii"], dtype=float)
     if run.x.shape[1] != 2 * len(radii):
-        raise PlotError(f"the scene has {len(radii)} discs and the run {run.x.shape[1]} states: two a disc are needed")
+        raise PlotError(
+            f"the scene has {len(radii)} discs and the run {run.x.shape[1]} states; expected two states for each disc"
+        )
     centres = run.x[row].reshape(-1, 2)
     present, pressure = np.isfinite(centres).all(axis=1), _body_pressures(run, len(radii), row)
     handles = _draw_surroundings(ax, run, scene, row)

@@ -122,7 +122,7 @@ def rewrite_nodes(expr: ca.SX, rule: RewriteRule, ops: Sequence[int], x: ca.SX, 
     if not present & set(ops):
         return expr
     if ca.OP_CALL in present:
-        raise OpaqueExpression(f"{label} calls a Function that cannot be looked into; write it with elementary operations")
+        raise OpaqueExpression(f"{label} calls a Function whose code cannot be read; write it with elementary operations")
 
     def symbol(symbol: ca.SX) -> _RewrittenNode:
         return _RewrittenNode(symbol, symbol, symbol.element_hash() in own)

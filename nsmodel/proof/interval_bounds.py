@@ -46,7 +46,7 @@ def run_with_numbers(code: Program, lower: np.ndarray, upper: np.ndarray) -> tup
 
 
 def _asks_for_numbers(code: Program) -> bool:
-    """Whether an operation has a value also where an argument is no number, and one may have none."""
+    """Whether an operation has a value also where an argument is not a number, and one may have none."""
     loose = any(step.op in OPERATIONS and OPERATIONS[step.op].loose is not None for step in code.steps)
     return loose and any(_may_be_undefined(step, code) for step in code.steps)
 

@@ -75,7 +75,7 @@ class IntervalOperation(NamedTuple):
         continuous: (result, *args) -> whether f is proved defined and continuous on the arguments; None: always.
         jumps: f is piecewise constant: where its value is known it is continuous, whatever the arguments do.
         loose: (result, fine, *args) -> interval of what f may be where arguments may be no numbers, those that are not ``fine``:
-            fmin(NaN, a) is a, NaN < a is 0. None: f is no number either.
+            fmin(NaN, a) is a, NaN < a is 0. None: f is not a number either.
     """
 
     bounds: Callable[..., IntervalPair]
@@ -232,7 +232,7 @@ _TOTAL_BOUNDS = (atan2, _copysign, _if_else_zero)
 
 
 def _or_other_argument(r: IntervalPair, fine: list[Array], x: IntervalPair, y: IntervalPair) -> IntervalPair:
-    """Fmin and fmax are the other argument where one is no number."""
+    """Fmin and fmax are the other argument where one is not a number."""
     r = select_interval(fine[0], r, hull(r, y))
     return select_interval(fine[1], r, hull(r, x))
 

@@ -191,7 +191,7 @@ def _choose_metric(problem: ContinuousProblem, J: ca.SX, linear: _LawMatrices, s
     """The P with P B = C', exactly, with a small omega at some points of the run."""
     pairing = find_storage_matrix(linear.B, linear.C).pairing
     if pairing is None:
-        raise NoErrorBound("there is no P = P' > 0 with P g_l = h_x', in which the law would be monotone")
+        raise NoErrorBound("there is no P = P' > 0 with P g_l = h_x', with which the law would be monotone")
     at = ca.Function("at", [problem.t, problem.x], [ca.densify(J)])
     chosen = np.unique(np.linspace(0, len(stored.start) - 1, METRIC_SAMPLES).astype(int))
     samples = [np.array(at(stored.start[k], stored.x[k, :, 0])) for k in chosen]
@@ -379,7 +379,7 @@ def certify_run(integrator: Integrator, pieces: list[Piece], T: float, rtol: flo
     )
     try:
         if any(piece.event and any(piece.event.impulse) for piece in pieces):
-            raise NoErrorBound("the run starts with an impulse, of which nothing is proved")
+            raise NoErrorBound("the run starts with an impulse, for which nothing is proved")
         error = global_error(problem, stored, certificate.bounds, certificate.jump)
     except NoErrorBound as reason:
         error = reason

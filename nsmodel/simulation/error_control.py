@@ -466,7 +466,7 @@ class ErrorControlledPropagator(SchemePropagator):
         most = STEP_BUDGET if self._limited else MAX_ACCEPTED_STEPS
         if self.totals["accepted"] > most:
             other = " or take method='time-stepping', which allows more" if self._limited else ""
-            raise StepError(f"{most:,} steps were accepted and more are needed: ask for less accuracy (rtol){other}")
+            raise StepError(f"{most:,} steps were accepted which are not enough: ask for less accuracy (rtol){other}")
 
     def _add_row(self, t: float, h: float, row: np.ndarray, result: StepResult, correction: float) -> None:
         """Add the row of a half step."""

@@ -105,7 +105,7 @@ def choose_piece_backend(
         from nsmodel.codegen.event_driven_runs import CompiledPieceIntegrator, UnsupportedValuesError
 
         if model.blocks:
-            raise CodegenError("pieces that blocks end have no C counterpart")
+            raise CodegenError("pieces that end at blocks have no C counterpart")
         held = switch_table(model, t_end)
         if of_all is not None:
             with suppress(UnsupportedValuesError):
@@ -365,7 +365,7 @@ class EventDrivenPropagator:
         self._new.append(block)
         self._made += block.count
         if self._made > MAX_RUN_PIECES:
-            raise StepError(f"{MAX_RUN_PIECES:,} pieces, and more are needed: ask for less accuracy (rtol)")
+            raise StepError(f"{MAX_RUN_PIECES:,} pieces, which are not enough: ask for less accuracy (rtol)")
 
     def _update_totals(self, counts: dict[str, Any]) -> None:
         """Bring the totals to the pieces that were taken."""
@@ -439,7 +439,7 @@ class EventDrivenPropagator:
         self.record.restore(saved["rows"])
         self._made = self.totals["pieces"]
         if self.time > self.T:
-            raise StorageError(f"the run there has reached t = {self.time:.10g}, past this run's end; give a later end")
+            raise StorageError(f"the run there has already reached t = {self.time:.10g}, past this run's end; give a later end")
         if self.times is not None and saved["rows"]["t"] not in [0.0, *self.times[: self.k]]:
             raise StorageError(f"times: the run there has a row at t = {saved['rows']['t']:.10g}; give its times, and later ones")
 
@@ -502,10 +502,10 @@ def _check_size(problem: ContinuousProblem, options: Options) -> None:
 def _check_provable(problem: ContinuousProblem, options: Options) -> None:
     """Refuse to prove what interval arithmetic has no form of."""
     if options.certified and problem.held:
-        raise NotEventDriven("certify='interval' proves models without inputs alone")
+        raise NotEventDriven("certify='interval' applies only to models without inputs")
     if options.certified and problem.sliding_law_names:
         raise NotEventDriven(
-            f"certify='interval' proves boxes alone; while '{problem.sliding_law_names[0]}' slips, its l is a series of y"
+            f"certify='interval' applies only to boxes; while '{problem.sliding_law_names[0]}' slips, its l is a series of y"
         )
 
 

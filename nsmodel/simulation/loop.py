@@ -198,7 +198,9 @@ class RunLoop:
             same_way = "leave compiled (--compiled) out to go on as it began, or " if BACKEND_SETTING in other else ""
             raise StorageError(f"{out}: the run there was made with {other}; {same_way}start afresh without resuming")
         if saved["k"] > propagator.N:
-            raise StorageError(f"{out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
+            raise StorageError(
+                f"{out}: the run there has already reached t = {saved['t']:g}, past this run's end; give a later end"
+            )
         missing = sorted(propagator.totals.keys() - saved["totals"].keys())
         if missing:
             raise StorageError(f"{out}: the checkpoint there has no totals['{missing[0]}']: it was changed")
@@ -225,7 +227,7 @@ class RunLoop:
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             fault = f"{type(error).__name__}: {error}"
             where = self.options.folder
-            raise StorageError(f"{where}: the checkpoint there cannot be gone on from ({fault}): it was changed") from error
+            raise StorageError(f"{where}: the checkpoint there cannot be continued ({fault}): it was changed") from error
 
     def _finish(self, status: str, message: str) -> Trajectory:
         """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""

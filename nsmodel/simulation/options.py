@@ -296,8 +296,8 @@ class Options:
             raise UsageError(f"method '{self.method}' needs rtol (--rtol), the error that is allowed")
         if self.halve and (self.rtol is not None or self.atol is not None):
             raise UsageError(
-                "halve (--halve) and rtol are both given: rtol controls the error already, halve estimates that of time steps; "
-                "leave one of them out"
+                "halve (--halve) and rtol are both given: rtol already controls the error, halve estimates that of constant "
+                "steps; leave one of them out"
             )
         if self.times is not None and (self.rtol is None or self.method == METHODS[2]):
             raise UsageError("times are rows of an event-driven run: give rtol, and leave method out; else take step or steps")

@@ -101,7 +101,7 @@ class PreparedRun:
             the trajectory that `simulate` returns at these values, to the last bit.
 
         Raises:
-            UsageError, StepError, RunInterrupted: as `simulate`; a name that is no state, a start that is no finite number.
+            UsageError, StepError, RunInterrupted: as `simulate`; a name that is not a state, a start that is not a finite number.
             KeyboardInterrupt: Ctrl-C while a run is one call of C, of which nothing is kept.
         """
         values = self._values if parameters is None else {**self._values, **self._model.values_of(parameters)}
@@ -248,7 +248,7 @@ class _StartConditions:
 
     @classmethod
     def of(cls, model: Model, problem: ContinuousProblem) -> _StartConditions | None:
-        """Those of a model; None where its start is no list of numbers, or its starts change what is computed."""
+        """Those of a model; None where its start is not a list of numbers, or its starts change what is computed."""
         try:
             free = with_start_parameters(model, list(start_entries(model)))
             symbolic = cached_symbolic_problem(free)

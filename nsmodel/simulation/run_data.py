@@ -274,10 +274,10 @@ def check_run_arrays(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, An
         needed += names if any(name.startswith(kind) for name in arrays) else []
     for name in needed:
         if name not in arrays:
-            raise StorageError(f"{path} holds no array '{name}': it is no trajectory; give a run's own npz file")
+            raise StorageError(f"{path} holds no array '{name}': it is not a trajectory; give a run's own npz file")
     t = arrays["t"]
     if t.ndim != 1 or not len(t) or t.dtype.kind == "b" or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise StorageError(f"{path}: array 't' is no list of finite times, one after the other: it is no trajectory")
+        raise StorageError(f"{path}: array 't' is not a list of increasing finite times: it is not a trajectory")
     lengths = {"": len(t)}
     for name, array in arrays.items():
         kind = next((start for start in LIST_PREFIXES if name.startswith(start)), "")
@@ -285,16 +285,16 @@ def check_run_arrays(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, An
         expected = lengths.setdefault(kind, length)
         if array.dtype.kind not in kinds:
             raise StorageError(
-                f"{path}: array '{name}' is of type {array.dtype}; expected {_KIND_NAMES[kinds]}: it is no trajectory"
+                f"{path}: array '{name}' is of type {array.dtype}; expected {_KIND_NAMES[kinds]}: it is not a trajectory"
             )
         if array.ndim != axes or length != expected:
             of = f"{axes} axes, the first of {expected} {'entries' if kind else 'rows'}"
-            raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {of}: it is no trajectory")
+            raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {of}: it is not a trajectory")
     for name, first, last in (("piece_start", -np.inf, t[0]), ("contact_row", 0, len(t) - 1)):
         values = arrays.get(name, np.zeros(0))
         ends = (values[:1] >= first).all() and (values[:1] <= last).all() and (values[-1:] <= max(last, t[-1])).all()
         if not (ends and np.isfinite(values).all() and (np.diff(values) >= 0).all()):
-            raise StorageError(f"{path}: array '{name}' is not of this run, or not in order: it is no trajectory")
+            raise StorageError(f"{path}: array '{name}' is not of this run, or not in order: it is not a trajectory")
     columns = {"x": max((i for stem in metadata.get("stems", {}).values() for i in stem), default=-1) + 1}
     columns["halving"], columns["inputs"] = arrays["x"].shape[1], len(metadata.get("input_names", ()))
     for name, members in metadata.get("input_groups", {}).items():

@@ -197,7 +197,7 @@ class ChunkStore:
         if chunk["file"] != JOINED_FILE and not _CHUNK_NAME_PATTERN.fullmatch(chunk["file"]):
             by = self.directory / MANIFEST_FILE
             raise StorageError(
-                f"{by} lists the file {chunk['file']!r:.80}, which is no chunk of a run: it was changed; {_START_AFRESH_HINT}"
+                f"{by} lists the file {chunk['file']!r:.80}, which is not a chunk of a run: it was changed; {_START_AFRESH_HINT}"
             )
         return path_inside(self.directory, chunk["file"], str(self.directory / MANIFEST_FILE))
 

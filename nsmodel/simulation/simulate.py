@@ -89,7 +89,9 @@ def _run_with_halved_steps(model: Model, options: Options) -> RunLoop:
     check_no_fixed_steps(bound, "halve")
     for name, signal in bound.inputs.items():
         if signal.count is not None:
-            raise UsageError(f"input '{name}': steps(...) has a row a step, and halve takes twice as many; give table(...)")
+            raise UsageError(
+                f"input '{name}': steps(...) has one row for each step, but halve takes twice as many steps; give table(...)"
+            )
     nested = not (options.resume or (grid.drive is not None and grid.drive.moving))
     own = replace(options, out=None, resume=False, halve=False, save_every=2 * options.save_every if nested else 1)
     return RunLoop(_fixed_grid_propagator(bound, own, grid.halved(), lambda: None, symbolic_model), own, None)

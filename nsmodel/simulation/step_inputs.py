@@ -177,11 +177,13 @@ class SpanInputs:
         self._drive, self._now, self._at, self._starter, self._ticks = drive, drive, at, starter, ticks
         for name, signal in drive.signals.items():
             if signal.count is not None:
-                raise UsageError(f"input '{name}': steps(...) has a row a step, and rtol chooses the steps; give table, or step=")
+                raise UsageError(
+                    f"input '{name}': steps(...) has one row for each step, but rtol chooses the steps; give table, or step="
+                )
         for block in () if ticks is None else ticks.blocks:
             if block.period is None:
                 raise UsageError(
-                    f"block '{block.name}' acts after each step, and rtol chooses the steps: take event-driven integration "
+                    f"block '{block.name}' acts after each step, but rtol chooses the steps: take event-driven integration "
                     "(method='event-driven'), which finds when it acts, or step="
                 )
         self._kept = np.zeros(0, int) if ticks is None else np.concatenate([ticks.at, ticks.at + drive.size])
@@ -339,7 +341,7 @@ class StepInputs:
         """The signals up to the end of a step, and ahead where they let; UsageError where one is none up to there."""
         for name, signal in self._model.inputs.items():
             if signal.count is not None and k >= signal.count:
-                raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, and this would be step {k + 1}")
+                raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, but this would be step {k + 1}")
         if self._drive is None or end > self._ahead:
             try:
                 self._drive, self._ahead = input_schedule(self._model, LOOK_AHEAD_FACTOR * end), LOOK_AHEAD_FACTOR * end

@@ -105,7 +105,7 @@ class ModelStepper:
         own = self._model = model
         self._options = options
         if GRID_PROPAGATOR.optional(own) is not None:
-            raise UsageError("stepper: many bodies enter and leave as they go; take simulate")
+            raise UsageError("stepper: many bodies enter and leave during a run; take simulate")
         h = own.step if options.step is None else options.step
         if not (is_number(h) and 0 < h < np.inf):
             raise UsageError("stepper: no time step: give the model step=, or step=H here")

@@ -53,7 +53,7 @@ class Trajectory(RunData):
         step in which nothing switches.
 
         Raises:
-            UsageError: a time that is no number or outside the run.
+            UsageError: a time that is not a number or outside the run.
         """
         times = dense_output.as_times(t)
         outside = times[~((times >= self.t[0]) & (times <= self.t[-1]))]
@@ -144,7 +144,7 @@ class Trajectory(RunData):
     def events(self) -> tuple[dense_output.Event, ...]:
         """The switches of an event-driven run, in order; UsageError for a run by time stepping, which has none but its rows'."""
         if not self.is_event_driven:
-            raise UsageError("events are found by event-driven runs: give rtol; of time steps see run.index_set")
+            raise UsageError("events are found by event-driven runs: give rtol; for time steps see run.index_set")
         return _events_of(self)
 
     def save(self, path: str | Path) -> None:

@@ -212,7 +212,8 @@ class CatchingUpStepper:
         found = mlcp.solve_mlcp(W, b, law, np.zeros(m), index, chain, True, CUT_TOLERANCE)
         if found.residual > self.tolerance:
             raise StepError(
-                f"approximate projection at t = {t:.10g}: the linearised set could not be projected on", residual=found.residual
+                f"approximate projection at t = {t:.10g}: the projection on the linearised set was not found",
+                residual=found.residual,
             )
         return y + A.T @ found.l, found.l
 

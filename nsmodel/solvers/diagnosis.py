@@ -102,7 +102,7 @@ def _describe_nearly_opposite(problem: OneStepProblem, W: np.ndarray) -> str:
         return ""
     return (
         f"{' and '.join(_weighted_row_names(problem, rows))} are nearly opposite (gamma > {1 / MIN_OPPOSING_ANGLE:.0e}): double "
-        "precision does not tell where between them the state is; leave more room between them, or join them to an equality"
+        "precision cannot resolve where between them the state is; leave more room between them, or write them as one equality"
     )
 
 
@@ -131,7 +131,7 @@ def _describe_unproved_failure(
     if part < DEPENDENCE_LIMIT and len(dependent) > 1:
         return (
             f"no solver reached the tolerance; {' and '.join(_weighted_row_names(problem, dependent))} depend on one another to "
-            f"a part of {part:.1g}: where they are held together, double precision does not tell their multipliers"
+            f"a part of {part:.1g}: where they are held together, double precision cannot resolve their multipliers"
         )
     return "no solver reached the tolerance"
 

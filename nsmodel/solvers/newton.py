@@ -395,7 +395,7 @@ def _symbolic_row(
 def _symbolic_law_scales(
     at: SymbolicLinearisation, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """s_y and s_l, as in `certificate`, where W is no number."""
+    """s_y and s_l, as in `certificate`, where W is not a number."""
     m, moved = law.size, at.Z @ l
     b = at.Y - at.Y_z @ moved - at.Y_l @ l
     terms = ca.fabs(at.Y_z) @ ca.fabs(moved) + ca.fabs(at.Y_l) @ ca.fabs(l)

@@ -265,7 +265,7 @@ def subdifferential(phi: ConvexSplit, y: ca.SX, name: str, *, guarded: bool = Tr
     """Write -dPhi(y) as ``force``, an expression of y and new multipliers l' with -u ∈ N_K(l').
 
     |u| gives a relay, max(u, 0) a box, |u|_2 a ball, an indicator a complementarity or a cone; nested terms their epigraph:
-    tau free with 0 = d/dtau, 0 <= l ⟂ tau_j - u_i(y, tau) >= 0. ``guarded``: the force is no number where Phi has no value.
+    tau free with 0 = d/dtau, 0 <= l ⟂ tau_j - u_i(y, tau) >= 0. ``guarded``: the force is not a number where Phi has no value.
     """
     laws, symbols, us, rows = [], [], [], []
     lagrangian = phi.smooth

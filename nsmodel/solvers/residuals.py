@@ -197,7 +197,7 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
 
 
 def symbolic_max(items: list[ca.SX]) -> ca.SX:
-    """The largest of some sizes; inf where one is no number."""
+    """The largest of some sizes; inf where one is not a number."""
     worst = ca.SX(0)
     for item in items:
         # fmax passes over a NaN; comparisons with one are false.

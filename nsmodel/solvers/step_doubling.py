@@ -116,7 +116,7 @@ class ErrorNorm:
         return self.atol + self.rtol * size
 
     def __call__(self, error: np.ndarray, x: np.ndarray, size: np.ndarray) -> float:
-        """The largest of the errors at x, with the largest |x_i| before; infinite where one is no number."""
+        """The largest of the errors at x, with the largest |x_i| before; infinite where one is not a number."""
         allowed = self.allowed(np.maximum(size, np.abs(x)))
         units = np.divide(error, allowed, out=np.where(error > 0, np.inf, 0.0), where=allowed > 0)
         return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))

@@ -363,7 +363,7 @@ def theta_gamma_residual(
 
 
 def _reinitialised_steps(model: Any, run: Trajectory) -> np.ndarray:
-    """The steps (N,) whose r_k is no row of the run: the first, and those that begin with a jump of an input."""
+    """The steps (N,) whose r_k is not a row of the run: the first, and those that begin with a jump of an input."""
     found = reinitialised_step_mask(model, run) if model.u.numel() else np.zeros(len(run.t) - 1, bool)
     found[0] = True
     return found

@@ -119,7 +119,7 @@ class Study(Picklable):
     def cost(self, target: float) -> Cost | None:
         """Return what the relative error ``target`` costs with the quickest method; None where none would reach it.
 
-        UsageError where the target is no finite number > 0.
+        UsageError where the target is not a finite number > 0.
         """
         if not (np.isfinite(target) and target > 0):
             raise UsageError(f"target = {target}; expected a finite number > 0")

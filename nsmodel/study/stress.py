@@ -71,7 +71,7 @@ def stress(
         progress: show a progress bar at a terminal, or in a notebook.
 
     Raises:
-        UsageError: no model, a model of many bodies, no step, an unknown parameter, a value that is no number, an input that
+        UsageError: no model, a model of many bodies, no step, an unknown parameter, a value that is not a number, an input that
             is `steps`.
     """
     if not isinstance(model, Model):

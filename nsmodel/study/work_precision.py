@@ -114,7 +114,7 @@ class ReferenceSearch:
         It is interpreted where there is time for that, else compiled.
 
         Raises:
-            StepError: no refined run comes to its end, and there is no closed form.
+            StepError: no refined run finishes, and there is no closed form.
         """
         interpreted, compiled = ways
         probe = self.run_probe(interpreted, counts)
@@ -141,7 +141,7 @@ class ReferenceSearch:
         if exact is not None:
             return closed_form_reference(exact, self.model, probe.run.t, refined, why), kept, probe.run
         if refined is None:
-            raise StepError(f"no refined run comes to its end, so there is nothing to compare with: {self.notes[-1]}")
+            raise StepError(f"no refined run finishes, so there is nothing to compare with: {self.notes[-1]}")
         return self._event_driven_if_better(refined), kept, probe.run
 
     def _event_driven_if_better(self, refined: Reference) -> Reference:

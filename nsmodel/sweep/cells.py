@@ -351,7 +351,9 @@ def _evaluate_output(name: str, function: Callable[[Any], Any], run: Trajectory)
     except Exception as error:
         raise UsageError(f"output '{name}': {type(error).__name__}: {error}") from error
     if value.dtype.kind not in "fiub":
-        raise UsageError(f"output '{name}': {value!r:.60} is no number; a function of a run returns a number or an array of them")
+        raise UsageError(
+            f"output '{name}': {value!r:.60} is not a number; a function of a run returns a number or an array of them"
+        )
     return value
 
 
@@ -442,12 +444,12 @@ def _reason_to_run_alone(request: SweepRequest, group: CellGroup, cells: float, 
     if GRID_PROPAGATOR.optional(group.model) is not None:
         return "many bodies"
     if signal := next((name for name in request.by if name not in group.names), None):
-        return f"'{signal}' is a number of a signal, by which no library differentiates"
+        return f"'{signal}' is a number of a signal, and no library gives derivatives with respect to it"
     if moved := next(iter(parametric_inputs(group.model)), None):
         return f"the edges of '{moved}' move with its parameters"
     whole = [name for name, one in request.outputs.items() if not (isinstance(one, Reduction) and one.needs_rows_alone)]
     if whole:
-        return f"the output '{whole[0]}' is of a whole run"
+        return f"the output '{whole[0]}' needs the whole run"
     if request.is_event_driven and options["method"] == METHODS[2]:
         return "the steps of each are chosen by error control"
     if options["compiled"] is True or not costs:

@@ -164,8 +164,7 @@ class _DesignBuilder:
             raise UsageError(f"{label} = {values!r:.60}; expected numbers > 0")
         if kind == "value" and name in RESERVED_DIMS:
             raise UsageError(
-                f"{label}: '{name}' is the name of a dimension of its own; give {_alternative_argument(name)}, or call it "
-                "otherwise"
+                f"{label}: '{name}' is the name of a dimension of its own; give {_alternative_argument(name)}, or rename it"
             )
         if dim in self.coords:
             raise UsageError(f"{label}: '{dim}' is given twice; keep one")
@@ -283,7 +282,7 @@ def _read_values(values: Any, label: str) -> np.ndarray:
         return array
     if array.dtype.kind in "f":
         if not np.isfinite(array).all():
-            raise UsageError(f"{label}: {array[~np.isfinite(array)][0]} is no finite number")
+            raise UsageError(f"{label}: {array[~np.isfinite(array)][0]} is not a finite number")
         return array.astype(float)
     if array.dtype.kind == "b":
         array = array.astype(object)

@@ -208,7 +208,7 @@ def check_picklable(request: SweepRequest) -> None:
         except Exception as error:
             raise UsageError(
                 f"output '{name}' cannot go to other processes ({error}); define it with def at the top level of a module, give "
-                "a text such as 'x1[-1]', or take workers=1"
+                "a string such as 'x1[-1]', or take workers=1"
             ) from error
 
 

@@ -111,7 +111,7 @@ class ModelGroups:
         self._fixed, self._step, self._inputs = dict(fixed), step, inputs
         self.seeded = any(column.kind == SEED for column in design.columns)
         if self.seeded and start is None and not source.has_argument("seed"):
-            raise UsageError("seeds: neither does def model(seed=...) take them, nor is start a function of a random generator")
+            raise UsageError("seeds: def model(...) does not take seed=, and start is not a function of a random generator")
         self._shared = [column for column in design.columns if self._makes_models(column)]
         self._own = [column for column in design.columns if column.kind in ("value", "start") and column not in self._shared]
         steps = [column.values for column in design.columns if column.kind == STEP]
@@ -230,8 +230,8 @@ class ModelGroups:
             self.rows = rows
         elif self._request.keep and not _are_same_times(rows.times, self.rows.times):
             raise IncompatibleRowsError(
-                f"the rows of this model are at other times (0 to {rows.times[-1]:g} in {len(rows.times)} rows) than those of "
-                f"the first (0 to {self.rows.times[-1]:g} in {len(self.rows.times)}); keep numbers with outputs= in place of rows"
+                f"the rows of this model are at different times (0 to {rows.times[-1]:g} in {len(rows.times)} rows) than in "
+                f"the first (0 to {self.rows.times[-1]:g} in {len(self.rows.times)}); use outputs= in place of keep="
             )
         names = [name for name in bound.parameters if name not in steady.names]
         return CellGroup(bound, tuple(bound.parameters), step, rows, (tuple(steady.names), steady.function(names)))

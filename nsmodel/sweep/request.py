@@ -54,7 +54,7 @@ class Reduction:
         elif -values.shape[1] <= self.row < values.shape[1]:
             found = values[:, self.row]
         else:
-            raise UsageError(f"output '{self.text}': there is no row {self.row}; a run of this sweep has {values.shape[1]} rows")
+            raise UsageError(f"output '{self.text}': there is no row {self.row}; runs of this sweep have {values.shape[1]} rows")
         return found[:, 0] if found.ndim == 2 and found.shape[1] == 1 else found
 
     def __call__(self, run: Any) -> np.ndarray:
@@ -80,14 +80,14 @@ def read_outputs(given: Mapping[str, Any] | None) -> dict[str, Callable[[Any], A
     if given is None:
         return {}
     if not isinstance(given, Mapping):
-        raise UsageError(f"outputs = {given!r:.60}; expected {{name: function of a run, or a text such as 'x1[-1]'}}")
+        raise UsageError(f"outputs = {given!r:.60}; expected {{name: function of a run, or a string such as 'x1[-1]'}}")
     return {str(name): _read_reduction(str(name), what) for name, what in given.items()}
 
 
 def _read_reduction(name: str, what: Any) -> Callable[[Any], Any]:
     if not isinstance(what, str):
         if not callable(what):
-            raise UsageError(f"output '{name}': {what!r:.60}; expected a function of a run, or a text such as 'x1[-1]'")
+            raise UsageError(f"output '{name}': {what!r:.60}; expected a function of a run, or a string such as 'x1[-1]'")
         return what
     if found := _REDUCTION_PATTERN.fullmatch(what):
         how = found["how"]
@@ -124,7 +124,7 @@ class SweepRequest:
     """What is asked of every cell.
 
     Attributes:
-        keep: columns of which rows are kept; every: each how many steps, None: so that there are about ABOUT.
+        keep: columns to keep over time; every: each how many steps, None: so that there are about ABOUT.
         outputs: numbers of a run by name.
         options: of `simulate`: solver, tolerance, compiled, rtol, atol, method, t_end, times.
         way: how cells are run: in C with others, by steps or by pieces, or each alone by `simulate`.
@@ -141,17 +141,17 @@ class SweepRequest:
         if self.every is not None and not (is_number(self.every) and self.every >= 1 and float(self.every).is_integer()):
             raise UsageError(f"every = {format_value(self.every)}; expected a whole number >= 1")
         if self.every is not None and self.is_event_driven:
-            raise UsageError("every counts steps, which runs with rtol do not have; give times=, those of the rows")
+            raise UsageError("every counts steps, which runs with rtol do not have; give times=, the times of the rows")
         if not self.keep and not self.outputs:
             raise UsageError(
-                "nothing is kept of the cells: give keep=['x1'], columns of which rows are kept, or outputs={'end': 'x1[-1]'}"
+                "nothing is kept of the cells: give keep=['x1'], columns to keep over time, or outputs={'end': 'x1[-1]'}"
             )
         taken = {*self.facts, "message", "t"}
         for name in (*self.keep, *self.outputs):
             if not isinstance(name, str) or not name.strip() or _NOT_IN_NAMES & set(name):
-                raise UsageError(f"'{name}' cannot be the name of a quantity; expected a text without / \\ : and line ends")
+                raise UsageError(f"'{name}' cannot be the name of a quantity; expected a string without / \\ : and line ends")
             if name in taken:
-                raise UsageError(f"'{name}' has its own place in every sweep; leave it out, or call the output otherwise")
+                raise UsageError(f"'{name}' has its own place in every sweep; leave it out, or give the output another name")
             if name in self.keep and (self.keep.count(name) > 1 or name in self.outputs):
                 raise UsageError(f"'{name}' is kept twice; keep one")
         if self.derivatives and (not self.is_event_driven or self.options.get("method") == METHODS[2]):
@@ -231,8 +231,8 @@ class SweepRequest:
         ratio = 1 if longest is None or step is None else longest / step
         if abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise UsageError(
-                f"steps {longest:g} and {step:g} have no common rows, as one is no multiple of the other; give steps that are, "
-                "or outputs= in place of keep="
+                f"steps {longest:g} and {step:g} have no common rows, as neither is a multiple of the other; give steps that "
+                "are, or outputs= in place of keep="
             )
         every *= round(ratio)
         numbers = np.append(np.arange(0, grid.N, every), grid.N)

@@ -261,7 +261,7 @@ class Sweep:
         self.at(cell)
         if self._again is None:
             raise UsageError(
-                "a sweep that was read from a file has no model; sweep again with resume=True, which runs nothing anew"
+                "a sweep that was read from a file has no model; sweep again with resume=True, which runs no cell again"
             )
         return self._again(cell % self.size, options)
 
@@ -296,7 +296,7 @@ class Sweep:
         if path.is_dir():
             if not (path / SWEEP_FILE).exists():
                 raise StorageError(
-                    f"{path} holds no {SWEEP_FILE}: no sweep, or one that is not done; go on with resume=True (--resume)"
+                    f"{path} holds no {SWEEP_FILE}: no sweep, or an unfinished one; continue it with resume=True (--resume)"
                 )
             path = path / SWEEP_FILE
         archive, arrays = map_archive(path)

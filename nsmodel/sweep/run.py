@@ -94,7 +94,7 @@ def sweep(
         step: the time step; several: a dimension. inputs: signals as in `simulate`; a list of such dictionaries, or
             {label: dictionary}: a dimension.
         parameters: values that all cells share, of parameters and arguments.
-        keep: columns of which rows are kept, by the names that a Trajectory has; every: each how many steps, and the last (left
+        keep: columns to keep over time, by the names that a Trajectory has; every: each how many steps, and the last (left
             out: about 200 rows); of event-driven runs the rows are at ``times``.
         outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory, which
             raise StepError where a run has no result: such a cell is a failed one.
@@ -157,7 +157,7 @@ def _check_solver_and_retry(solver: str, *, resume: bool, retry: bool) -> None:
     if solver not in STEP_SOLVERS:
         raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(STEP_SOLVERS)}")
     if retry and not resume:
-        raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
+        raise UsageError("retry runs the failed cells of an existing sweep again: give resume=True and out= with it")
 
 
 def _kept_columns(keep: Any) -> tuple[str, ...]:
@@ -170,10 +170,10 @@ def check_varied_names(design: SweepDesign, request: SweepRequest, fixed: Mappin
     """Raise UsageError for a name that is given two meanings."""
     varied = {one.name for one in design.columns if one.kind == "value"}
     for name in sorted(varied & fixed.keys()):
-        raise UsageError(f"'{name}' is varied, and parameters gives it {fixed[name]!r:.40}; keep one")
+        raise UsageError(f"'{name}' is varied, but parameters= also gives it {fixed[name]!r:.40}; keep one")
     for name in (*request.keep, *request.outputs):
         if name in {*varied, *design.dims}:
-            raise UsageError(f"'{name}' is what is varied, and known of each cell; leave it out, or call the output otherwise")
+            raise UsageError(f"'{name}' is varied, so each cell has it already; leave it out, or give the output another name")
 
 
 class _SweepRun:

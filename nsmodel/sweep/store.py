@@ -48,7 +48,7 @@ EXTENDABLE_DIMS = (SAMPLE, SEED, REPLICATE)  # Dimensions that may become longer
 
 
 def design_document(design: SweepDesign) -> dict[str, Any]:
-    """What varies, for a manifest: names and, of what is no number, texts that tell values apart."""
+    """What varies, for a manifest: names and, of what is not a number, texts that tell values apart."""
     return {
         "dims": list(design.dims),
         "sizes": list(design.shape),
@@ -77,7 +77,7 @@ class SweepBinding:
 
     @cached_property
     def _varied_bytes(self) -> list[tuple[tuple[int, ...], np.ndarray]]:
-        """What varies as bytes: the dimensions of each column, and its values, or digests of what is no number."""
+        """What varies as bytes: the dimensions of each column, and its values, or digests of what is not a number."""
         return [
             (one.along, one.values.astype(one.values.dtype.newbyteorder("<")) if one.numeric else _value_digests(one.values))
             for one in self._design.columns
@@ -148,7 +148,7 @@ def check_sweep_file(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None
     if len(set(dims)) != len(dims) or len(dims) != len(shape):
         raise StorageError(f"{path}: dims is {dims}; expected a name for each of {len(shape)} dimensions, each once")
     if t.ndim != 1 or not len(t) or t.dtype.kind == "b" or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise StorageError(f"{path}: array 't' is no list of finite times, one after the other")
+        raise StorageError(f"{path}: array 't' is not a list of increasing finite times")
     expected = {f"{DIM_PREFIX}{dim}": (length,) for dim, length in zip(dims, shape, strict=True) if dim not in labels}
     for dim, length in zip(dims, shape, strict=True):
         if len(labels.get(dim, range(length))) != length:
@@ -168,13 +168,13 @@ def check_sweep_file(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None
             raise StorageError(f"{path}: array '{name}' is of type {dtype}; expected numbers")
         lead = expected.get(name, (size,) + ((len(t),) if name in about["keep"] else ()))
         if found[: len(lead)] != lead or (name.startswith(DIM_PREFIX) and len(found) > 1):
-            raise StorageError(f"{path}: array '{name}' has shape {found}; expected {lead}, and what a cell has behind it")
+            raise StorageError(f"{path}: array '{name}' has shape {found}; expected {lead}, followed by the shape within a cell")
         if name in facts and (dtype.str[1:], found) != (facts[name][0], (size,)):
             raise StorageError(
                 f"{path}: array '{name}' is of type {dtype} and shape {found}; expected {facts[name][0]}, ({size},)"
             )
         if name.startswith((DIM_PREFIX, VALUE_PREFIX)) and name not in expected:
-            raise StorageError(f"{path}: array '{name}' is of nothing that the metadata say varies")
+            raise StorageError(f"{path}: array '{name}' belongs to nothing that varies according to the metadata")
 
 
 def check_message_cells(about: Mapping[str, Any], size: int, path: Path) -> None:
@@ -198,11 +198,11 @@ def check_part_file(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
     check_field_types(about, SWEEP_PART_FIELDS, path)
     for name in (CELL_ARRAY, *CELL_FACTS):
         if name not in arrays:
-            raise StorageError(f"{path} holds no array '{name}': it is no part of a sweep")
+            raise StorageError(f"{path} holds no array '{name}': it is not a part of a sweep")
     cells, size = arrays[CELL_ARRAY], prod(about["shape"])
     inside = cells.ndim == 1 and len(cells) > 0 and cells.dtype.kind in "iu" and cells.min() >= 0 and cells.max() < size
     if not inside or len(np.unique(cells)) < len(cells):
-        raise StorageError(f"{path}: array '{CELL_ARRAY}' is no list of different cells, 0 to {size - 1}")
+        raise StorageError(f"{path}: array '{CELL_ARRAY}' is not a list of different cells, 0 to {size - 1}")
     facts = {**CELL_FACTS, **EVENT_DRIVEN_FACTS}
     for name, values in arrays.items():
         kind = facts.get(name, (values.dtype.str[1:],))[0]
@@ -258,7 +258,7 @@ class SweepStore:
         archive, numbers = read_archive(self._file(DESIGN_FILE))
         if archive.metadata.get("sweep") != manifest["sweep"]:
             raise StorageError(
-                f"{archive.path} belongs to another sweep than {MANIFEST_FILE}; put it back from a copy, or give another folder"
+                f"{archive.path} does not belong to the sweep of {MANIFEST_FILE}; put it back from a copy, or give another folder"
             )
         other = design_difference(manifest["design"], numbers, self.design)
         if other is not None:
@@ -350,7 +350,7 @@ class SweepStore:
             whole = path.name == SWEEP_FILE
             archive, arrays = map_archive(path) if whole else read_archive(path)
             if not archive.has_digests:
-                raise StorageError(f"{path} is of format {archive.format}, and not gone on with; {_REMOVE_HINT}")
+                raise StorageError(f"{path} is of format {archive.format}, and cannot be continued; {_REMOVE_HINT}")
             (check_sweep_file if whole else check_part_file)(archive, arrays)
             shape = tuple(archive.metadata["shape"])
             cells = np.arange(prod(shape)) if whole else arrays[CELL_ARRAY]

@@ -50,7 +50,7 @@ class Variable:
         label: in words; empty: the name.
         low_discrepancy: whether the samples are a Sobol, Halton or Latin hypercube net, whose points are not independent.
         units: {name of a coordinate: its unit}.
-        along: {name of a coordinate that is no dim: its dim}.
+        along: {name of a coordinate that is not a dim: its dim}.
 
     Raises:
         UsageError: shapes, dims and coordinates that do not belong together.
@@ -307,7 +307,9 @@ def _check_shapes(self: Variable) -> None:
     for name in (*self.dims, *self.coords):
         dim = name if name in sizes else self.along.get(name)
         if dim not in sizes or name not in self.coords:
-            raise UsageError(f"{self.name}: {name} is no dim of {self.dims}; along={{{name!r}: DIM}} says whose coordinate it is")
+            raise UsageError(
+                f"{self.name}: {name} is not a dim of {self.dims}; along={{{name!r}: DIM}} says along which dim it lies"
+            )
         if self.coords[name].shape != (sizes[dim],):
             raise UsageError(f"{self.name}: {name} of shape {self.coords[name].shape}; expected ({sizes[dim]},), along {dim}")
 
@@ -318,7 +320,7 @@ def _nearest_index(coordinate: np.ndarray, dim: str, value: Any) -> int:
     equal = np.flatnonzero(coordinate == value)
     if not equal.size:
         few = f"{', '.join(map(str, coordinate[:8]))}{', ...' if len(coordinate) > 8 else ''}"
-        raise UsageError(f"{dim} is nowhere {value!r}; it is {few}")
+        raise UsageError(f"{dim} is never {value!r}; its values are {few}")
     return int(equal[0])
 
 
@@ -395,7 +397,7 @@ def group_cells(variable: Variable, over: Over) -> StatisticGroups:
             raise UsageError(f"over={dim!r}: {variable.name} has the dims {', '.join(variable.dims) or 'none'}")
         if dim not in variable.cell_dims:
             raise UsageError(
-                f"over={dim!r}: {dim} is an axis within each cell, whose values are no independent draws; over= takes "
+                f"over={dim!r}: {dim} is an axis within each cell, whose values are not independent draws; over= takes "
                 f"{', '.join(variable.cell_dims) or 'none of the dims'}; a mean over time is run.mean, an output of the sweep"
             )
     if not dims or len(set(dims)) < len(dims):
@@ -432,12 +434,12 @@ def check_independent(groups: StatisticGroups, level: float, replicates: str | N
         if replicates not in over:
             raise UsageError(f"replicates={replicates!r} is not among over={over}; expected one of its dims")
         if variable.sizes[replicates] < 2:
-            raise UsageError(f"{replicates} has {variable.sizes[replicates]} value; an error takes 2 replicates or more")
+            raise UsageError(f"{replicates} has {variable.sizes[replicates]} value; a standard error takes 2 replicates or more")
     elif variable.low_discrepancy and not np.isnan(level) and ("sample" in over or "sample" not in variable.cell_dims):
         raise UsageError(
             f"{variable.name}: points of a low-discrepancy net are not independent, so a mean over them has no standard error; "
-            "sweep independent scrambled nets along a dim, 8 are good, and name it, replicates='replicate'; or ask for no error, "
-            "level=None"
+            "sweep several independent scrambled nets along a dim, 8 for example, and name it: replicates='replicate'; or leave "
+            "the error out: level=None"
         )
 
 

@@ -120,7 +120,7 @@ def test_a_region_is_taken(nsmodel):
     ("arguments", "message"),
     [
         (["relay.py", "--region", "x_0"], "--region x_0: expected NAME=LOW:HIGH, for example --region q_0=-2:2"),
-        (["relay.py", "--region", "z=0:1"], "region: 'z' is no state; the model has x_0, x_1"),
+        (["relay.py", "--region", "z=0:1"], "region: 'z' is not a state; the model has x_0, x_1"),
         (["relay.py", "--region", "x_0=1:0"], "region: x_0 = (1.0, 0.0); expected a pair (low, high)"),
         (["relay.py", "anti.py", "--markdown", "a.md"], "--markdown takes one model file; check them one by one"),
         (["relay.py", "--set", "k=1"], "k"),
@@ -165,11 +165,11 @@ def test_a_run_that_is_done_is_not_refused_for_what_cannot_be_checked(nsmodel, t
     status, out, err = nsmodel("run", "call.py", "--out", "results")
     assert (status, err) == (0, "")
     assert "  status          done" in out
-    assert "not checked: field calls a Function that cannot be looked into" in " ".join(out.split())
+    assert "not checked: field calls a Function whose code cannot be read" in " ".join(out.split())
     assert loads((tmp_path / "results" / "summary.json").read_text())["hypotheses"].startswith("not checked: ")
     status, _, err = nsmodel("check", "call.py", "--quick")
     assert status == 2
-    assert "field calls a Function that cannot be looked into" in err
+    assert "field calls a Function whose code cannot be read" in err
 
 
 def test_a_quiet_run_is_not_checked_for_nothing(nsmodel, monkeypatch):

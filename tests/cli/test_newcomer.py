@@ -197,7 +197,7 @@ def test_a_case_is_found_where_it_lay_before(here, capsys):
 
 def test_view_of_no_run_says_how_runs_are_kept(here, capsys):
     (here / "mine.py").write_text("")
-    assert "there is no run in 'belt-run': runs are kept by nsmodel run FILE --out DIR" in refused(capsys, "view", "belt-run")
+    assert "there is no run in 'belt-run': runs are saved by nsmodel run FILE --out DIR" in refused(capsys, "view", "belt-run")
     assert refused(capsys, "view", "mine.py").startswith("mine.py is a model file: run it first, nsmodel run mine.py --out DIR")
     assert refused(capsys, "view", "diode_bridge").startswith("diode_bridge is a model file")
 
@@ -227,7 +227,7 @@ def test_a_copy_of_a_case_runs(here, capsys):
 
 def test_a_file_that_is_there_stays_unless_it_is_to_go(here, capsys):
     (here / "mine.py").write_text("hours of work\n")
-    assert refused(capsys, "new", "mine") == "mine.py is there already; take another name, or --force to replace it"
+    assert refused(capsys, "new", "mine") == "mine.py exists already; take another name, or give --force to replace it"
     assert (here / "mine.py").read_text() == "hours of work\n"
     said(capsys, "new", "mine", "--force")
     assert "hours of work" not in (here / "mine.py").read_text()
@@ -235,7 +235,7 @@ def test_a_file_that_is_there_stays_unless_it_is_to_go(here, capsys):
 
 @pytest.mark.parametrize("name", ["a/b", "../a", "9lives", "", "a b", ".py", "a.b", "ärger"])
 def test_what_is_no_name_is_refused(here, capsys, name):
-    assert f"'{name}' is no name for a model file: expected letters, digits, _ and -" in refused(capsys, "new", name)
+    assert f"'{name}' is not a valid name for a model file: expected letters, digits, _ and -" in refused(capsys, "new", name)
     assert not list(here.iterdir())
 
 
@@ -293,7 +293,10 @@ def test_scripts_of_other_shells(capsys):
     assert zsh.splitlines()[1] == "autoload -U +X bashcompinit && bashcompinit"
     assert zsh.splitlines()[2:] == bash.splitlines()[1:]
     assert "complete -c nsmodel -n '__fish_seen_subcommand_from run' -l method -x -a \"auto event-driven time-stepping\"" in fish
-    assert "complete -c nsmodel -n __fish_use_subcommand -f -a stress -d 'push a model\\'s step, units and parameters'" in fish
+    assert (
+        "complete -c nsmodel -n __fish_use_subcommand -f -a stress -d 'stress test: vary a model\\'s step, units and parameters'"
+        in fish
+    )
     with pytest.raises(SystemExit, match="0"):
         main(["completion", "--help"])
     assert DESCRIPTION in capsys.readouterr().out

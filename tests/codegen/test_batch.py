@@ -317,7 +317,7 @@ def test_nothing_is_kept_but_what_is_asked_for():
     np.testing.assert_allclose(found.kept_times(60), [0, 0.6, 1])
     np.testing.assert_allclose(found.kept_times(1000), [0, 1])
     for wrong in ({"keep": ["z"]}, {"keep": ["x"], "every": 0}):
-        with pytest.raises(UsageError, match=r"'z' is no column|every = 0"):
+        with pytest.raises(UsageError, match=r"'z' is not a column|every = 0"):
             found.run(values_for(found), **wrong)
     with pytest.raises(UsageError, match=r"values: shape \(8, 3\); expected \(cells, 4\)"):
         found.run(np.zeros((8, 3)), ["x"])

@@ -67,7 +67,7 @@ def test_every_case_in_c_is_the_python_run(case_file, compiler, library, load_ca
     run = simulate(model) if stem in SMALLER else run_case(stem)
     n = len(model.names)
     assert names[: n + 1] == ["t", *model.names]
-    first = len(run.t) - len(rows)  # a start with two positions: row 0 is no state of the library
+    first = len(run.t) - len(rows)  # a start with two positions: row 0 is not a state of the library
     assert first in (0, 1)
     np.testing.assert_allclose(rows[:, 0], run.t[first:], rtol=1e-12, atol=1e-15)
     scale = np.abs(run.x).max(axis=0) + 1e-300

@@ -321,7 +321,7 @@ def test_what_is_asked_wrongly_is_refused():
     batch = PieceBatch(by_ends(), None, RTOL, None, [1.0])
     with pytest.raises(UsageError, match=r"values: shape \(3,\); expected \(cells, 3\)"):
         batch.run(np.ones(3), ["x"])
-    with pytest.raises(UsageError, match=r"keep: 'z' is no column; there are .*x"):
+    with pytest.raises(UsageError, match=r"keep: 'z' is not a column; there are .*x"):
         batch.run(np.ones((1, 3)), ["z"])
     with pytest.raises(UsageError, match="outside the run"):
         PieceBatch(by_ends(), None, RTOL, None, [13.0])

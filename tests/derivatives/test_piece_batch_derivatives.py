@@ -213,7 +213,7 @@ def test_bad_input():
     model = LureSystem(A=[[0]], B=[1], C=[1], f=[2], law=relay(1, -P, P), x0=[Q], parameters={P: 1.0, Q: -1.0}, t_end=2.0)
     given: dict[str, Any] = {"grid": {"p": [1.0, 1.2]}, "times": [2.0], "rtol": 1e-8}
     wrong: list[tuple[dict[str, Any], str]] = [
-        ({"keep": ["x by w"]}, "by: 'w' is no parameter, start or number"),
+        ({"keep": ["x by w"]}, "by: 'w' is not a parameter, start or number"),
         ({"keep": ["z by p"]}, "keep: 'z' is not there; there are t, x"),
         ({"keep": ["x by p"], "rtol": None, "times": None}, "'x by p' is a derivative, which event-driven runs have: give rtol"),
         ({"keep": ["x by p"], "method": "time-stepping", "times": None}, "'x by p' is a derivative"),
@@ -221,7 +221,7 @@ def test_bad_input():
     for more, message in wrong:
         with pytest.raises(UsageError, match=message):
             nsmodel.sweep(model, **{**given, **more})
-    with pytest.raises(UsageError, match="by: 'w' is no parameter; there are p, q"):
+    with pytest.raises(UsageError, match="by: 'w' is not a parameter; there are p, q"):
         PieceBatch(model, None, 1e-8, None, [2.0], by=["w"])
     twice = PieceBatch(model, None, 1e-8, None, [2.0], by=["p", "p"]).run(np.array([[1.0, -1.0]]), ["x by p"])
     np.testing.assert_allclose(twice.arrays["x by p"].item(), -14 / 9, rtol=1e-12)

@@ -192,12 +192,12 @@ def test_the_error_is_estimated_by_another_run():
 
 
 @pytest.mark.parametrize(("given", "message"), [
-    ({"by": "m"}, "'m' is no parameter, start or number of a signal.*becomes a parameter by a symbol"),
+    ({"by": "m"}, "'m' is not a parameter, start or number of a signal.*becomes a parameter by a symbol"),
     ({"by": ["k", "k"]}, "'k' is given twice"), ({"by": []}, "expected names"), ({"by": "u.dty"}, "Did you mean 'u.duty'"),
     ({"by": ca.SX.sym("k") + 1}, "expected the name of a parameter"), ({"by": "z"}, r"Did you mean 'z\(0\)'"),
     ({"by": "k", "at": 7.0}, "expected times from 0 to t_end = 5"), ({"by": "k", "at": [2, 1]}, "increasing"),
-    ({"by": "k", "at": "soon"}, "expected a time"), ({"by": "k", "outputs": "q"}, "'q' is no column"),
-    ({"by": "k", "outputs": ca.SX.sym("velocity")}, "'velocity' is no column"),
+    ({"by": "k", "at": "soon"}, "expected a time"), ({"by": "k", "outputs": "q"}, "'q' is not a column"),
+    ({"by": "k", "outputs": ca.SX.sym("velocity")}, "'velocity' is not a column"),
     ({"by": "k", "method": "adjoint"}, "expected one of"),
     ({"by": "k", "integrals": {"z": A}}, "'z' is an output already"),
     ({"by": "k", "step": 0.1}, "step is of method='differences'"),
@@ -279,4 +279,4 @@ def test_the_command_line(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {f"sensitivity.{end}" for end in ("txt", "json", "csv", "png")}
     wrong = command("two_masses", "--by", "stiffness")
     assert wrong.returncode == 2
-    assert "'stiffness' is no parameter" in wrong.stderr
+    assert "'stiffness' is not a parameter" in wrong.stderr

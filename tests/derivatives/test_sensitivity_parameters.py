@@ -89,7 +89,9 @@ def test_numbers_that_are_left_and_numbers_that_follow():
     model = buck(pwm(1 / F, 0.4), {F: 1 / T})
     found = sensitivity(model, by=["u.duty", "f"], rtol=1e-12, compiled=False)
     np.testing.assert_allclose(found.jacobian[0, :, 0], BY_DUTY, rtol=1e-11)
-    with pytest.raises(UsageError, match=r"'u.period' is no parameter, start or number .*there are f, .*u.duty, u.phase, u.low"):
+    with pytest.raises(
+        UsageError, match=r"'u.period' is not a parameter, start or number .*there are f, .*u.duty, u.phase, u.low"
+    ):
         sensitivity(model, by="u.period")
     run = found.as_function()
     np.testing.assert_allclose(np.array(run([0.3, 1.1 / T])).ravel(), sensitivity(
@@ -100,5 +102,5 @@ def test_what_moves_and_has_no_derivative_is_refused():
     model = buck(pwm(1 / F, table([0, 5 * T], [0.4, 0.5]), high=A), {F: 1 / T, A: 1.0})
     near = sensitivity(model, by="a", rtol=1e-10, compiled=False).jacobian
     np.testing.assert_allclose(near, extrapolated(model, ["a"]), rtol=1e-7)
-    with pytest.raises(UsageError, match=r"by: 'f' moves the period of input 'u', whose duty is no number; take method='diff"):
+    with pytest.raises(UsageError, match=r"by: 'f' moves the period of input 'u', whose duty is not a number; take method='diff"):
         sensitivity(model, by=["f", "a"], compiled=False)

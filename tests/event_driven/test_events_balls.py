@@ -266,7 +266,7 @@ def test_what_has_other_modes_is_refused_by_name():
     with pytest.raises(UsageError, match="in the law 'ball': its y depends on l directly"):
         simulate(direct, rtol=1e-6, method="event-driven")
     plain = sliding(ball(2, 1), lambda *_: [0, 0], [0, 0], [3, 4], 6)
-    with pytest.raises(UsageError, match="certify='interval' proves boxes alone"):
+    with pytest.raises(UsageError, match="certify='interval' applies only to boxes"):
         simulate(plain, rtol=1e-6, certify="interval")
     x = ca.SX.sym("x", 2)
     turbulent = FrictionOscillator(x=x, potential=ca.sumsqr(x), friction=s**3 / 3, s=s, x0=[1, 0], v0=[0, 1], t_end=1)

@@ -98,7 +98,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path):
     answered = []
 
     def ask():
-        with pytest.raises(StorageError, match="it is no file"):
+        with pytest.raises(StorageError, match="it is not a file"):
             read_npz(tmp_path / "pipe.npz")
         answered.append(True)
 
@@ -119,7 +119,7 @@ def test_a_run_that_brings_code_with_it_is_refused(tmp_path):
     subprocess.run([library.compiler(), "-shared", "-fPIC", "-o", tmp_path / "e.so", tmp_path / "e.c"], check=True)
     run.metadata["outputs"]["twice"]["code"] = ca.external("e", str(tmp_path / "e.so")).serialize()
     run.save(tmp_path / "run.npz")
-    with pytest.raises(StorageError, match="the quantity of t is no expression of CasADi"):
+    with pytest.raises(StorageError, match="the quantity of t is not a CasADi expression"):
         Trajectory.load(tmp_path / "run.npz").mean("twice")
 
 
@@ -244,7 +244,7 @@ def test_a_manifest_that_names_a_file_elsewhere_is_refused_and_the_file_stays(tm
         (folder / "manifest.json").write_text(dumps(with_checksum(manifest)), encoding="utf-8")
         before = outside.read_bytes()
         for ask in (lambda folder=folder: ChunkStore.open(folder).discard(), lambda folder=folder: files.run_goes_on(folder)):
-            with pytest.raises(StorageError, match=r"which is no chunk|is a link|expected a plain name"):
+            with pytest.raises(StorageError, match=r"which is not a chunk|is a link|expected a plain name"):
                 ask()
         assert outside.read_bytes() == before
 

@@ -130,7 +130,7 @@ def test_parts_of_an_old_sweep_are_not_taken(tmp_path):
     }  # fmt: skip
     nsmodel.sweep(friction(), **given)
     shutil.copy(FIXTURES / "format-2" / "parts" / "part-000001.npz", tmp_path / "new")
-    with pytest.raises(StorageError, match=r"part-000001\.npz is of format 2, .* not gone on with; take it out of the folder"):
+    with pytest.raises(StorageError, match=r"part-000001\.npz is of format 2, .* cannot be continued; take it out of the folder"):
         nsmodel.sweep(friction(), **given, resume=True)
 
 

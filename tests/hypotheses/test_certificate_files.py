@@ -514,5 +514,5 @@ def test_bodies_are_written_out():
 def test_what_is_no_certificate_is_said_to_be_none(tmp_path, text):
     path = tmp_path / "other.json"
     path.write_text(text)
-    assert verify.main(str(path)).startswith(f"{path} is no certificate")
+    assert verify.main(str(path)).startswith(f"{path} is not a certificate")
     assert verify.main(str(tmp_path / "none")).endswith(f"No such file or directory: '{tmp_path / 'none'}'")

@@ -131,7 +131,7 @@ def test_files_that_are_no_certificates(tmp_path):
     path = tmp_path / "other.json"
     for text in ("[" * 100000, '{"a": ' * 100000, "\ud800", "NaN", ""):
         path.write_bytes(text.encode("utf-8", "surrogatepass"))
-        assert "is no certificate" in verify.main(str(path))
+        assert "is not a certificate" in verify.main(str(path))
 
 
 def test_programs_that_take_for_ever_are_not_read():
@@ -309,7 +309,7 @@ def test_files_that_are_written_otherwise(tmp_path):
                      ('{"format"', '\ufeff{"format"'), ('"statements": [', '"statements": [[')):  # fmt: skip
         assert old in text
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
-        assert "is no certificate" in verify.main(str(path))
+        assert "is not a certificate" in verify.main(str(path))
     for old, new in (('"a_1": "1"', '"a_1": 1'), ('"a_1": "1"', '"a_1": 1e400'), ('"a_1": "1"', '"a_1": NaN'),
                      ('"hash": "', '"hash": "0'), ('"scope": null', '"scope": -Infinity'), ('"title": "a title"', '"hash ": 1'),
                      ('"proof": {}', '"proof": []')):  # fmt: skip

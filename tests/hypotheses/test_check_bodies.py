@@ -668,7 +668,7 @@ def test_twenty_thousand_are_decided_without_their_pairs():
 def test_the_region_is_that_of_one_body():
     model = passing()
     assert check(model, (), region={"i.q_0": (-3, 4)}, quick=True).region.startswith("i.q_0 in [-3, 4]")
-    with pytest.raises(UsageError, match=r"'q_0' is no state; the model has i.q_0, i.q_1"):
+    with pytest.raises(UsageError, match=r"'q_0' is not a state; the model has i.q_0, i.q_1"):
         check(model, (), region={"q_0": (-3, 4)}, quick=True)
 
 

@@ -377,7 +377,7 @@ def test_a_class_that_proves_nothing_for_all_values(monkeypatch):
 
 
 def test_a_run_beyond_its_bounds_is_no_evidence():
-    for bounds, why in ((within(0, 1), "goes from -1 to 1"), (within(-1, 1, rate=1.5), "moves faster at t = ")):
+    for bounds, why in ((within(0, 1), "goes from -1 to 1"), (within(-1, 1, rate=1.5), "changes faster at t = ")):
         report = check(wall(RAMP, step=0.05), bounds={u: bounds})
         assert any(why in note for note in report.notes)
         assert not [f for f in report.findings if f.id.startswith("run-")]
@@ -426,8 +426,8 @@ def test_bounds_that_are_none_are_refused(arguments, words):
 @pytest.mark.parametrize(
     ("model", "bounds", "words"),
     [
-        (wall(None), None, "input 'u' has no signal, and no bounds; give bounds={'u': within(low, high)} or --bound u=LOW"),
-        (wall(signal(np.sin)), None, "input 'u': between which values its signal stays is not known; give bounds="),
+        (wall(None), None, "input 'u' has neither a signal nor bounds; give bounds={'u': within(low, high)} or --bound u=LOW"),
+        (wall(signal(np.sin)), None, "input 'u': the bounds of its signal are not known; give bounds="),
         (wall(signal(1 / (t - 1))), None, "is not known"),
         (wall(RAMP), {"v": within(0, 1)}, "input 'v' is not declared; the model has u"),
         (wall(RAMP), {u: (0, 1)}, "bounds of 'u': (0, 1); expected within(low, high)"),
@@ -482,7 +482,7 @@ def test_bounds_on_the_command_line(tmp_path, capsys):
         (["--bound", "u=1"], "expected NAME=LOW:HIGH"),
         (["--bound", "u=2:1"], "expected low <= high"),
         (["--bound", "u=0:1,slope=2"], "expected rate=... and start=..."),
-        (["--bound", "u=0:1,rate=fast"], "rate = 'fast' is no number"),
+        (["--bound", "u=0:1,rate=fast"], "rate = 'fast' is not a number"),
         (["--bound", "u=0:1,rate=-1"], "expected a number > 0"),
         (["--bound", "u=0:1", "--bound", "u=0:2"], "gives 'u' twice"),
         (["--bound", "u=0:1", "--certificate", str(tmp_path / "c")], "--certificate: 'm' has inputs"),
@@ -499,7 +499,7 @@ def test_what_a_block_sets_needs_bounds_where_the_model_reads_it_and_nothing_is_
     v, w, z = (ca.SX.sym(name) for name in "vwz")
     pi = sampled("pi", period=0.05, memory={z: 0}, outputs={w: z - v}, update={z: z - v})
     model = LureSystem(A=[[-1]], B=[[1]], C=[[1]], f=[w], law=relay(1), x=v, x0=[1], blocks=[pi], t_end=1, step=0.01)
-    with pytest.raises(UsageError, match="input 'w': between which values its signal stays is not known"):
+    with pytest.raises(UsageError, match="input 'w': the bounds of its signal are not known"):
         check(model)
     report = check(model, bounds={"w": within(-2, 2)}, quick=True)
     assert report["5.1"].verdict == report["5.2"].verdict == "holds"

@@ -235,7 +235,7 @@ def test_other_potentials_have_no_common_rest_points():
 
 
 def test_a_channel_that_is_empty_at_some_values():
-    """Its walls pass each other, where a potential that is no polynomial is not looked at."""
+    """Its walls pass each other, where a potential that is not a polynomial is not looked at."""
     model = oscillator(potential=ca.sqrt(1 + x**2), constraints={"left": x - p, "right": 1 - x}, x0=[0.9])
     found = decided(model, p=(0.5, 2))["O-g"]
     assert found.verdict == "violated"

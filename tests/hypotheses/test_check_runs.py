@@ -159,7 +159,7 @@ def test_a_run_that_stops_is_a_note_and_what_it_computed_is_used():
 def test_wrong_arguments_name_what_is_wrong():
     with pytest.raises(UsageError, match=r"check: expected a model, such as LureSystem\(\.\.\.\), not 3"):
         check(3)
-    with pytest.raises(UsageError, match="region: 'z' is no state; the model has x"):
+    with pytest.raises(UsageError, match="region: 'z' is not a state; the model has x"):
         check(oscillator(), region={"z": (0, 1)}, quick=True)
     with pytest.raises(UsageError, match=r"region: x = \(1, 0\); expected a pair \(low, high\)"):
         check(oscillator(), region={"x": (1, 0)}, quick=True)

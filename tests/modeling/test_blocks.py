@@ -428,7 +428,7 @@ def test_a_hysteresis_without_a_band_is_refused_event_driven():
 
 
 def test_each_step_is_refused_by_time_stepping_under_error_control():
-    with pytest.raises(UsageError, match="block 'hysteresis u' acts after each step, and rtol chooses the steps"):
+    with pytest.raises(UsageError, match="block 'hysteresis u' acts after each step, but rtol chooses the steps"):
         simulate(thermostat(), rtol=1e-4, method="time-stepping")
 
 

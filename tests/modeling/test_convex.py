@@ -475,12 +475,12 @@ SAMPLED = ca.Function("f", [MX], [TABLE(MX[0])]).expand()(Y)
         (Y, r"phi: shape \(2, 1\); expected one scalar expression"),
         (Y[0] ** 2 - 2 * ca.fabs(Y[0]), r"phi is not convex: the term fabs\(y_0\) enters with the weight -2"),
         (ca.fmin(Y[0], 0), r"phi is not convex: the term .*fmin\(y_0,0\).* enters with the weight -1"),
-        (ca.fabs(Y[0] ** 2 - 1), r"phi is not seen to be convex: fabs.* absolute value of a nonlinear expression"),
+        (ca.fabs(Y[0] ** 2 - 1), r"phi is not recognised as convex: fabs.* absolute value of a nonlinear expression"),
         (
             ca.fabs(ca.fmax(Y[0], -1)),
-            r"phi is not seen to be convex: it does not grow with the nested term fmax\(y_0,-1\)",
+            r"phi is not recognised as convex: it does not grow with the nested term fmax\(y_0,-1\)",
         ),
-        (Y[0] * ca.fabs(Y[1] - 1), "phi is not seen to be convex: it does not grow with the nested term"),
+        (Y[0] * ca.fabs(Y[1] - 1), "phi is not recognised as convex: it does not grow with the nested term"),
         (ca.sign(Y[0]), r"phi: sign in sign\(y_0\) has no subdifferential; write phi with fabs"),
         (ca.floor(Y[0]), "phi: floor in "),
         (ca.fmod(Y[0], 2), "phi: fmod in "),
@@ -489,7 +489,7 @@ SAMPLED = ca.Function("f", [MX], [TABLE(MX[0])]).expand()(Y)
             r"phi: .*y_0<=1.* switches between finite values; write it with fmax",
         ),
         (ca.pw_lin(Y[0], [0, 1, 2], [0, 1, 4]), r"phi uses the comparison \(1<=y_0\) as a number"),
-        (ca.fabs(Y[0]) + SAMPLED, "phi calls a Function that cannot be looked into"),
+        (ca.fabs(Y[0]) + SAMPLED, "phi calls a Function whose code cannot be read"),
         (ca.norm_2(ca.vertcat(Y[0] ** 2, Y[1])), "phi: sqrt.* is the norm of a nonlinear expression"),
         (
             ca.sqrt(MU * Y[0] ** 2 + 2 * Y[0] * Y[1] + Y[1] ** 2),
@@ -505,13 +505,13 @@ SAMPLED = ca.Function("f", [MX], [TABLE(MX[0])]).expand()(Y)
         ),
         (
             ca.if_else(ca.fabs(Y[0]) >= 1, 0, ca.inf),
-            r"phi is not convex: its domain \(1<=fabs\(y_0\)\).* turn the inequality",
+            r"phi is not convex: its domain \(1<=fabs\(y_0\)\).* reverse the inequality",
         ),
         (ca.if_else(ca.sumsqr(Y) >= 1, 0, ca.inf), "phi is not convex: its domain .* write it as concave >= 0"),
         (ca.if_else(Y[0] ** 2 == Y[1], 0, ca.inf), "phi is not convex: the equality in its domain .* is not affine"),
         (ca.if_else(ca.fabs(Y[0]) == 1, 0, ca.inf), "phi is not convex: the equality in its domain .* is not affine"),
         (ca.if_else(ca.fmax(Y[0], 1) <= 0, 0, ca.inf), "phi is .inf everywhere: its domain .* is empty"),
-        (ca.if_else(ca.norm_1(Y) >= 1, 0, ca.inf), "phi is not seen to be convex: it does not grow"),
+        (ca.if_else(ca.norm_1(Y) >= 1, 0, ca.inf), "phi is not recognised as convex: it does not grow"),
     ],
 )
 def test_what_cannot_be_split_is_refused(phi, message):
@@ -541,5 +541,5 @@ def test_split_discontinuities_leaves_a_continuous_field_alone():
 def test_split_discontinuities_refuses_what_it_cannot_read():
     with pytest.raises(ModelError, match=r"operator: sign.* has a sign inside a sign"):
         split_discontinuities(ca.sign(Y[0] + ca.sign(Y[1])), Y, "operator")
-    with pytest.raises(ModelError, match="operator calls a Function that cannot be looked into"):
+    with pytest.raises(ModelError, match="operator calls a Function whose code cannot be read"):
         split_discontinuities(ca.sign(Y[0]) + SAMPLED, Y, "operator")

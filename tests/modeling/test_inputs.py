@@ -160,7 +160,7 @@ def test_one_value_a_step_is_exact_for_a_double_integrator():
     assert (run.inputs_begin[1:, 0] == values).all()
     with pytest.raises(UsageError, match=r"input 'u': steps\(...\) has 50 rows, and the run 100 steps; give one for each"):
         simulate(scenes.double_integrator(values, 0.1), step=0.05)
-    with pytest.raises(UsageError, match=r"input 'u': steps\(...\) has a row a step, and rtol chooses the steps"):
+    with pytest.raises(UsageError, match=r"input 'u': steps\(...\) has one row for each step, but rtol chooses the steps"):
         simulate(scenes.double_integrator(values, 0.1), rtol=1e-4, method="time-stepping")
 
 
@@ -256,8 +256,8 @@ def test_a_function_goes_by_time_stepping(made):
     model = scenes.follower(given, t_end=1)
     run = simulate(model, rtol=1e-4)
     assert not run.is_event_driven
-    assert any("input 'u' is no polynomial between known times (function)" in line for line in run.metadata["left_out"])
-    with pytest.raises(UsageError, match=r"not event-driven: input 'u' is no polynomial between known times \(function\)"):
+    assert any("input 'u' is not a polynomial between known times (function)" in line for line in run.metadata["left_out"])
+    with pytest.raises(UsageError, match=r"not event-driven: input 'u' is not a polynomial between known times \(function\)"):
         simulate(model, rtol=1e-4, method="event-driven")
 
 
@@ -513,7 +513,7 @@ def declared(**fields):
         ({"C": [ca.SX.sym("u")]}, "C depends on 'u', but may depend only on"),
         ({"x0": [ca.SX.sym("u")]}, "x0 depends on 'u', but may depend only on"),
         ({"exact": [ca.SX.sym("u")]}, "'u'"),
-        ({"units": {"w": "V"}}, "units: 'w' is no state, multiplier or time; the model has t, x, l_0, u"),
+        ({"units": {"w": "V"}}, "units: 'w' is not a state, multiplier or time; the model has t, x, l_0, u"),
     ],
 )
 def test_bad_declarations_are_refused(fields, words):
@@ -529,9 +529,9 @@ def test_nan_in_the_middle_of_a_run_keeps_what_there_is():
 
 def test_what_takes_no_inputs_says_so():
     model = scenes.buck(t_end=2 * T)
-    with pytest.raises(UsageError, match=r"has inputs \(u\); a certificate says nothing of signals"):
+    with pytest.raises(UsageError, match=r"has inputs \(u\); certificates do not cover signals"):
         model.check_allowed("certificate")
-    with pytest.raises(UsageError, match="not event-driven: certify='interval' proves models without inputs alone"):
+    with pytest.raises(UsageError, match="not event-driven: certify='interval' applies only to models without inputs"):
         simulate(model, rtol=1e-4, certify="interval")
 
 
@@ -566,7 +566,7 @@ def test_an_input_from_a_file(tmp_path, capsys, monkeypatch):
         (["u=missing.csv"], "missing.csv cannot be read"),
         (["u=1", "u=2"], "--input gives 'u' twice; keep one"),
         (["w=1"], "input 'w' is not declared; the model has u"),
-        (["u=bad.csv"], "bad.csv, row 2: '1, x' is no row of numbers"),
+        (["u=bad.csv"], "bad.csv, row 2: '1, x' is not a row of numbers"),
         (["u=wide.csv"], "wide.csv has 3 columns; expected t and u, or a first row with these names"),
         (["u=ok.csv,kind=spline"], "table: kind = 'spline'; expected one of hold, linear, cubic"),
         (["u=ok.csv,mode=1"], "'mode=1'; expected kind=..., after=..., period=..., each once at most"),

@@ -108,7 +108,7 @@ def test_points_of_the_graph_have_no_gap_and_others_do(m):
 
 
 def test_an_unknown_kind_is_refused():
-    with pytest.raises(ModelError, match="law: 'ellipse' is no set of a known kind"):
+    with pytest.raises(ModelError, match="law: 'ellipse' is not a set of a known kind"):
         Law(("ellipse",))
 
 

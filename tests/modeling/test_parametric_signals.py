@@ -146,7 +146,7 @@ def test_a_number_that_is_none_is_told_with_its_expression(signal, values, messa
     (lambda: buck(pwm(1 / G, 0.4), {F: 1}), r"'u': its period depends on 'g', but may depend only on parameters \(f\)"),
     (lambda: buck(pwm(1 / ca.SX.sym("t"), 0.4), {}), r"depends on 't', but may depend only on parameters \(there are none\)"),
     (lambda: buck(pwm(ca.vertcat(F, F), 0.4), {F: 1}), r"its period has the shape \(2, 1\); expected one number"),
-    (lambda: pwm(T, pwm(1 / F, 0.5)), "duty is a signal of which a number is an expression"),
+    (lambda: pwm(T, pwm(1 / F, 0.5)), "duty is a signal in which a number is an expression"),
     (lambda: pwm(-1, F), "period = -1; expected a time > 0"),
 ])  # fmt: skip
 def test_what_is_no_expression_of_parameters_is_refused(made, message):
@@ -186,7 +186,7 @@ def test_checks_of_numbers_and_of_intervals():
     assert check(model, quick=True).inputs[0] == check(buck(pwm(T, 0.4), {}), quick=True).inputs[0]
     over = check(model, parameters={"f": (0.5e5, 2e5)}, quick=True)
     assert over.inputs[0] == "u: in f; within [0, 1], any measurable function (read off its pwm)"
-    with pytest.raises(UsageError, match="between which values its signal stays is not known"):
+    with pytest.raises(UsageError, match="the bounds of its signal are not known"):
         check(model, parameters={"g": (0.5, 2.0)}, quick=True)
 
 

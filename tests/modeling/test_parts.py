@@ -70,7 +70,7 @@ def test_a_class_from_elsewhere_is_refused():
         """Another class of that name."""
 
     for kind in (LureSystem, Model, int):
-        with pytest.raises(ModelError, match="is no class of models; expected one of SweepingProcess, "):
+        with pytest.raises(ModelError, match="is not a class of models; expected one of SweepingProcess, "):
             PARTS["model_type"].of(kind)
     assert PARTS["model_type"].of_class_named("Pendulum") is None
     assert PARTS["model_type"].of_class_named(None) is None

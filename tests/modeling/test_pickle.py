@@ -356,7 +356,7 @@ def test_what_is_replaced_is_read_anew():
     assert simulate(other).x[1, 0] == pytest.approx((2 - 0.1) / 1.2, rel=1e-12)
     assert dataclasses.replace(model, law=model.law).multiplier_names == ("friction",)
     assert dataclasses.replace(model, law=relay(1), units={}).multiplier_names == ("l_0",)
-    with pytest.raises(nsmodel.ModelError, match="units: 'friction' is no state"):
+    with pytest.raises(nsmodel.ModelError, match="units: 'friction' is not a state"):
         dataclasses.replace(model, law=relay(1))
 
 

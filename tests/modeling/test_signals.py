@@ -121,7 +121,7 @@ def test_edges_at_the_ends_of_a_run_are_none_of_its_grid():
     [
         (lambda: table([0, 2, 1], [1, 2, 3]), r"table: t\[2\] = 1 is not after t\[1\] = 2; give them in order"),
         (lambda: table([0, 0], [1, 2]), r"table: t\[1\] = 0 is not after t\[0\] = 0"),
-        (lambda: table([0, 1, 1, 1], [1, 2, 3, 4], "linear"), r"table: t\[1\] = 1 stands there three times; a jump has two rows"),
+        (lambda: table([0, 1, 1, 1], [1, 2, 3, 4], "linear"), r"table: t\[1\] = 1 occurs three times; a jump has two rows"),
         (lambda: table([0, 1], [1, np.nan]), r"table: values\[1\] = nan; expected finite numbers"),
         (lambda: table([0, np.inf], [1, 2]), r"table: t\[1\] = inf; expected finite numbers"),
         (lambda: table([0, 1, 2], [1, 2]), "table: 3 times and 2 rows of values; expected a row for each time, one at least"),

@@ -172,7 +172,7 @@ def test_sight_agrees_with_many_points_on_the_way():
 
 def test_who_can_reach_no_exit_is_named():
     room = hall(obstacles=[box((2, 2), (4, 4))], walls=[[(5, 0), (5, 4.9)], [(5, 5.1), (5, 10)]])
-    with pytest.raises(ModelError, match=r"person 1 at \(1, 1\) can reach no exit \(east\): no way there is 0.518 m wide"):
+    with pytest.raises(ModelError, match=r"person 1 at \(1, 1\) can reach no exit \(east\): no way to an exit is 0.518 m wide"):
         crowd(room, People([(8, 1), (1, 1)], 0.25), t_end=1)
 
 
@@ -223,7 +223,7 @@ def test_outlines_hold_exactly_the_pixels():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"exits": {"east": "blau"}}, "exit 'east': 'blau' is no name of a colour"),
+        ({"exits": {"east": "blau"}}, "exit 'east': 'blau' is not the name of a colour"),
         ({"exits": {"east": (0, 0, 300)}}, "expected a name or \\(red, green, blue\\) from 0 to 255"),
         ({"exits": {"east": "blue"}}, r"no pixel of the picture \(208 x 208\) has the colour \(0, 0, 255\) of east"),
         ({"exits": {"east": (90, 0, 0)}}, "the colours of walls and east, .* are too alike"),
@@ -269,7 +269,7 @@ def test_what_is_wrong_with_a_room_is_said(arguments, message):
         (lambda: Room(walls=None, exits={"a": DOOR}), "walls: None .*expected end points"),
         (lambda: Room(walls=5, exits={"a": DOOR}), r"walls: shape \(\); expected"),
         (lambda: hall(obstacles=5), "obstacles: 5 .*expected a list of polygons"),
-        (lambda: Room(exits={1: DOOR}), "exits: 1 .*expected a text"),
+        (lambda: Room(exits={1: DOOR}), "exits: 1 .*expected a string"),
         (lambda: leaking().inside(leaking().grid(0.01)), "at a spacing of 0.01 m the room is open"),
         (lambda: box(0, 1), r"box: 0 .*expected two corners \(x, y\)"),
         (lambda: disc((0, np.nan), 1), "disc: centre: nan is not a finite number"),
@@ -291,7 +291,7 @@ def test_what_is_wrong_with_a_room_is_said(arguments, message):
         (lambda: place(hall(), 5.0), "5.0 .*expected a whole number"),
         (lambda: place(hall(), 3, seed="a"), "seed: 'a' .*expected a whole number"),
         (lambda: place(hall(), 3, inside=[(1, 1), (2, np.nan), (1, 2)]), "inside: nan is not a finite number"),
-        (lambda: place(hall(), 3, inside=box((20, 0), (30, 5))), "no place of the room is in the polygon"),
+        (lambda: place(hall(), 3, inside=box((20, 0), (30, 5))), "no free point of the room is in the polygon"),
         (lambda: place(hall(), 3, beside=place(hall(), 2)), "beside: .*expected a list of groups"),
         (lambda: place(hall(), 3, to=["east"]), "to: 1 exits; expected one for each of 3"),
         (lambda: arrivals(two_doors(), "east", 1, 5, radii=(0.2, np.nan)), "radii: nan is not a finite number"),
@@ -535,7 +535,7 @@ def test_a_flow_that_rows_do_not_show_is_refused():
     few = simulate(model, save_every=5)
     assert len(measure.flow(few, hall().way_out("east")).times()) == 15
     fewer = simulate(model, save_every=100)
-    with pytest.raises(UsageError, match=r"people left between two rows, and nobody saw by which way.*save_every"):
+    with pytest.raises(UsageError, match=r"people left between two rows, and no row shows by which exit.*save_every"):
         measure.flow(fewer, hall().way_out("east"))
 
 
@@ -599,7 +599,7 @@ def test_what_cannot_be_measured_is_said():
         wanted.distance((1, 2), 5)
     with pytest.raises(UsageError, match="no row is between 5 and 9"):
         measure.maps(run, start=5, end=9)
-    with pytest.raises(UsageError, match="the run knows no exits"):
+    with pytest.raises(UsageError, match="the run has no exits"):
         measure.maps(hand_made([[(1, 1)], [(2, 2)]], exits=[]))
     with pytest.raises(UsageError, match="specific flow from 3 to None"):
         measure.flow(run, DOOR).specific(3)

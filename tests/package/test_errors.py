@@ -213,7 +213,7 @@ SYMBOLS = [
     (inclusion, {"lower": x}, "lower depends on 'x_0', but may depend only on t"),
     (inclusion, {"scheme": "explicit"}, "scheme = 'explicit'; MonotoneInclusion has 'catching-up', 'implicit'"),
     (lure, {"scheme": "implicit"}, "scheme = 'implicit'; LureSystem has 'theta-gamma'"),
-    (inclusion, {"scheme": "implicit", "tolerances": 1e-3}, "tolerances are of the projections of catching-up, which scheme"),
+    (inclusion, {"scheme": "implicit", "tolerances": 1e-3}, "tolerances belong to the projections of catching-up, which scheme"),
     (inclusion, {"operator": relay(2, -k, 1)}, "operator: lower uses the symbol 'k', which is not declared"),
 ]
 
@@ -305,7 +305,7 @@ WORDS = [
     (
         inclusion,
         {"operator": None, "phi": ca.fmax(ca.fabs(x[0]), ca.fmax(x[1], x[0]))},
-        "phi: nested nonsmooth terms have no explicit selection; write a sum of fabs, fmax, norm_2",
+        "phi: there is no explicit selection for nested nonsmooth terms; write a sum of fabs, fmax, norm_2",
     ),
     (
         inclusion,
@@ -395,9 +395,9 @@ GRIDS = [
     ({"x0": 1}, "x0: 1 number; expected 2, one for each state, as A has the shape (2, 2)"),
     (
         {"names": ["position", "speed"], "units": {"postion": "m"}},
-        "units: 'postion' is no state, multiplier or time; the model has t, position, speed, l_0. Did you mean 'position'?",
+        "units: 'postion' is not a state, multiplier or time; the model has t, position, speed, l_0. Did you mean 'position'?",
     ),
-    ({"units": {"T": "s"}}, "units: 'T' is no state, multiplier or time; the model has t, x, x_0, x_1, l_0"),
+    ({"units": {"T": "s"}}, "units: 'T' is not a state, multiplier or time; the model has t, x, x_0, x_1, l_0"),
     ({"units": "m"}, "units: 'm'; expected a dictionary {name: unit} of strings"),
     ({"units": {"t": 1}}, "units: {'t': 1}; expected a dictionary {name: unit} of strings"),
     ({"exact": [1, 2, 3]}, "exact: shape (3, 1); expected a column of 2 entries"),
@@ -480,7 +480,7 @@ def test_reserved_names_are_all_attributes_and_arrays_of_every_class():
         (lambda: polyhedron(k, 1), "polyhedron: H = SX(k), K = 1; expected numbers"),
         (
             lambda: polyhedron([[1, inf]], [1]),
-            "polyhedron: H and K must be finite; leave a row out instead of making it infinite",
+            "polyhedron: H and K must be finite; leave the row out instead of making it infinite",
         ),
         (lambda: product(relay(1), 5), "product: argument 1 is a int; expected a law such as relay(2)"),
     ],
@@ -809,7 +809,7 @@ def test_a_step_that_fails_says_why(model, message):
     ("start", "solves", "iterations", "message"),
     [
         ([0, 0], False, 60, "no verified selection of the operator at t = 0, x = [0. 0.]"),
-        ([0.9, 0.1], False, 60, "approximate projection at t = 0: the linearised set could not be projected on"),
+        ([0.9, 0.1], False, 60, "approximate projection at t = 0: the projection on the linearised set was not found"),
         ([0.9, 0.1], True, 0, "approximate projection at t = 0: excess inf stays above eps_k = 0.001"),
     ],
 )
@@ -913,7 +913,7 @@ def test_an_inclusion_names_the_class_for_terms_of_time():
 def test_units_name_what_a_run_has(builder, names):
     model = builder(units=dict.fromkeys(names, "m"))
     assert simulate(model).metadata["units"] == dict.fromkeys(names, "m")
-    with pytest.raises(ModelError, match=r"units: 'reactons' is no state, multiplier or time; the model has t, "):
+    with pytest.raises(ModelError, match=r"units: 'reactons' is not a state, multiplier or time; the model has t, "):
         builder(units={"reactons": "N"})
 
 
@@ -924,7 +924,7 @@ def test_units_of_many_bodies_and_of_parameters():
     given = {"bodies": bodies, "constraints": {"pair": pair}, "t_end": 1, "step": 0.1}
     model = nsmodel.ManyBodies(units={"q": "m", "r": "m", "pair": "N", "pressure": "N"}, **given)
     assert dict(model.written_out().units) == {"q": "m"}
-    with pytest.raises(ModelError, match=r"units: 'pairs' is no state, multiplier or time; .* Did you mean 'pair'"):
+    with pytest.raises(ModelError, match=r"units: 'pairs' is not a state, multiplier or time; .* Did you mean 'pair'"):
         nsmodel.ManyBodies(units={"pairs": "N"}, **given)
     assert lure(parameters={"th": [1, 2]}, units={"th": "N", "th_0": "N"})
 

@@ -407,7 +407,7 @@ def test_phase_prefers_a_state_with_another_unit():
 
 
 def test_phase_refuses_what_is_not_there():
-    with pytest.raises(PlotError, match="needs two states, or a velocity; this run has the state q alone"):
+    with pytest.raises(PlotError, match="needs two states, or a velocity; this run has only the state q"):
         plot.phase(half_line()[0])
     with pytest.raises(PlotError, match="state 7 does not exist: states are numbered 0 to 1"):
         plot.phase(bridge(), 0, 7)
@@ -556,7 +556,7 @@ def test_configuration_refuses_what_it_cannot_draw():
         plot.configuration(altered(crowd(), scene=None))
     with pytest.raises(PlotError, match="the model has 2 states and the run 1: they do not belong together"):
         plot.configuration(half_line()[0], model)
-    with pytest.raises(PlotError, match="the scene has 2 discs and the run 60 states: two a disc are needed"):
+    with pytest.raises(PlotError, match="the scene has 2 discs and the run 60 states; expected two states for each disc"):
         plot.configuration(altered(crowd(), scene={"radii": [1, 1], "walls": []}))
     free = SimpleNamespace(t=model.t, q=model.q, u=model.u, constraints={"disc": model.q[0] - ca.SX.sym("radius")})
     with pytest.raises(PlotError, match="still hold radius: bind the parameters to numbers first"):

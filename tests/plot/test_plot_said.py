@@ -252,10 +252,10 @@ def test_discs_know_their_pressure_in_event_driven_runs_too(load_case):
     [
         ((5, 30), UsageError, r"window from t0 = 5 to t1 = 30: expected 0 <= t0 < t1 <= 20"),
         ((5, 2), UsageError, r"window from t0 = 5 to t1 = 2: expected 0 <= t0 < t1 <= 20"),
-        ((5, float("nan")), PlotError, r"nan is no time; give None for an end of the run"),
+        ((5, float("nan")), PlotError, r"nan is not a time; give None for an end of the run"),
         (3, PlotError, r"t = 3; expected a window \(t0, t1\)"),
         (("a", 2), PlotError, r"expected a window \(t0, t1\)"),
-        ((1.001, 1.002), PlotError, r"window t = 1.001 to 1.002 holds 0 rows, and a picture needs 2: the rows next to it are at"),
+        ((1.001, 1.002), PlotError, r"window t = 1.001 to 1.002 holds 0 rows, but a picture needs at least 2: the rows next"),
     ],
 )  # fmt: skip
 def test_windows_that_are_none(t, error, message):

@@ -221,7 +221,7 @@ def test_what_is_bound_to_its_steps_is_refused_before_the_run(monkeypatch):
     with pytest.raises(UsageError, match="x1 is a position one constant step after x0; with halve give the velocity v0 instead"):
         simulate(x1, halve=True)
     rows = FirstOrderSystem(x=X, f=[U - X], x0=[0], t_end=1, step=0.5, inputs={U: steps([1.0, 2.0])})
-    with pytest.raises(UsageError, match=r"input 'u': steps\(...\) has a row a step, and halve takes twice as many"):
+    with pytest.raises(UsageError, match=r"input 'u': steps\(...\) has one row for each step, but halve takes twice as many"):
         simulate(rows, halve=True)
     with pytest.raises(UsageError, match="halve = 1; expected True or False"):
         simulate(rectifier(), halve=1)

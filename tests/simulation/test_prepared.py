@@ -143,7 +143,7 @@ def test_starts_by_name_by_symbol_and_as_numbers():
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
 @pytest.mark.parametrize(("given", "message"), [
-    ({"x0": {"z": 1.0}}, "'z' is no state"), ({"x0": [1.0]}, "expected 2 numbers, of x_0, x_1"),
+    ({"x0": {"z": 1.0}}, "'z' is not a state"), ({"x0": [1.0]}, "expected 2 numbers, of x_0, x_1"),
     ({"x0": {X: [1.0, 2.0, 3.0]}}, "has 2 entries, x_0, x_1"), ({"x0": [np.nan, 0.0]}, "the start of 'x_0' = nan"),
     ({"x0": {"x_0": "a"}}, "the start of 'x_0' = 'a' is not"), ({"parameters": {"m": 1.0}}, "'m' is not declared"),
     ({"parameters": {"k": np.inf}}, "expected a finite number"), ({"parameters": {"w": -1.0}}, "law"),

@@ -383,7 +383,7 @@ def test_a_shortened_step_is_no_time_of_a_longer_grid(tmp_path):
 
 def test_a_run_is_not_continued_to_an_earlier_end(tmp_path):
     simulate(lure(), out=tmp_path, t_end=2)
-    with pytest.raises(StorageError, match=r"the run there has reached t = 2, past this run's end; give a later end"):
+    with pytest.raises(StorageError, match=r"the run there has already reached t = 2, past this run's end; give a later end"):
         simulate(lure(), out=tmp_path, resume=True, t_end=1)
 
 

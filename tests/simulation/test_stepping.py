@@ -164,7 +164,7 @@ def test_what_has_no_stepper():
 
 def test_signals_are_refused_where_they_end():
     for signal, words in (
-        (steps([1, 2]), r"input 'u': steps\(...\) has 2 rows, and this would be step 3"),
+        (steps([1, 2]), r"input 'u': steps\(...\) has 2 rows, but this would be step 3"),
         (table([0, 0.2], [1, 2], after="error"), "input 'u': its table ends at t = 0.2, before the run does at 0.3"),
         (pwm(0.2, table([0, 0.3], [0.5, 1.5])), "input 'u': its duty is 1.5 at t = 0.4"),
     ):

@@ -176,7 +176,7 @@ def test_save_and_load(run, tmp_path):
 
 def test_load_refuses_other_files(tmp_path):
     write_npz(tmp_path / "a.npz", {"t": np.zeros(2)}, {})
-    with pytest.raises(StorageError, match=r"a\.npz holds no array 'x': it is no trajectory"):
+    with pytest.raises(StorageError, match=r"a\.npz holds no array 'x': it is not a trajectory"):
         Trajectory.load(tmp_path / "a.npz")
     with pytest.raises(StorageError, match=r"b\.npz does not exist"):
         Trajectory.load(tmp_path / "b.npz")

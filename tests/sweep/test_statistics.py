@@ -358,7 +358,7 @@ def test_values_that_are_laid_out_are_no_draws():
         (lambda v: statistics(v, over="t"), "over='t': t is an axis within each cell, .* over= takes mu, seed; .* run.mean"),
         (lambda v: statistics(v, over=3), "over=3: expected a dim, several, or None for all of mu, seed"),
         (lambda v: statistics(v.at(mu=0).take("t", 0), quantiles="0.5"), "'0' is not between 0 and 1"),
-        (lambda v: v.at(t="late"), "t is nowhere 'late'; it is 0.0, 0.5, 1.0"),
+        (lambda v: v.at(t="late"), "t is never 'late'; its values are 0.0, 0.5, 1.0"),
         (lambda v: v & 1, "x and 1; expected another variable of the same cells"),
         (lambda v: statistics(Variable.of("x", np.zeros((2, 0)), ("mu", "seed")), over="seed"), "x has no cells along seed"),
         (lambda v: statistics(v, over=()), r"over=\(\): expected dims of cells, each once: mu, seed"),
@@ -389,7 +389,7 @@ def test_wrong_calls_are_refused_by_name(call, message):
         ({"dims": ("mu", "seed"), "status": np.zeros(3)}, r"status of shape \(3,\); expected \(3, 4\)"),
         ({"dims": ("mu", "seed"), "status": np.full((3, 4), 7)}, "status 7; expected one of 0, 1, 2, 3, -1"),
         ({"dims": ("mu", "seed"), "coords": {"mu": [1, 2]}}, r"mu of shape \(2,\); expected \(3,\)"),
-        ({"dims": ("mu", "seed"), "coords": {"k": [1, 2, 3]}}, "k is no dim"),
+        ({"dims": ("mu", "seed"), "coords": {"k": [1, 2, 3]}}, "k is not a dim"),
         ({"dims": ("mu", "seed"), "cell_dims": ("seed", "mu")}, "in that order"),
         ({"dims": ("mu", "seed"), "values": np.full((3, 4), "a")}, "expected real numbers"),
     ],
@@ -413,7 +413,7 @@ def test_a_net_has_no_error_of_its_own():
         with pytest.raises(UsageError, match="no standard error"):
             ask(net)
     one = Variable.of("x", np.ones((1, 4)), ("replicate", "sample"), low_discrepancy=True)
-    with pytest.raises(UsageError, match="replicate has 1 value; an error takes 2 replicates or more"):
+    with pytest.raises(UsageError, match="replicate has 1 value; a standard error takes 2 replicates or more"):
         statistics(one, replicates="replicate")
     of = statistics(net, over="sample", level=None)
     assert np.isnan(of.error).all()
@@ -453,7 +453,7 @@ def test_a_variable_is_taken_at_coordinates_and_cannot_be_written():
         variable.values[0] = 1
     named = Variable.of("x", np.arange(2.0), "scheme", {"scheme": ["moreau", "theta"]})
     assert named.at(scheme="theta").values == 1
-    with pytest.raises(UsageError, match="scheme is nowhere 'euler'; it is moreau, theta"):
+    with pytest.raises(UsageError, match="scheme is never 'euler'; its values are moreau, theta"):
         named.at(scheme="euler")
 
 

@@ -415,7 +415,7 @@ def test_a_file_of_a_sweep_is_told_from_others(tmp_path):
     simulate(friction(t_end=1.0)).save(tmp_path / "run.npz")
     with pytest.raises(StorageError, match=r"holds no sweep; a run's file is read with Trajectory\.load"):
         Sweep.load(tmp_path / "run.npz")
-    with pytest.raises(StorageError, match="not done; go on with resume=True"):
+    with pytest.raises(StorageError, match="unfinished one; continue it with resume=True"):
         Sweep.load(tmp_path)
     found = swept(tmp_path / "a")
     with pytest.raises(UsageError, match="read from a file has no model"):
@@ -434,11 +434,11 @@ def test_wrong_requests(tmp_path):
         r"grid: 'k': no values": {"grid": {"k": []}},
         r"grid = \{\}": {"grid": {}},
         r"grid: 'k' = 3; expected several": {"grid": {"k": 3}},
-        r"grid: 'k': nan is no finite number": {"grid": {"k": [1, np.nan]}},
+        r"grid: 'k': nan is not a finite number": {"grid": {"k": [1, np.nan]}},
         r"'kk' is not declared; the model has .*Did you mean 'k'": {"grid": {"kk": [1, 2]}},
         r"'k' has 3 points and 'a' 2|'a' has 2 points and 'k' 3": {"samples": {"k": [1, 2, 3], "a": [1, 2]}},
-        r"start: 'y' is no state; there are x_1, v_1": {"start": {"y": [1, 2]}},
-        "neither does def model": {"seeds": 3},
+        r"start: 'y' is not a state; there are x_1, v_1": {"start": {"y": [1, 2]}},
+        "does not take seed=": {"seeds": 3},
         r"seeds = \[1, 1\]": {"seeds": [1, 1]},
         r"every = 0; expected a whole number": {"grid": {"k": [1, 2]}, "every": 0},
         "workers = 0; expected": {"grid": {"k": [1, 2]}, "workers": 0},
@@ -492,7 +492,7 @@ def test_an_output_that_fails_names_itself_and_loses_nothing(tmp_path):
     with pytest.raises(UsageError, match="output 'end': ZeroDivisionError: none of that"):
         sweep(friction(), grid={"x0": [3, 4, 6]}, outputs={"end": wrong}, t_end=1.0, workers=1, out=tmp_path / "a")
     assert list((tmp_path / "a").glob("part-*"))
-    with pytest.raises(UsageError, match="is no number; a function of a run returns"):
+    with pytest.raises(UsageError, match="is not a number; a function of a run returns"):
         sweep(friction(), grid={"x0": [3, 4]}, outputs={"end": lambda run: "three"}, t_end=1.0, workers=1)
 
 

@@ -22,8 +22,8 @@ END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
         (r"'k' is a parameter of the model, a number; 'soft' is none", {"grid": {"k": [1, "soft"]}}),
         (r"'k' is a parameter of the model, a number; None is none", {"grid": {"k": [1, None]}}),
         (r"'k' is a parameter of the model, a number; True is none", {"grid": {"k": [True, False]}}),
-        (r"'k' is varied, and parameters gives it 3; keep one", {"grid": {"k": [1, 2]}, "parameters": {"k": 3}}),
-        (r"'k' is varied, and parameters gives it 3; keep one", {"grid": {"k": [1, 2]}, "parameters": {K: 3}}),
+        (r"'k' is varied, but parameters= also gives it 3; keep one", {"grid": {"k": [1, 2]}, "parameters": {"k": 3}}),
+        (r"'k' is varied, but parameters= also gives it 3; keep one", {"grid": {"k": [1, 2]}, "parameters": {K: 3}}),
         (r"rtol = -1; expected a number between", {"grid": {"k": [1]}, "rtol": -1}),
         (r"atol = -1; expected a number >= 0", {"grid": {"k": [1]}, "rtol": 1e-6, "atol": -1}),
         (r"times\[1\] = 5 is outside the run", {"grid": {"k": [1]}, "rtol": 1e-6, "times": [0.0, 5.0]}),
@@ -34,7 +34,7 @@ END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
         (r"'3' cannot be the name of a quantity", {"grid": {"k": [1]}, "keep": [3]}),
         (r"'a/b' cannot be the name of a quantity", {"grid": {"k": [1]}, "outputs": {"a/b": "x_1[-1]"}}),
         (r"'dim:k' cannot be the name of a quantity", {"grid": {"k": [1]}, "outputs": {"dim:k": "x_1[-1]"}}),
-        (r"'k' is what is varied, and known of each cell", {"grid": {"k": [1]}, "outputs": {"k": "x_1[-1]"}}),
+        (r"'k' is varied, so each cell has it already", {"grid": {"k": [1]}, "outputs": {"k": "x_1[-1]"}}),
         (r"start returned x_1 = nan; expected a finite", {"seeds": 2, "start": lambda rng: {"x_1": np.nan}}),
         (r"start returned x = array\(.*expected a finite", {"seeds": 2, "start": lambda rng: {"x": rng.uniform(size=2)}}),
         (r"start, called with a random generator: TypeError", {"seeds": 2, "start": lambda: {"x_1": 1}}),
@@ -48,7 +48,7 @@ def test_wrong_requests_are_refused_before_anything_is_written(message, options,
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_row_that_no_run_has_is_named(compiled):
-    with pytest.raises(UsageError, match=r"output 'x_1\[11\]': there is no row 11; a run of this sweep has 11 rows"):
+    with pytest.raises(UsageError, match=r"output 'x_1\[11\]': there is no row 11; runs of this sweep have 11 rows"):
         sweep(friction(), grid={"k": [1, 2]}, outputs={"late": "x_1[11]"}, t_end=0.1, compiled=compiled, workers=1)
 
 
@@ -216,7 +216,7 @@ def test_the_command_prints_the_first_numbers_where_none_are_kept(belt):
         ("--grid mu=1,2", 'nothing is kept of the cells: give --keep x1, columns .*, or --output "end=x1[-1]"'),
         ("--grid m=1,2", "belt.py takes no 'm': .*Did you mean 'mu'?"),
         ("--grid F=1,2", "belt.py: F = 3 is a number in this file and no parameter; .*def model(F=3)"),
-        ("--grid mu=1 --set mu=2 --keep position", "'mu' is varied, and --set gives it 2"),
+        ("--grid mu=1 --set mu=2 --keep position", "'mu' is varied, but --set also gives it 2"),
         ("--grid mu=1,2 --keep positon", "keep: 'positon' is not there; there are t, position, .*. Did you mean 'position'?"),
         ("--grid mu=1,2 --output end=positon[-1]", "output 'end': 'positon' is not there; .*. Did you mean 'position'?"),
         ("--keep position", "nothing varies: give --grid NAME=LOW:HIGH:COUNT, --samples TABLE.csv, --start STATE=V1,V2, --seeds"),

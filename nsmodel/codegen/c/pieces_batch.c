@@ -144,7 +144,7 @@ static int has_diverged(const model_pieces *s)
     return 0;
 }
 
-/* Begin with a cell; where its start is no number, so is its set. */
+/* Begin with a cell; where its start is not a number, so is its set. */
 static int begin_cell(model_pieces *s, const model_asked *of, model_piece_cells *at)
 {
     at->begun = 1;

@@ -57,7 +57,7 @@ static void sums_on_disc(model_pieces *s, int m)
 #endif
 }
 
-/* The larger of worst and the error beside what is allowed, but for rounding; infinite where it is no number. */
+/* The larger of worst and the error beside what is allowed, but for rounding; infinite where it is not a number. */
 static double beside(double worst, double e, double rounding, double weight, double allowed)
 {
     double seen = (fabs(e) - rounding)*weight;

@@ -1472,12 +1472,12 @@ def formulas(name: str, data: Any) -> list[str]:
 
 
 def main(path: str) -> int | str:
-    """Print the model and the answer to each statement; 1 where one is "no", and a text where the file is no certificate."""
+    """Print the model and the answer to each statement; 1 where one is "no", and a text where the file is not a certificate."""
     try:
         certificate = read_certificate(path)
         own = digest(certificate["model"])
     except (OSError, ValueError, TypeError, RecursionError, Unproved) as reason:
-        return f"{path} is no certificate: {reason.args[0] if type(reason) is Unproved else reason}"
+        return f"{path} is not a certificate: {reason.args[0] if type(reason) is Unproved else reason}"
     answers = [answer(certificate["model"], s) for s in certificate["statements"]]
     if own != certificate.get("hash"):
         answers = [(NO, "the data of the model do not have the hash of the certificate")] * len(answers)

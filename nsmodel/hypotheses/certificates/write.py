@@ -177,7 +177,7 @@ def certificate_of(report: Report) -> dict[str, Any]:
     ranges = {name: report.parameters[name] for name in report.model.parameters if name in report.parameters}
     ranges = {name: ends for name, ends in ranges.items() if isinstance(ends, tuple)}
     if freeze_law(report.model) is not report.model:
-        raise UsageError("certificate: the law moves with time; a certificate says nothing of laws that move")
+        raise UsageError("certificate: the law moves with time; certificates cover only laws that do not move")
     found: dict[str, Any] = {"format": verify.FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason, subject = "", CertificateSubject(report.model, {})
@@ -261,7 +261,7 @@ def write_certificate(report: Report, folder: str | Path) -> tuple[Path, int, in
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"certificate: {target} cannot be made a folder ({error.strerror})") from error
+        raise UsageError(f"certificate: {target} cannot be created as a folder ({error.strerror})") from error
     certificate = certificate_of(report)
     path = target / "certificate.json"
     with replace_atomically(path) as temporary:

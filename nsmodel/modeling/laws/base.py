@@ -436,7 +436,7 @@ class Law(Picklable):
         """
         for block in self.blocks:
             if not isinstance(block, LawFactor):
-                raise ModelError(f"law: {block!r} is no set of a known kind")
+                raise ModelError(f"law: {block!r} is not a set of a known kind")
 
     @property
     def description(self) -> str:

@@ -100,5 +100,5 @@ def polyhedron(H: Any, K: Any) -> Law:
     if h.ndim != 2 or k.shape != (h.shape[0],):
         raise ModelError(f"polyhedron: H has shape {h.shape} and K {k.shape}; expected (r, m) and (r,) with the same r")
     if not (np.isfinite(h).all() and np.isfinite(k).all()):
-        raise ModelError("polyhedron: H and K must be finite; leave a row out instead of making it infinite")
+        raise ModelError("polyhedron: H and K must be finite; leave the row out instead of making it infinite")
     return Law((Polyhedron("polyhedron", h.shape[1], h, k),))

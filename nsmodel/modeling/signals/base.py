@@ -313,7 +313,7 @@ class ParametricSignal(Signal):
         return replace(self, written=self.written.in_time(tau))
 
     def with_number(self, number: str, value: Any) -> ParametricSignal:
-        """The signal with another value of a number that is no expression."""
+        """The signal with another value of a number that is not an expression."""
         return replace(self, written=self.written.with_number(number, value))
 
     def with_values(self, symbols: ca.SX, values: ca.SX) -> Signal:

@@ -96,7 +96,7 @@ class Function(EdgeDeclaredSignal):
         for row, time in zip(found, t, strict=True):
             value = function_values(self.function, float(time), self.label)
             if value.size != self.width:
-                raise ModelError(f"{self.label}: {value.size} values at t = {time:.10g}, and {self.width} at t = 0")
+                raise ModelError(f"{self.label}: {value.size} values at t = {time:.10g}, but {self.width} at t = 0")
             row[:] = value
         return found
 
@@ -176,7 +176,7 @@ def signal(function: Any, *, edges: Edges = (), name: str | None = None) -> Sign
         name: of the function in messages and in files, which cannot hold it; left out: its own.
 
     Raises:
-        ModelError: a value that is no finite number; edges out of order.
+        ModelError: a value that is not a finite number; edges out of order.
     """
     label = f"signal '{name or getattr(function, '__name__', 'of an expression')}'"
     given = edges if callable(edges) else read_numbers(label, "edges", edges, 1)

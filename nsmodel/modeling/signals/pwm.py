@@ -252,7 +252,7 @@ def pwm(period: Any, duty: Any, *, phase: Any = 0.0, low: Any = 0.0, high: Any =
     if isinstance(duty, Signal) and duty.size != 1:
         raise ModelError(f"pwm: duty has {duty.size} values; expected one")
     if isinstance(duty, Signal) and duty.expressions:
-        raise ModelError("pwm: duty is a signal of which a number is an expression; give that numbers")
+        raise ModelError("pwm: duty is a signal in which a number is an expression; give that signal numbers")
     if not isinstance(duty, Signal) and not is_expression(duty):
         duty = ConstantSignal(read_numbers("pwm", "duty", duty, 0).reshape(1))
     found = Pwm(duty=duty, kind=kind, **values)

@@ -254,7 +254,7 @@ def table(t: Any, values: Any, kind: str = "hold", *, after: str = "hold", perio
         raise ModelError(f"table: {times.size} times and {len(given)} rows of values; expected a row for each time, one at least")
     check_increasing("table", "t", times, strictly=kind != "linear")
     for i in np.flatnonzero(times[2:] == times[:-2])[:1]:
-        raise ModelError(f"table: t[{i}] = {times[i]:.10g} stands there three times; a jump has two rows, before and after it")
+        raise ModelError(f"table: t[{i}] = {times[i]:.10g} occurs three times; a jump has two rows, one before and one after")
     if kind == "cubic" and times.size < MIN_SPLINE_ROWS:
         raise ModelError(f"table: kind='cubic' and {times.size} rows; expected {MIN_SPLINE_ROWS} or more, or kind='linear'")
     again = _table_period(times, kind, period) if after == "periodic" else None

@@ -89,7 +89,7 @@ class Flow:
             gaps = float(times[-1] - times[0]) if len(times) else 0.0
             return (len(times) - 1) / gaps / self.width if gaps > 0 else float("nan")
         if start is None or end is None or not start < end:
-            raise UsageError(f"specific flow from {start} to {end}: expected two times, the first one less")
+            raise UsageError(f"specific flow from {start} to {end}: expected two times, the first one smaller")
         return float(self.net(end) - self.net(start)) / (end - start) / self.width
 
 
@@ -110,7 +110,7 @@ def flow(run: Trajectory, segments: Any) -> Flow:
     unseen = _count_unseen_departures(run)
     if unseen:
         raise UsageError(
-            f"{unseen} people left between two rows, and nobody saw by which way: run again and keep more rows (save_every)"
+            f"{unseen} people left between two rows, and no row shows by which exit: run again and keep more rows (save_every)"
         )
     found = [_crossings(run.t, positions(run), a, b) for a, b in parts]
     time, person, forward = (np.concatenate(values) for values in zip(*found, strict=True))
@@ -267,7 +267,7 @@ def room_of(run: Trajectory) -> Room:
     """The room that a run knows from its model's scene, obstacles as walls; UsageError where it knows no exits."""
     scene = run.metadata.get("scene") or {}
     if not len(scene.get("exits", ())):
-        raise UsageError("the run knows no exits: give the room")
+        raise UsageError("the run has no exits: give the room")
     names = scene.get("exit_names", [f"exit {k}" for k in range(len(scene["exits"]))])
     exits = {name: [door for door, its in zip(scene["exits"], names, strict=True) if its == name] for name in names}
     return Room(walls=scene.get("walls", ()), exits=exits)

@@ -161,7 +161,7 @@ def place(
     if corners is not None:
         allowed &= contains(corners, grid.nodes.reshape(-1, 2)).reshape(allowed.shape)
         if not allowed.any():
-            raise ModelError("place: no place of the room is in the polygon inside=")
+            raise ModelError("place: no free point of the room is in the polygon inside=")
     nodes, walls = grid.nodes[allowed], np.concatenate([room.segments, room.doors])
     fixed = np.concatenate([np.zeros((0, 2)), *(people.places for people in beside)])
     taken = np.concatenate([np.zeros(0), *(people.radii for people in beside)])
@@ -206,7 +206,7 @@ def arrivals(
         raise ModelError(f"arrivals: the room has no exit '{door}'; it has {', '.join(room.exits)}")
     others = tuple(name for name in room.exits if name != door)
     if to is None and not others:
-        raise ModelError(f"arrivals: '{door}' is the only exit, and nobody who comes in by it has where to go; name it in to=")
+        raise ModelError(f"arrivals: '{door}' is the only exit, and people who come in by it have nowhere to go; name it in to=")
     rate, until = checked_number(rate, "rate", "a number > 0, in 1/s"), checked_number(until, "until", "a number > 0, in s")
     low, high = radius_range(radii)
     rng = random_generator(seed)
@@ -336,8 +336,8 @@ def _check_exits_reachable(room: Room, places: np.ndarray, desired: DesiredVeloc
     if not room.inside(grid)[grid.nearest(at[None])][0]:
         raise ModelError(f"{who} is outside the room")
     raise ModelError(
-        f"{who} can reach no exit ({', '.join(names)}): no way there is {2 * CORNER_DISTANCE * desired.clearance:.3g} m wide, as "
-        f"a clearance of {desired.clearance:.3g} m needs"
+        f"{who} can reach no exit ({', '.join(names)}): no way to an exit is {2 * CORNER_DISTANCE * desired.clearance:.3g} m "
+        f"wide, which a clearance of {desired.clearance:.3g} m needs"
     )
 
 

@@ -166,7 +166,7 @@ def _parse_colour(value: Any, label: str) -> np.ndarray:
             return np.array(ImageColor.getrgb(value)[:3], float)
         except ValueError:
             raise ModelError(
-                f"the colour of {label}: '{value}' is no name of a colour; give a name or (red, green, blue)"
+                f"the colour of {label}: '{value}' is not the name of a colour; give a name or (red, green, blue)"
             ) from None
     try:
         array = np.array(value, float).ravel()
@@ -219,7 +219,7 @@ class Room:
         object.__setattr__(self, "walls", np.zeros((0, 2, 2)) if none else _checked_segments(self.walls, "walls"))
         for name in self.exits:
             if not isinstance(name, str):
-                raise ModelError(f"exits: {describe_argument(name)} names one; expected a text")
+                raise ModelError(f"exits: {describe_argument(name)} is not a name; expected a string")
         named = {name: _checked_segments(value, f"exit '{name}'") for name, value in self.exits.items()}
         object.__setattr__(self, "exits", MappingProxyType(named))
         if not isinstance(self.obstacles, list | tuple | np.ndarray):
@@ -348,8 +348,8 @@ class Room:
         labels = grid.label[grid.nearest(probes[free] if free.any() else probes)]
         if (labels == grid.label[0, 0]).all():
             raise ModelError(
-                f"at a spacing of {grid.spacing:.3g} m the room is open: there is a gap as small in its walls; walls and exits "
-                "must enclose it"
+                f"at a spacing of {grid.spacing:.3g} m the room is open: its walls have a gap of about this size; walls and "
+                "exits must enclose the room"
             )
         return np.isin(grid.label, labels) & ~grid.outside
 

@@ -97,7 +97,7 @@ class _PolynomialRows(NamedTuple):
 
 
 def _read_polynomial_rows(at: SystemLinearisation) -> _PolynomialRows | None:
-    """The rows of (g, h), where what is no polynomial is free of l."""
+    """The rows of (g, h), where what is not a polynomial is free of l."""
     atoms: list[tuple[ca.SX, ca.SX]] = []
 
     def atom(expression: ca.SX) -> ca.SX:

@@ -143,7 +143,7 @@ def _check_potential(
         parts.insert(1, ("inf g", _lower_bound_part(below)))
     verdict = _worst_verdict([part.verdict for _, part in parts])
     deciding_parts = parts if verdict == HOLDS else [(name, part) for name, part in parts if part.verdict == verdict]
-    # What was found on the box alone is no number of a verdict that speaks of all states.
+    # What was found on the box alone is not a number of a verdict that speaks of all states.
     values = {name: number for one in parts if one in deciding_parts or not one[1].local for name, number in one[1].value.items()}
     silent = ("no constraint", "the whole space")
     how = "; ".join(f"{name}: {part.how}" for name, part in deciding_parts if part.how not in silent)

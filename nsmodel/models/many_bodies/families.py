@@ -107,7 +107,7 @@ class Bodies(Items):
     def __init__(self, q0: Any, **numbers: Any) -> None:
         if "q" in numbers:
             raise ModelError(
-                "q is the state of each body; give the starts as the first argument, other numbers under other names"
+                "q is the state of each body; give the initial positions as the first argument, other numbers under other names"
             )
         super().__init__(q=q0, **numbers)
 

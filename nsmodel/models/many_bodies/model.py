@@ -127,7 +127,9 @@ class ManyBodies(Model):
             raise ModelError(f"{label}: shape {column.shape}; expected {size} expression{'s' * (size > 1)} of one body's symbols")
         prefixes = {s.name().partition(".")[0] for s in ca.symvar(column) if "." in s.name()}
         if len(prefixes) > 1:
-            raise ModelError(f"{label} speaks of several bodies ({', '.join(sorted(prefixes))}); it is a function of one")
+            raise ModelError(
+                f"{label} refers to several bodies ({', '.join(sorted(prefixes))}); it must be a function of one body"
+            )
         for prefix in prefixes - {me.name}:
             one = {s.name(): s for s in ca.symvar(column)}
             mine = self._usable_symbols(me)

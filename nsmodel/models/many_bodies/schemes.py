@@ -103,8 +103,8 @@ def one_step_problem(model: ManyBodies, *_: float) -> NoReturn:
         UsageError: says what there is for small scenes.
     """
     raise UsageError(
-        f"'{model.title or 'ManyBodies'}' is a model of many bodies, which simulate() runs; what needs all constraints written "
-        "one by one takes model.written_out(), for small scenes"
+        f"'{model.title or 'ManyBodies'}' is a model of many bodies, which simulate() runs; for what needs every constraint "
+        "written out, take model.written_out(), for small scenes"
     )
 
 
@@ -134,8 +134,8 @@ class BodiesProblem:
         for name, family in zip(self.names, self.families, strict=True):
             if not uses_neighbour_search(family) and family.count > LARGEST_TABLE:
                 raise UsageError(
-                    f"constraint '{name}' runs over {family.count:,} members, and all are evaluated in each step; at most "
-                    f"{LARGEST_TABLE:,}. Give over=, the members that can meet, or write a pair as |q_i - q_j| - c"
+                    f"constraint '{name}' runs over {family.count:,} members, all of which are evaluated in each step; at most "
+                    f"{LARGEST_TABLE:,} can be. Give over=, the members that can meet, or write a pair as |q_i - q_j| - c"
                 )
 
     def f(self, t: float, q: np.ndarray, present: np.ndarray) -> np.ndarray:

@@ -172,7 +172,7 @@ def bodies_library_files(
     n, d = model.bodies.q0.shape
     if model.is_driven:
         raise CodegenError(
-            f"many bodies with inputs ({', '.join(model.input_groups)}) have no C counterpart: put numbers in their place"
+            f"many bodies with inputs ({', '.join(model.input_groups)}) have no C counterpart: replace them by numbers"
         )
     if not isinstance(model.f, ca.SX):
         raise CodegenError("f is a Python function; for C it must be an expression of one body's symbols (and t)")

@@ -118,7 +118,9 @@ class MonotoneInclusion(Model):
         if self.phi is not None:
             potential = split_convex(self._read_vector(c, self.phi, "phi", 1, [self.x]), self.x, "phi")
             if potential.tau.numel():
-                raise ModelError("phi: nested nonsmooth terms have no explicit selection; write a sum of fabs, fmax, norm_2")
+                raise ModelError(
+                    "phi: there is no explicit selection for nested nonsmooth terms; write a sum of fabs, fmax, norm_2"
+                )
             if any(term.kind == "equality" for term in potential.terms):
                 raise ModelError("phi: an equality leaves C without interior; eliminate a state instead")
             return ca.SX.zeros(n), potential, lower, upper
@@ -155,7 +157,7 @@ class MonotoneInclusion(Model):
             return
         if self.scheme != "catching-up":
             raise ModelError(
-                f"tolerances are of the projections of catching-up, which scheme = {self.scheme!r} has not; keep one"
+                f"tolerances belong to the projections of catching-up, which scheme = {self.scheme!r} does not have; keep one"
             )
         if callable(self.tolerances):
             self._set(tolerances=Tolerance(self.tolerances))
