@@ -539,7 +539,7 @@ class Integrator:
             place.open, place.crossed = all_switches(system), set()
         if acts >= UPDATES:
             names = ", ".join(self.problem.block_parts)
-            raise StepError(f"t = {place.t:.10g}: values that {names} set change their own comparisons again and again at this time")
+            raise StepError(f"t = {place.t:.10g}: values that {names} set change their own comparisons without end at this time")
         raise self._no_mode_error(when)
 
     def _let_blocks_act(self) -> bool:
