@@ -47,6 +47,7 @@ from nsmodel.hypotheses.report import Report
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import Values, describe_argument, split_boxes
 from nsmodel.modeling.signals import Within
+from nsmodel.modeling.signals.base import ParametricSignal
 from nsmodel.modeling.variants import freeze_inputs, parametric_inputs, with_signals
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.proof.global_search import quick_searches
@@ -276,6 +277,9 @@ def _check_for_all_values(
         raise UsageError(f"parameter '{min(missing)}' has no value; beside {kinds}, give it a number or a box")
     boxes = {name: boxes[name] for name in part.parameters}
     driven = part.bind(uniform.box_middle(boxes)) if boxes else part
+    if any(isinstance(signal, ParametricSignal) for signal in part.inputs.values()):
+        for one in uniform.sample_values(boxes):
+            part.bind(one)  # Refuses values at which a signal has none.
     still, every = (
         _with_constant_inputs(looked_at.bind({**values, **dict.fromkeys(boxes)}, partly=True), motion),
         {**boxes, **motion.box},

@@ -227,3 +227,12 @@ def test_models_at_equal_numbers_are_one_object():
     assert not first.inputs["u"].parameters
     plain = buck(table([0, T], [0, 1]), {F: 1e5})
     assert with_signals_of(plain, bound_model(plain, None)) is plain
+
+
+@pytest.mark.parametrize("ends", [(0.1, 1.5), (-0.2, 0.5), (0.0, 3.0)])
+def test_a_box_of_parameters_ends_where_a_signal_has_its_numbers(ends):
+    x = ca.SX.sym("x")
+    model = FirstOrderSystem(x=x, f=[U - x], x0=[0], inputs={U: pwm(1.0, D)}, parameters={D: 0.4}, t_end=1.5, step=0.01)
+    with pytest.raises(UsageError, match=r"input 'u': duty = .*; expected a number from 0 to 1; it is D with D = "):
+        check(model, parameters={"D": ends}, quick=True)
+    assert check(model, parameters={"D": (0.1, 0.9)}, quick=True).findings
