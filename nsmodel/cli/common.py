@@ -85,7 +85,9 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 
 def check_free(folder: str | Path | None, result: str, arguments: argparse.Namespace) -> None:
-    """Raise UsageError where the folder holds a ``result``, a file that is written when all is done, and --force is not given."""
+    """Raise UsageError where the folder is a file, or holds a ``result``, which is written when all is done, without --force."""
+    if folder is not None and Path(folder).is_file():
+        raise UsageError(f"--out {folder} is a file; give a folder")
     if folder is not None and not arguments.force and (Path(folder) / result).is_file():
         raise UsageError(f"{folder} holds a result ({result}); give --force to replace it, or another folder")
 

@@ -668,6 +668,16 @@ def test_what_is_finished_is_replaced_by_force_alone(command, tmp_path, monkeypa
     assert Path("kept", result).read_bytes() != before[Path("kept", result)]
 
 
+@pytest.mark.parametrize("command", ["study", "stress", "sensitivity"])
+def test_a_file_is_no_folder_to_write_into(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("m.py").write_text(DECAY)
+    Path("kept").write_text("mine")
+    assert main([*FINISHED[command][0], "--out", "kept"]) == 2
+    assert "--out kept is a file; give a folder" in capsys.readouterr().err
+    assert Path("kept").read_text() == "mine"
+
+
 def test_a_finished_run_is_gone_on_with_and_each_of_several_files_has_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("m.py", "n.py"):
