@@ -13,7 +13,6 @@ from nsmodel.errors import EmptyLawError
 from nsmodel.modeling.laws import CoulombSet
 from nsmodel.modeling.laws.base import find_invalid_row
 from nsmodel.proof.expression_graph import OpaqueExpression
-from nsmodel.proof.jumps import find_jump
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.active_set import enumerate_index_sets
 from nsmodel.solvers.one_step_problem import OneStepProblem
@@ -206,6 +205,8 @@ def _jumps(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> bo
     known, values = [problem.t, problem.h, problem.state], [t, h, ca.DM(state)]
     equations = ca.substitute([ca.vertcat(problem.E, problem.Y)], known, list(map(ca.SX, values)))[0]
     reach = np.full(unknown.numel(), NEIGHBOURHOOD * max(1.0, np.abs(state).max(initial=0.0)))
+    from nsmodel.proof.jumps import find_jump  # Runs that do not fail need not load it.
+
     try:
         return find_jump(equations, unknown, -reach, reach, lambda points: np.ones(len(points), bool)) is not None
     except OpaqueExpression:

@@ -238,7 +238,7 @@ def test_cells_that_go_beyond_a_table_stop_and_say_so():
 @pytest.mark.parametrize("of", [stress, study])
 def test_signals_that_are_none_at_other_steps_are_refused(of):
     model = input_scenes.follower(1.0, t_end=1, step=0.1)
-    with pytest.raises(UsageError, match=rf"{of.__name__}: input 'u' is steps\(\.\.\.\), a row a step"):
+    with pytest.raises(UsageError, match=rf"{of.__name__}: input 'u' is steps\(\.\.\.\), one row for each step"):
         of(model, inputs={"u": steps(np.ones(10))})
     with pytest.raises(UsageError, match="input 'w' is not declared"):
         of(model, inputs={"w": 1})
