@@ -201,7 +201,7 @@ def anti_friction(model: Model) -> dict[str, float]:
     slope, size, direct = (np.array(v).ravel() for v in values(*_sample_points(system)[0][:3], initial_inputs(model)))
     bounded = np.isfinite(system.lower) | np.isfinite(system.upper)  # An equality holds by either sign.
     rows = np.flatnonzero(bounded & (direct == 0) & (slope < -PRODUCT_ROUNDING * size))
-    return {system.multipliers[i]: float(slope[i]) for i in rows}
+    return {system.multipliers[i]: float(slope[i]) for i in rows.tolist()}
 
 
 def anti_friction_text(slopes: Mapping[str, float]) -> str:

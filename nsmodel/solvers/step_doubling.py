@@ -84,7 +84,7 @@ class BothWays(NamedTuple):
         """d = (x_fine - x_coarse)/(2^p - 1)."""
         return (self.fine.row[of] - self.coarse.row[of]) / (2**order - 1)
 
-    def bend(self, of: Any, x: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def bend(self, of: Any, x: np.ndarray, before: np.ndarray | float) -> np.ndarray:
         """How far the path bends in the middle, or at the start x, where ``before`` is what the last rate gives; NaN: unknown."""
         moved = self.half.row[of] - x
         return np.fmax(np.abs(self.fine.row[of] - self.half.row[of] - moved), np.abs(moved - before))

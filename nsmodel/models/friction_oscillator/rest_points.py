@@ -49,7 +49,7 @@ class RadiusBound(NamedTuple):
 
 def support_function(elements: FrictionElements, d: np.ndarray) -> float:
     """Return sigma(d) = sum_j r_j |H_j d|."""
-    return float(sum_in_order(r * np.linalg.norm(H @ d) for r, H in elements))
+    return sum_in_order(r * float(np.linalg.norm(H @ d)) for r, H in elements)
 
 
 def friction_radius(elements: FrictionElements, n: int) -> RadiusBound:
