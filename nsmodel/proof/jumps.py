@@ -77,21 +77,20 @@ def switching_point_pairs(
     nodes = [_switch_function(node) for node in _operation_nodes(expr, z, (*SWITCH_OPERATIONS, *OTHER_JUMP_OPERATIONS))]
     if not nodes:
         return np.zeros((0, z.numel())), np.zeros((0, z.numel()))
-    state = ca.Function("state", [z], [ca.vertcat(*nodes)])
-    points = extremum.samples(lower, upper, count)
-    at = np.array(state(points.T))
-    pairs = []
-    for k in range(len(nodes)):
-        order = np.argsort(at[k], kind="stable")
+    points, pairs = extremum.samples(lower, upper, count), []
+    for node in nodes:
+        side = ca.Function("side", [z], [node])
+        at = np.array(side(points.T))[0]
+        order = np.argsort(at, kind="stable")
         low, high = points[order], points[order[::-1]]
-        differs = (at[k][order] != at[k][order[::-1]])[: count // 2]
+        differs = (at[order] != at[order[::-1]])[: count // 2]
         x, y = low[: count // 2][differs], high[: count // 2][differs]
         if not len(x):
             continue
-        start = np.array(state(x.T))[k]
+        start = np.array(side(x.T))[0]
         for _ in range(60):
             middle = (x + y) / 2
-            same = (np.array(state(middle.T))[k] == start)[:, None]
+            same = (np.array(side(middle.T))[0] == start)[:, None]
             x, y = np.where(same, middle, x), np.where(same, y, middle)
         pairs.append((x, y))
     if not pairs:
@@ -100,13 +99,14 @@ def switching_point_pairs(
 
 
 def find_jump(
-    expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, admissible: Callable[[np.ndarray], np.ndarray]
-) -> ExpressionJump | None:
-    """Return the largest jump found at points (k, n) of the box that are ``admissible``; None where there was none.
+    expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, admissible: Callable[[np.ndarray], np.ndarray],
+    count: int = SURFACE_SAMPLES,
+) -> ExpressionJump | None:  # fmt: skip
+    """Return the largest jump found at points (k, n) of the box that are ``admissible``, from so many samples; None: none.
 
     A difference counts as a jump when it is far above what the size of the values, there and elsewhere, rounds to.
     """
-    x, y = switching_point_pairs(expr, z, lower, upper)
+    x, y = switching_point_pairs(expr, z, lower, upper, count)
     if not len(x):
         return None
     keep = admissible(x) & admissible(y)

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import cached_per_object
 from nsmodel.errors import EmptyLawError
 from nsmodel.modeling.laws import CoulombSet
 from nsmodel.modeling.laws.base import find_invalid_row
@@ -24,7 +25,7 @@ from nsmodel.solvers.structure import StepStructure, is_eigenvalue_nonnegative, 
 JUMP_ADVICE = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
 MIN_OPPOSING_ANGLE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
 DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
-NEIGHBOURHOOD = 10  # Times the state: where jumps are looked for.
+NEIGHBOURHOOD, JUMP_SAMPLES = 10, 64  # Times the state: where jumps are looked for, between so many points.
 MAX_NAMES = 12  # Contacts that a message names.
 MODERATE = 1e-4  # Of the largest: parts of W and friction beside which linear programmes tell what is infeasible.
 MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one.
@@ -200,7 +201,25 @@ def _has_answer_in_modes(W: np.ndarray, b: np.ndarray, mu: Sequence[float], mode
 
 
 def _jumps(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> bool:
-    """Whether the equations of a step jump somewhere: two points next to each other were found with different values."""
+    """Whether the equations of a step jump somewhere: two points next to each other were found with different values.
+
+    Looked for once, where a step fails first.
+    """
+    found = _jumps_found(problem)
+    if not found:
+        found.append(_find_jump(problem, t, h, state))
+    return found[0]
+
+
+@cached_per_object
+def _jumps_found(problem: OneStepProblem) -> list[bool]:
+    """Where the answer is put: none yet, or one."""
+    del problem
+    return []
+
+
+def _find_jump(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> bool:
+    h = max(h, 1.0)  # In a short step h times the jump of a rate is lost beside z.
     unknown = ca.vertcat(problem.z, problem.l)
     known, values = [problem.t, problem.h, problem.state], [t, h, ca.DM(state)]
     equations = ca.substitute([ca.vertcat(problem.E, problem.Y)], known, list(map(ca.SX, values)))[0]
@@ -208,7 +227,7 @@ def _jumps(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> bo
     from nsmodel.proof.jumps import find_jump  # Runs that do not fail need not load it.
 
     try:
-        return find_jump(equations, unknown, -reach, reach, lambda points: np.ones(len(points), bool)) is not None
+        return find_jump(equations, unknown, -reach, reach, lambda points: np.ones(len(points), bool), JUMP_SAMPLES) is not None
     except OpaqueExpression:
         return False
 

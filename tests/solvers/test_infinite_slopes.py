@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from nsmodel import FirstOrderSystem, StepError, relay, simulate
+from nsmodel.solvers import diagnosis
 
 S, V, L, T = (ca.SX.sym(name) for name in "svlt")
 
@@ -113,3 +114,26 @@ def test_a_sign_that_makes_no_jump_is_not_called_one():
     with pytest.raises(StepError) as failed:
         simulate(growing, compiled=False)
     assert "jump" not in str(failed.value)
+
+
+def with_a_jump(n, **options):
+    """Signs that no law holds: steps that come to where they switch have no answer."""
+    q = ca.SX.sym("q", n)
+    f = [-ca.sign(q[i] - 0.1) * ca.exp(0.1 * q[(i + 1) % n]) + 0.3 * ca.cos((i + 1) * T) for i in range(n)]
+    return FirstOrderSystem(t=T, x=q, lam=L, f=f, g=[(1 + q[i] ** 2) * L for i in range(n)], h=q[0], law=relay(1), **options)
+
+
+@pytest.mark.parametrize("step", [1e-2, 1e-10])
+def test_a_jump_is_named_however_short_the_step(step):
+    with pytest.raises(StepError, match="a jump in the model"):
+        simulate(with_a_jump(2, x0=[0.1 + step / 3, 0.1 + step / 3], t_end=20 * step, step=step), compiled=False)
+
+
+def test_a_jump_is_looked_for_once(monkeypatch):
+    looked = []
+    monkeypatch.setattr(diagnosis, "_find_jump", lambda *_: looked.append(1) or True)
+    model = with_a_jump(2, x0=[0.103, 0.103], t_end=0.2, step=1e-2)
+    for _ in range(2):
+        with pytest.raises(StepError, match="a jump in the model"):
+            simulate(model, compiled=False)
+    assert len(looked) == 1
