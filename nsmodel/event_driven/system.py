@@ -412,9 +412,14 @@ class ModeSystem(ModeSeries):
 
     def row_scales(self) -> RowScales:
         """What y and l of all rows are measured beside at the place."""
-        feeds = [self.feedthrough[i] or self.blocks.is_curved(i) for i in range(self.m)]
-        of_y, of_l = ([of(i) if feeds[i] else 1.0 for i in range(self.m)] for of in (self.size_y, self.size_l))
+        measured = self._measured_rows
+        of_y, of_l = ([of(i) if measured[i] else 1.0 for i in range(self.m)] for of in (self.size_y, self.size_l))
         return RowScales(of_y, of_l)
+
+    @cached_property
+    def _measured_rows(self) -> list[bool]:
+        """Whether y of a row depends on l directly, or the row is one of a ball or an ellipsoid."""
+        return [self.feedthrough[i] or self.blocks.is_curved(i) for i in range(self.m)]
 
     def _push_scale(self, i: int) -> float:
         """|C_i| |B| |l|, with what l moves by in the unit of time."""

@@ -55,7 +55,8 @@ def without_infinite_slopes(J: ca.SX, symbols: ca.SX) -> ca.SX:
         left_out.append(regular)
         return ca.SX.binary(ca.OP_IF_ELSE_ZERO, regular, apply_operation(op, new))
 
-    if not ca.depends_on(entries, symbols) or ca.OP_CALL in operation_codes(entries):
+    codes = operation_codes(entries) if ca.depends_on(entries, symbols) else set()
+    if ca.OP_CALL in codes or not codes & {*SINGULAR_OPERATIONS}:
         return J
     found = rewrite_nodes(entries, rule, SINGULAR_OPERATIONS, symbols, "the model")
     return ca.SX(J.sparsity(), found) if left_out else J
