@@ -51,10 +51,10 @@ nightly: $(STAMP) ## set up and search for refused steps, wrong answers and forg
 	$(if $(NSMODEL_SHORT),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.forgeries --mutants --attempts 10000)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.golden $(if $(NSMODEL_SHORT),--class lure)
 
-lint: $(STAMP) ## ruff, pyright, which package imports which, and the limits of the structure
+lint: $(STAMP) ## ruff, types, which package imports which, and the limits of the structure
 	$(BIN)/ruff check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
 	$(BIN)/ruff format --check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
-	$(BIN)/pyright
+	$(BIN)/pyrefly check
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/python tests/house_check.py
 

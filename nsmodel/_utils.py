@@ -107,7 +107,7 @@ def checks_keywords(function: T) -> T:
         check_keywords(function.__name__, given, known)
         return function(*positional, **given)
 
-    return checked  # pyright: ignore[reportReturnType]
+    return checked  # pyrefly: ignore[bad-return]
 
 
 def former_names(module: str, **names: str) -> Callable[[str], Any]:
@@ -141,7 +141,7 @@ def cached_per_object(function: T) -> T:
             known[at] = weakref.ref(made, lambda _: known.pop(at, None)), value
         return known[at][1]
 
-    return cached  # pyright: ignore[reportReturnType]
+    return cached  # pyrefly: ignore[bad-return]
 
 
 def cached_per_object_and_key(most: int) -> Callable[[T], T]:
@@ -167,7 +167,7 @@ def cached_per_object_and_key(most: int) -> Callable[[T], T]:
                     own[key] = value
             return value
 
-        return cached  # pyright: ignore[reportReturnType]
+        return cached  # pyrefly: ignore[bad-return]
 
     return decorate
 
@@ -379,7 +379,7 @@ def _windows_memory() -> int:
         _fields_ = [("length", ctypes.c_ulong), ("load", ctypes.c_ulong), *((f"of_{i}", ctypes.c_ulonglong) for i in range(7))]
 
     status = MemoryStatus(length=ctypes.sizeof(MemoryStatus))
-    ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))  # pyright: ignore[reportAttributeAccessIssue]
+    ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))  # pyrefly: ignore[missing-attribute]
     return int(status.of_0)
 
 

@@ -45,7 +45,7 @@ def _print_cases(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _case_document(case: Case) -> dict[str, str]:
+def _case_document(case: Case) -> dict[str, Any]:
     return asdict(case) | {"path": str(case.path)}
 
 

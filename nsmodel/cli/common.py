@@ -45,7 +45,7 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 class CommandParser(argparse.ArgumentParser):
     """A parser of all its arguments; those of its commands are such parsers too."""
 
-    def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> tuple[Any, list[str]]:  # pyrefly: ignore[bad-override]
         """Refuse here what the command does not take: its own usage is shown, and not that of all."""
         found, left = super().parse_known_args(args, namespace)
         if left:
@@ -107,7 +107,7 @@ def _model_file(text: str) -> str:
 def add_options(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the flags that a command has of the options of a run."""
     for option, flag, text in flagged_options(command):
-        given = {"default": option.default, **flag.arguments}
+        given: dict[str, Any] = {"default": option.default, **flag.arguments}
         if given.get("type") is Path:
             given["type"] = output_path
         parser.add_argument(flag.name, help=text, **given)

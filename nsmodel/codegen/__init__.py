@@ -26,6 +26,7 @@ from nsmodel.modeling.fingerprint import fingerprint
 from nsmodel.modeling.parameters import Values
 from nsmodel.modeling.time_grid import TimeGrid, check_times, check_tolerance, format_value, make_grid
 from nsmodel.modeling.variants import with_inputs
+from nsmodel.proof.verdict import not_none
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
@@ -128,7 +129,7 @@ def write(
         if grid.drive is not None and grid.drive.moving:
             if worst_case:
                 raise CodegenError(f"{WORST_CASE_NEEDS} and steps of known lengths; a block places edges of a pwm")
-            spec = replace(spec, h=grid.requested_step, lengths=lengths[1:])
+            spec = replace(spec, h=not_none(grid.requested_step), lengths=lengths[1:])
         source = write_source(spec, name, mark, most)
         if worst_case and not _solves_no_system(source):
             raise CodegenError(

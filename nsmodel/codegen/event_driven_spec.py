@@ -257,7 +257,7 @@ class PieceSpec:
     @cached_property
     def ends(self) -> tuple[SlopeMatrix, SlopeMatrix]:
         """The lower and the upper ends of the law (m,)."""
-        return tuple(_as_numbers(ca.SX(ends)) for ends in (self.problem.law.lower, self.problem.law.upper))  # pyright: ignore[reportReturnType]
+        return tuple(_as_numbers(ca.SX(ends)) for ends in (self.problem.law.lower, self.problem.law.upper))  # pyrefly: ignore[bad-return]
 
     @cached_property
     def slopes(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -269,7 +269,7 @@ class PieceSpec:
         """The same as numbers, or of parameters, None where they move."""
         p = self.problem
         moving = ca.veccat(p.t, p.x, p.l)
-        return tuple(None if ca.depends_on(J, moving) else _as_numbers(ca.cse(J)) for J in self.slopes)  # pyright: ignore[reportReturnType]
+        return tuple(None if ca.depends_on(J, moving) else _as_numbers(ca.cse(J)) for J in self.slopes)  # pyrefly: ignore[bad-return]
 
     @cached_property
     def flags(self) -> frozenset[str]:

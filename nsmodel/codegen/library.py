@@ -59,7 +59,7 @@ class Solver:
         self._nx, self._nl, self._m = sizes["NX"], sizes["NL"], sizes["M"]
         self._np, self._nu = sizes["NP"], sizes.get("NU", 0)
         self._nz, self._nw = sizes.get("NZ", 0), sizes.get("NW", 0)
-        self._address = ctypes.c_void_p(library.function("create", ctypes.c_void_p)())
+        self._address: ctypes.c_void_p | None = ctypes.c_void_p(library.function("create", ctypes.c_void_p)())
         if not self._address.value:
             raise CodegenError(f"{library.about['name']}: no memory for a solver")
 

@@ -93,7 +93,7 @@ class StructMembers(NamedTuple):
 
     def c(self) -> str:
         """The declaration."""
-        base, stars = re.fullmatch(r"(.*?)\s*(\*.*)?", self.kind).groups("")  # pyright: ignore[reportOptionalMemberAccess]
+        base, stars = re.fullmatch(r"(.*?)\s*(\*.*)?", self.kind).groups("")  # pyrefly: ignore[missing-attribute]
         listed = ", ".join(stars + name for name in self.names.split())
         return f"    {base} {listed};{f' /* {self.about} */' if self.about else ''}\n"
 

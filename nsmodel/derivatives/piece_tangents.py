@@ -46,7 +46,7 @@ class TangentMaps(NamedTuple):
         """These after the ``first``, one by one."""
         return TangentMaps(self.by_start @ first.by_start, self.by_start @ first.own + self.own)
 
-    def __getitem__(self, which: np.ndarray) -> TangentMaps:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __getitem__(self, which: np.ndarray) -> TangentMaps:  # pyrefly: ignore[bad-override]
         return TangentMaps(self.by_start[which], self.own[which])
 
 
@@ -63,7 +63,7 @@ class TangentParts(NamedTuple):
         middle = (self.begin + self.end) / 2
         return TangentParts(self.piece, self.begin, middle), TangentParts(self.piece, middle, self.end)
 
-    def __getitem__(self, which: np.ndarray) -> TangentParts:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __getitem__(self, which: np.ndarray) -> TangentParts:  # pyrefly: ignore[bad-override]
         return TangentParts(self.piece[which], self.begin[which], self.end[which])
 
 

@@ -266,7 +266,7 @@ class RunFunction(ca.Callback):
         """True: the Jacobian is exact."""
         return True
 
-    def get_jacobian(self, name: str, inames: list[str], onames: list[str], opts: dict[str, Any]) -> ca.Callback:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def get_jacobian(self, name: str, inames: list[str], onames: list[str], opts: dict[str, Any]) -> ca.Callback:  # pyrefly: ignore[bad-override]
         """The Jacobian of the run at the same numbers."""
         del inames, onames
         self._jacobians.append(_RunJacobian(name, self._run, (self._inputs, self._outputs), opts))

@@ -247,7 +247,7 @@ def _choice(kind: str, watched: np.ndarray) -> np.ndarray:
 
 
 def _slip_expression(block: object, row: str, y: ca.SX) -> ca.SX:
-    curved = block.curved()  # pyright: ignore[reportAttributeAccessIssue]
+    curved = block.curved()  # pyrefly: ignore[missing-attribute]
     found = None if curved is None else curved.slip(y)
     if found is None:
         raise UsageError(f"the law of '{row}' has other modes than stick and slip; {TRY_DIFFERENCES}")

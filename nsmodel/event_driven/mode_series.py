@@ -275,7 +275,7 @@ class TracedNumber:
         """Note a comparison."""
         return self.tape.note("({} != {})", self, other)
 
-    __hash__ = None  # pyright: ignore[reportAssignmentType]
+    __hash__ = None
 
 
 def _equals_constant(value: Any, number: int) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -38,7 +38,8 @@ def is_positive(u: ca.SX) -> ca.SX:
 
 def without_overflow(problem: ContinuousProblem) -> ContinuousProblem:
     """The same problem, f, g, h and updates as `rewrite_without_overflow` writes them."""
-    return replace(problem, **{part: rewrite_without_overflow(getattr(problem, part)) for part in PROBLEM_PARTS})
+    parts: dict[str, Any] = {part: rewrite_without_overflow(getattr(problem, part)) for part in PROBLEM_PARTS}
+    return replace(problem, **parts)
 
 
 def rewrite_without_overflow(expr: ca.SX) -> ca.SX:

@@ -314,8 +314,8 @@ class ModeSystem(ModeSeries):
             elif not code and self.linear_in_l:
                 row[0] = 0.0
         linear = self.linear_in_l or 0 not in codes
-        if linear and self._try_all_orders(how := self.solve(codes)):
-            return how if self._held_rows_rest(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
+        if linear and self._try_all_orders(known := self.solve(codes)):
+            return known if self._held_rows_rest(known, range(1, min(orders, HELD_ORDERS) + 1)) else None
         for row in self.l:
             row[1:] = [0.0] * self.orders
         if (how := self._solve_order_0(codes)) is None or (

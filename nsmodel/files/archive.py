@@ -159,7 +159,7 @@ def _zip_entry(name: str) -> zipfile.ZipInfo:
 def stream_sha256(stream: IO[bytes]) -> str:
     """SHA-256 of all that was written to a stream, in hexadecimal."""
     stream.seek(0)
-    return hashlib.file_digest(stream, "sha256").hexdigest()  # pyright: ignore[reportArgumentType]
+    return hashlib.file_digest(stream, "sha256").hexdigest()  # pyrefly: ignore[no-matching-overload]
 
 
 FIRST_DIGEST_FORMAT = 3  # The first format with digests.
@@ -349,7 +349,7 @@ class StoredArrays(Mapping[str, np.ndarray]):
     @classmethod
     def of(cls, archive: Archive, stream: IO[bytes]) -> StoredArrays:
         """Those of an archive that is open."""
-        raw = np.memmap(stream, np.uint8, "r")  # pyright: ignore[reportArgumentType]
+        raw = np.memmap(stream, np.uint8, "r")
         parts = {name: _map_array(one, raw[one.begin : one.begin + one.size]) for name, one in archive.arrays.items()}
         return cls(parts, {})
 

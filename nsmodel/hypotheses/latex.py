@@ -368,8 +368,8 @@ def sympy_number(value: float) -> Any:
     known = named_constant(abs(value))
     if known is None:
         return sp.Rational(repr(value))
-    root = {"": sp.Integer(1), r"\pi": sp.pi, r"\sqrt{2}": sp.sqrt(2), r"\sqrt{3}": sp.sqrt(3)}[known[1]]
-    return (1 if value > 0 else -1) * sp.Rational(known[0].numerator, known[0].denominator) * root
+    root: Any = {"": sp.Integer(1), r"\pi": sp.pi, r"\sqrt{2}": sp.sqrt(2), r"\sqrt{3}": sp.sqrt(3)}[known[1]]
+    return (1 if value > 0 else -1) * sp.Rational(known[0].numerator, known[0].denominator) * root  # pyrefly: ignore[unsupported-operation]
 
 
 def condition_as_number(a: Any) -> Any:
@@ -397,11 +397,11 @@ def make_sympy_apply() -> Any:
         ca.OP_NEG: lambda a: -a, ca.OP_EXP: sp.exp, ca.OP_LOG: sp.log, ca.OP_POW: sp.Pow, ca.OP_CONSTPOW: sp.Pow,
         ca.OP_SQRT: sp.sqrt, ca.OP_SQ: lambda a: a**2, ca.OP_TWICE: lambda a: 2 * a, ca.OP_SIN: sp.sin, ca.OP_COS: sp.cos,
         ca.OP_TAN: sp.tan, ca.OP_ASIN: sp.asin, ca.OP_ACOS: sp.acos, ca.OP_ATAN: sp.atan, ca.OP_FLOOR: sp.floor,
-        ca.OP_CEIL: sp.ceiling, ca.OP_FMOD: lambda a, b: sp.sign(a) * sp.Mod(sp.Abs(a), sp.Abs(b)), ca.OP_FABS: sp.Abs,
-        ca.OP_SIGN: sp.sign, ca.OP_COPYSIGN: lambda a, b: sp.Abs(a) * sp.Piecewise((1, b >= 0), (-1, True)), ca.OP_ERF: sp.erf,
+        ca.OP_CEIL: sp.ceiling, ca.OP_FMOD: lambda a, b: sp.Mul(sp.sign(a), sp.Mod(sp.Abs(a), sp.Abs(b))), ca.OP_FABS: sp.Abs,
+        ca.OP_SIGN: sp.sign, ca.OP_COPYSIGN: lambda a, b: sp.Abs(a) * sp.Piecewise((1, b >= 0), (-1, True)), ca.OP_ERF: sp.erf,  # pyrefly: ignore[unsupported-operation]
         ca.OP_FMIN: sp.Min, ca.OP_FMAX: sp.Max, ca.OP_INV: lambda a: 1 / a, ca.OP_SINH: sp.sinh, ca.OP_COSH: sp.cosh,
         ca.OP_TANH: sp.tanh, ca.OP_ASINH: sp.asinh, ca.OP_ACOSH: sp.acosh, ca.OP_ATANH: sp.atanh, ca.OP_ATAN2: sp.atan2,
-        ca.OP_ERFINV: sp.erfinv, ca.OP_LOG1P: lambda a: sp.log(1 + a), ca.OP_EXPM1: lambda a: sp.exp(a) - 1,
+        ca.OP_ERFINV: sp.erfinv, ca.OP_LOG1P: lambda a: sp.log(1 + a), ca.OP_EXPM1: lambda a: sp.exp(a) - 1,  # pyrefly: ignore[unsupported-operation]
         ca.OP_HYPOT: lambda a, b: sp.sqrt(a**2 + b**2), ca.OP_LT: sp.Lt, ca.OP_LE: sp.Le, ca.OP_EQ: sp.Eq, ca.OP_NE: sp.Ne,
     }  # fmt: skip
     conditions = {ca.OP_NOT: sp.Not, ca.OP_AND: sp.And, ca.OP_OR: sp.Or}

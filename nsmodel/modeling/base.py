@@ -191,8 +191,9 @@ class Model(Picklable):
         self._declare()
         self._set(outputs=MappingProxyType(declare_outputs(self.outputs, self)))
         self._check_units()
-        self._set(_declaration=_GivenFields(type(self), given, {name: getattr(self, name) for name in names}))
-        _declarations[id(self.t)] = self._declaration
+        declaration = _GivenFields(type(self), given, {name: getattr(self, name) for name in names})
+        self._set(_declaration=declaration)
+        _declarations[id(self.t)] = declaration
 
     def _replaces(self, known: _GivenFields) -> bool:
         """Whether `dataclasses.replace` makes this model: each argument is handed on or given anew, none is left out."""

@@ -81,7 +81,7 @@ def _is_zero_or_empty(value: Any) -> bool:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
-    casadi = ca.__version__  # pyright: ignore[reportAttributeAccessIssue]
+    casadi = ca.__version__  # pyrefly: ignore[missing-attribute]
     return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": PYTHON_VERSION}
 
 

@@ -174,7 +174,7 @@ class _ExpressionPickler(pickle.Pickler):
         if isinstance(obj, MappingProxyType):
             return _frozen, (dict(obj),)
         if isinstance(obj, Picklable):
-            new = copyreg.__newobj__  # pyright: ignore[reportAttributeAccessIssue]
+            new = copyreg.__newobj__  # pyrefly: ignore[missing-attribute]
             return new, (type(obj),), vars(obj)
         return _reduce_by_file(obj) if isinstance(obj, FunctionType | type) else NotImplemented
 

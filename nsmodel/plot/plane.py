@@ -194,8 +194,8 @@ def draw_discs(ax: Axes, run: Trajectory, scene: dict[str, Any], row: int) -> Ax
     present, pressure = np.isfinite(centres).all(axis=1), _body_pressures(run, len(radii), row)
     handles = _draw_surroundings(ax, run, scene, row)
     width = 2 * radii[present]
-    look = {"edgecolor": style.INK, "linewidth": 0.7, "facecolor": "#B9CDE0", "zorder": 4}
-    place = {"units": "xy", "offsets": centres[present], "offset_transform": ax.transData}
+    look: dict[str, Any] = {"edgecolor": style.INK, "linewidth": 0.7, "facecolor": "#B9CDE0", "zorder": 4}
+    place: dict[str, Any] = {"units": "xy", "offsets": centres[present], "offset_transform": ax.transData}
     circles = EllipseCollection(width, width, np.zeros(len(width)), **place, **look)
     if pressure is not None:
         circles.set(array=pressure[present], cmap="YlOrBr", clim=(0, float(pressure.max()) or 1.0))

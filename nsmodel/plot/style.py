@@ -153,7 +153,8 @@ def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) 
     ax.set_xlabel(safe_text(xlabel), fontsize=9)
     ax.set_ylabel(safe_text(shorten(ylabel, max(20, int(size_in_inches(ax)[1] / 0.065)))), fontsize=9)
     ax.tick_params(labelsize=8)
-    ax.grid(grid, **({"color": "#E6E8EB", "linewidth": 0.6} if grid else {}))
+    look: dict[str, Any] = {"color": "#E6E8EB", "linewidth": 0.6} if grid else {}
+    ax.grid(grid, **look)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
 

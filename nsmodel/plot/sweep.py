@@ -283,7 +283,8 @@ def _hatch(ax: Axes, edges: list[np.ndarray], status: np.ndarray, values: np.nda
                 "linewidth": 0,
             }
             ax.add_collection(PolyCollection(list(corners), **look), autolim=False)
-            handles.append(Patch(**{**look, "edgecolor": HATCH_COLOUR, "linewidth": 0.5}, label=label.format(i.size)))
+            look |= {"edgecolor": HATCH_COLOUR, "linewidth": 0.5}
+            handles.append(Patch(**look, label=label.format(i.size)))
     return handles
 
 

@@ -256,7 +256,7 @@ def _sum_derivative(F: ExponentialSum) -> ExponentialSum:
 def _polynomial_sign_pattern(c: Sequence[Fraction], line: OpenInterval) -> SignPattern:
     """The signs of a polynomial."""
     roots = inner_roots(c, line)
-    ends = [(line.low, line.low), *roots, (line.high, line.high)]
+    ends: list[Any] = [(line.low, line.low), *roots, (line.high, line.high)]
     found, touches = SignPattern([], []), False
     for k, (left, right) in enumerate(pairwise(ends)):
         middle = left[1] + 1 if right[0] is None else (left[1] + right[0]) / 2

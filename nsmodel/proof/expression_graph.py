@@ -29,7 +29,7 @@ def stack_column(items: Iterable[ca.SX]) -> ca.SX:
 
 def stored_entries(matrix: ca.SX) -> list[ca.SX]:
     """The entries that are stored, each an expression; their type in CasADi's stubs is another."""
-    return [ca.SX(entry) for entry in matrix.nonzeros()]  # pyright: ignore[reportCallIssue, reportArgumentType]
+    return [ca.SX(entry) for entry in matrix.nonzeros()]  # pyrefly: ignore[no-matching-overload]
 
 
 def numeric_constants(expr: ca.SX) -> np.ndarray:

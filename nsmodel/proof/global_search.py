@@ -101,7 +101,7 @@ class SearchState(NamedTuple):
     boxes: OpenBoxes
     value: float
     at: np.ndarray | None
-    count: int  # pyright: ignore[reportIncompatibleMethodOverride]
+    count: int
     mark: tuple[int, float]
 
     @property
@@ -308,7 +308,7 @@ class Supremum(NamedTuple):
     value: float
     at: np.ndarray | None
     bound: float
-    count: int  # pyright: ignore[reportIncompatibleMethodOverride]
+    count: int
 
 
 class SearchSpace(NamedTuple):

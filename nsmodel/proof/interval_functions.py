@@ -365,7 +365,7 @@ class Interval:
     """An array of intervals [lo, hi]; a number beside it is exact. What is 0 times anything is ZERO itself, at no cost."""
 
     __slots__ = ("hi", "lo")
-    __hash__ = None  # pyright: ignore[reportAssignmentType]
+    __hash__ = None
 
     def __init__(self, lo: np.ndarray, hi: np.ndarray) -> None:
         self.lo, self.hi = lo, hi
@@ -423,11 +423,11 @@ class Interval:
             else Interval(*arithmetic.div(_as_interval_pair(other), _as_interval_pair(self)))
         )
 
-    def __eq__(self, other: object) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __eq__(self, other: object) -> np.ndarray:  # pyrefly: ignore[bad-override]
         """Where it is this number and no other."""
         return (self.lo == other) & (self.hi == other)
 
-    def __ne__(self, other: object) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def __ne__(self, other: object) -> np.ndarray:  # pyrefly: ignore[bad-override]
         """Where it may be another number."""
         return ~(self == other)
 

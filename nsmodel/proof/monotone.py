@@ -200,7 +200,7 @@ def _recentre_switch(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX
         return apply_operation(op, [rewrite_affine(node, q) for node, q in args]), None
 
     try:
-        one = {((0, 1),): Fraction(1)}
+        one: polynomial.Polynomial | None = {((0, 1),): Fraction(1)}
         (last,) = fold_graph(
             h, lambda symbol: (symbol, one), lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply
         )

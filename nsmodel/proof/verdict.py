@@ -77,9 +77,9 @@ def attach_buffers(
     """Return (buffer, call): the call reads and writes these arrays, columns first, as long as the buffer lives."""
     buffer, call = function.buffer()
     for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array.reshape(-1, order="F")))  # pyright: ignore[reportCallIssue, reportArgumentType]
+        buffer.set_arg(i, memoryview(array.reshape(-1, order="F")))  # pyrefly: ignore[bad-argument-type, missing-argument]
     for i, array in enumerate(outputs):
-        buffer.set_res(i, memoryview(array.reshape(-1, order="F")))  # pyright: ignore[reportCallIssue, reportArgumentType]
+        buffer.set_res(i, memoryview(array.reshape(-1, order="F")))  # pyrefly: ignore[bad-argument-type, missing-argument]
     return buffer, call
 
 

@@ -104,7 +104,8 @@ class SchemePropagator:
             np.unique(grid.steps).size <= MAX_FACTORED_STEP_SIZES and not (grid.drive and grid.drive.moving)
         )
         self.stepper: Any = make_stepper(model, options.solver, tolerance, h=h, state=self.state, few_steps=few)
-        self.warm, self.last_index = self.stepper.cold_start(), None
+        self.warm = self.stepper.cold_start()
+        self.last_index: np.ndarray | None = None
         self.impact_rows = impacts.impact_rows(model)
         self.outputs = OutputColumns.of(model, self.problem.multiplier_names)
         self.counts: Counter[str] = Counter()

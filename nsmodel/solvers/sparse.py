@@ -26,7 +26,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg.lapack import dgbtrf, dgbtrs  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dgbtrf, dgbtrs  # pyrefly: ignore[missing-module-attribute]
 from scipy.sparse.csgraph import breadth_first_order, connected_components, reverse_cuthill_mckee
 from scipy.sparse.linalg import LinearOperator, splu
 
@@ -168,7 +168,8 @@ class FactoredJacobian:
         """W = Y_l - Y_z E_z^{-1} E_l, rows and columns scaled alike, as an operator."""
         n, m = self.n, self.diagonal.size - self.n
         held = np.ones(m, bool)
-        factor, Y = self.factor(held, 0.0), self.J[n:]
+        factor = self.factor(held, 0.0)
+        Y: Any = self.J[n:]
 
         def multiply(v: np.ndarray) -> np.ndarray:
             return Y @ self.solve(factor, np.concatenate([np.zeros(n), np.ravel(v)]), held)
@@ -184,7 +185,7 @@ class FactoredJacobian:
         def scaled(product: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
             return lambda v: product(np.ravel(v) / d) / d
 
-        return LinearOperator((m, m), matvec=scaled(multiply), rmatvec=scaled(multiply_transposed))  # pyright: ignore[reportCallIssue]
+        return LinearOperator((m, m), matvec=scaled(multiply), rmatvec=scaled(multiply_transposed))  # pyrefly: ignore[missing-argument, unexpected-keyword]
 
 
 def step_jacobian(problem: OneStepProblem, h: float) -> sp.csr_matrix:
@@ -286,7 +287,8 @@ class SparseStepSolver:
             z, rows = part[part < at.n], part[part >= at.n] - at.n
             if not rows.size:
                 continue
-            J = at.J[part][:, part].toarray()
+            own: Any = at.J[part]
+            J = own[:, part].toarray()
             E_z, E_l, Y_z, Y_l = J[: z.size, : z.size], J[: z.size, z.size :], J[z.size :, : z.size], J[z.size :, z.size :]
             both = active_set.solve_equilibrated(E_z, np.column_stack([step.constant[z], E_l]))
             W, b = Y_l - Y_z @ both[:, 1:], step.constant[at.n + rows] - Y_z @ both[:, 0]

@@ -110,6 +110,7 @@ class PackedStep(Step[np.ndarray, WarmStart, StepResult], Protocol):
 
     layout: RowLayout
     rows: tuple[str, ...]
+    plan: Any  # A `plan.Plan`.
 
     def cold_start(self) -> WarmStart:
         """Return the warm start of a first step."""

@@ -206,7 +206,7 @@ def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
 def _lanczos_least_eigenvalue(W: LinearOperator) -> float:
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-    symmetric = LinearOperator(W.shape, matvec=lambda v: (W.matvec(v) + W.rmatvec(v)) / 2)  # pyright: ignore[reportCallIssue]
+    symmetric = LinearOperator(W.shape, matvec=lambda v: (W.matvec(v) + W.rmatvec(v)) / 2)  # pyrefly: ignore[missing-argument, unexpected-keyword]
     start = np.random.default_rng(0).normal(size=W.shape[0])
     how: dict[str, Any] = {"which": "SA", "v0": start, "tol": 1e-3, "maxiter": 20, "return_eigenvectors": False}
     try:

@@ -422,7 +422,7 @@ class _StudySession:
         except NsmodelError:
             return None
 
-    def _run_inequality_values(self, run: Trajectory) -> dict[str, float]:
+    def _run_inequality_values(self, run: Trajectory) -> dict[str, Any]:
         """Deepest violation of a constraint, and largest gain of energy beside that at the start."""
         if self.findings is None:
             return {}

@@ -285,7 +285,7 @@ def check_columns(request: SweepRequest, group: CellGroup, values: Mapping[str, 
     Raises:
         UsageError: they have no column of this name, with those that there are.
     """
-    options = {**_run_options(request, group), "compiled": False, "parameters": dict(values) or None}
+    options: dict[str, Any] = {**_run_options(request, group), "compiled": False, "parameters": dict(values) or None}
     try:
         run = Trajectory(*make_run(group.model, Options(**options)).contents("running", ""))
     except (UsageError, ModelError, StepError):

@@ -310,7 +310,8 @@ class _SteadyDirections:
         values = {**model.parameters, **fixed}
         if missing := next((name for name in own if values[name] is None), None):
             raise UsageError(f"parameter '{missing}' has no value; give parameters={{'{missing}': ...}}, or vary it")
-        self._model, self._values = model, {name: value for name, value in values.items() if name not in varied}
+        self._model = model
+        self._values: dict[str, Any] = {name: value for name, value in values.items() if name not in varied}
 
     def function(self, varied: Sequence[str]) -> ca.Function:
         """Their values by those of the varied names, which the model has in this order."""

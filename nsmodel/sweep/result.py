@@ -76,7 +76,7 @@ def sweep_dataset(sweep: Sweep) -> Any:
     """An ``xarray.Dataset``: quantities along the sweep's dimensions and their own, what varies as coordinates."""
     xarray = import_extra("xarray")
     units = {name: {"units": unit} for name, unit in sweep.units.items()}
-    data = {}
+    data: dict[str, Any] = {}
     for name in sweep.cells:
         if name != "status":
             variable = sweep[name]

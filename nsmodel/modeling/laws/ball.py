@@ -36,7 +36,7 @@ from nsmodel.modeling.laws.box import make_box_law
 class BallSet(CurvedSet):
     """{|l| <= radius}, numbers."""
 
-    radius: float
+    radius: float  # pyrefly: ignore[bad-override]
     kind: ClassVar[str] = "ball"
 
     def project(self, u: np.ndarray) -> np.ndarray:

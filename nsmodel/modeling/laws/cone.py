@@ -31,7 +31,7 @@ from nsmodel.modeling.laws.box import complementarity
 class ConeSet(CurvedSet):
     """{|(l_2, ..., l_m)| <= l_1}."""
 
-    radius: float = np.inf
+    radius: float = np.inf  # pyrefly: ignore[bad-override]
     kind: ClassVar[str] = "cone"
     is_cone: ClassVar[bool] = True
 

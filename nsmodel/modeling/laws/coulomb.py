@@ -47,7 +47,7 @@ class CoulombSet(CurvedSet):
 
     mu: float
     shifts: bool = True
-    radius: float = np.inf
+    radius: float = np.inf  # pyrefly: ignore[bad-override]
     kind: ClassVar[str] = "coulomb"
     is_cone: ClassVar[bool] = True
 

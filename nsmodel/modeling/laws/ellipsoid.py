@@ -43,7 +43,7 @@ class EllipsoidSet(CurvedSet):
     kind: ClassVar[str] = "ellipsoid"
 
     @property
-    def radius(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def radius(self) -> float:  # pyrefly: ignore[bad-override]
         """The longest half-axis."""
         return float(1 / np.sqrt(self.d.min()))
 

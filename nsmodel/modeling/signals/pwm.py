@@ -171,7 +171,7 @@ class Pwm(Signal):
         return Within(np.full(1, low), np.full(1, high), None, first)
 
     @property
-    def numbers(self) -> dict[str, float]:
+    def numbers(self) -> dict[str, Any]:
         """Low and high; where the duty is a number it too, the period and the phase."""
         found = {".low": self.low, ".high": self.high}
         if isinstance(self.duty, HeldSignal) or (isinstance(self.duty, Signal) and not isinstance(self.duty, ConstantSignal)):

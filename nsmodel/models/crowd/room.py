@@ -139,12 +139,12 @@ def _door_segments(mask: np.ndarray, wall: np.ndarray, walls: np.ndarray) -> np.
 def _rgb_pixels(image: Any) -> np.ndarray:
     """The colours (H, W, 3) from 0 to 255, on white where the picture is transparent."""
     if isinstance(image, str | Path):
-        from PIL import Image, UnidentifiedImageError
+        from PIL import Image
 
         try:
             with Image.open(image) as opened:
                 array = np.asarray(opened.convert("RGBA"), float)
-        except (OSError, UnidentifiedImageError) as error:
+        except OSError as error:
             raise ModelError(f"{image} cannot be read as a picture: {error}") from None
     else:
         array = np.asarray(image)

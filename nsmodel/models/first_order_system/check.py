@@ -241,7 +241,7 @@ def _check_step_limit(at: SystemLinearisation, quick: bool) -> Finding:
         return make_finding(
             F_STEP, verdict, f"A and K are constant, but {why}: h* by eigenvalues in floating point.", value, witness
         )
-    if change >= 1 and steps.regular is False and exact.rank(at.exact_W(h)) == len(at.M):
+    if change >= 1 and exact.rank(at.exact_W(h)) == len(at.M):
         before = regular_steps(at.M, at.exact_G(), h * (1 - ENTRY_ROUNDING)).regular
         if before:
             how = "Exactly, on these doubles, h* <= h: by less than rounding (64 eps)."

@@ -330,12 +330,13 @@ def _polyhedron_corners(shape: Halfspaces) -> np.ndarray:
     if conic.decide_feasibility(conic.ConicSystem(H.T, tuple(range(len(K))))).point is None:  # some H d >= 0, d != 0
         return none
     found = []
-    for rows in map(list, combinations(range(len(K)), m)):
+    for chosen in combinations(range(len(K)), m):
+        rows = np.array(chosen, int)
         inverse = exact.inverse_matrix(H[rows])
-        if (
-            inverse is not None
-            and (exact.matrix_product(H, corner := exact.matrix_product(inverse, K[rows, None])) >= K[:, None]).all()
-        ):
+        if inverse is None:
+            continue
+        corner = exact.matrix_product(inverse, K[rows][:, None])
+        if (exact.matrix_product(H, corner) >= K[:, None]).all():
             found.append(corner.ravel())
     return np.array(found, dtype=object).reshape(-1, m)
 

@@ -40,7 +40,7 @@ def _theta_gamma_residual(model: FirstOrderSystem, run: Trajectory) -> tuple[flo
 def in_units(model: FirstOrderSystem, u: float, tau: float, common: dict[str, Any]) -> FirstOrderSystem:
     """States u times and times tau times as large."""
     t, x, l = (model.t, model.t / tau), (model.x, model.x / u), (model.lam, model.lam / u)
-    law = {
+    law: dict[str, Any] = {
         "lam": model.lam, "h": u * substitute_pairs(model.h, t, x, l), "g": u / tau * substitute_pairs(model.g, t, x, l),
         "law": scaled_law(model.law, u, model.t, tau),
         "lam0": u * ca.DM(model.lam0),

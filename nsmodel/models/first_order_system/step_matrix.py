@@ -253,7 +253,7 @@ def _singular_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | No
     if not real.any():
         return np.inf, None
     k = int(np.argmax(np.where(real, np.real(values), -np.inf)))
-    return float(1 / np.real(values[k])), np.real(vectors[:, k])
+    return float(1 / np.real(values[k])), np.real(vectors[:, k])  # pyrefly: ignore[bad-index]
 
 
 def _determinant_coefficients(X: np.ndarray) -> list[Fraction]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -90,9 +91,15 @@ def _substitute_held(at: SystemLinearisation, held: np.ndarray) -> SystemLineari
         elif own.size:
             kept.append(Law((block,)))
     rows = [int(i) for i in np.flatnonzero(left)]
-    given = {"lam": ca.vertcat(*(lam[i] for i in rows)), "h": h[rows], "g": g, "law": product(*kept), "lam0": model.lam0[rows]}
+    given: dict[str, Any] = {
+        "lam": ca.vertcat(*(lam[i] for i in rows)),
+        "h": h[rows],
+        "g": g,
+        "law": product(*kept),
+        "lam0": model.lam0[rows],
+    }
     if not rows:
-        given = dict.fromkeys(given) | {"f": model.theta * model.f + model.gamma * g, "theta": 1.0}
+        given |= {**dict.fromkeys(given), "f": model.theta * model.f + model.gamma * g, "theta": 1.0}
     model = replace(model, **given)
     columns = [*range(1 + n), *(1 + n + i for i in rows)]
     names = tuple(at.names[i] for i in columns)

@@ -62,7 +62,7 @@ def _potential_residual(model: LureSystem, run: Trajectory, output: ca.SX, l: ca
 def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) -> LureSystem:
     """States u times and times tau times as large."""
     t, x = (model.t, model.t / tau), (model.x, model.x / u)
-    law = (
+    law: dict[str, Any] = (
         {"law": scaled_law(model.law, u, model.t, tau)}
         if model.law is not None
         else {"y": model.y, "phi": u**2 * substitute_pairs(model.phi, (model.y, model.y / u))}

@@ -159,7 +159,8 @@ def _solve_for_parameter(conditions: _ParameterConditions) -> tuple[str, dict[st
         return "", {}
     if len(free) == 1 and all(expr.is_rational_function(free[0]) for expr in conditions.positive):
         try:
-            relation = [expr > 0 if conditions.strict else expr >= 0 for expr in conditions.positive]
+            compare = sp.StrictGreaterThan if conditions.strict else sp.GreaterThan
+            relation = [compare(expr, 0) for expr in conditions.positive]
             return f"; that is {sp.reduce_inequalities(relation, free[0])}", {}
         except (NotImplementedError, TypeError, ValueError):
             return "", {}

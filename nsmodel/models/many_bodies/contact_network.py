@@ -276,7 +276,8 @@ def interior_gamma_bounds(N: csr_matrix) -> tuple[float, float, np.ndarray]:
 def _opposing_bounds(N: csr_matrix, least: float, weights: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Bounds of gamma and weights where the iteration ended above ``LOST``: is 0 in the hull of the normals that weigh most."""
     core = np.argsort(-weights, kind="stable")[:CORE_SIZE]
-    gamma, own = mfcq_constant(N[core].toarray())
+    normals: Any = N[core]
+    gamma, own = mfcq_constant(normals.toarray())
     if not np.isinf(gamma):
         return least, np.inf, weights
     found = np.zeros(len(weights))

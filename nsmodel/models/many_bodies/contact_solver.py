@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -109,7 +109,7 @@ class ContactGroup:
 
     def _solve_active_rows(self, active: np.ndarray) -> np.ndarray:
         """m with y = 0 on the active rows: G G' m = -(g + G h f), refined; a solution where G G' is singular but there is one."""
-        B = self.B[active]
+        B: Any = self.B[active]
         right = -(self.rows.g[active] + B @ self.hf.ravel())
         M = B @ B.T
         if active.size <= MAX_DENSE_FACTOR_ROWS:

@@ -67,7 +67,9 @@ class PolynomialCurve(NamedTuple):
 
     def compose_polynomial(self, p: polynomial.Polynomial, k: int) -> AsymptoticOrder | None:
         """The order of a polynomial in the states, its coefficients in t exact."""
-        rows = [{((0, j),) if j else (): Fraction(float(c)) for j, c in enumerate(row) if c} for row in self.coefficients]
+        rows: list[polynomial.Polynomial] = [
+            {((0, j),) if j else (): Fraction(float(c)) for j, c in enumerate(row) if c} for row in self.coefficients
+        ]
         total: polynomial.Polynomial = {}
         for monomial, number in p.items():
             term: polynomial.Polynomial | None = {(): number}
@@ -246,7 +248,7 @@ def superlinear_curve(field: SelectedField) -> HypothesisPart | None:
         sizes = []
         for t in (NEAR_TIME, FAR_TIME):
             x, v = along.values(path, t)
-            sizes.append(np.linalg.norm(v) / np.linalg.norm(x))
+            sizes.append(float(np.linalg.norm(v) / np.linalg.norm(x)))
         rise = (
             sizes[1] / sizes[0] if np.isfinite(sizes).all() and sizes[0] else np.inf if sizes[0] or np.isnan(sizes).any() else 0.0
         )
@@ -274,7 +276,7 @@ def nondissipative_curve(field: SelectedField) -> HypothesisPart | None:
             x, v = along.values(path, t)
             ratios.append(x @ v / (x @ x))
         if np.isnan(ratios).any() or ratios[1] > min(0.7 * ratios[0], 0.0) or ratios[1] >= 0:
-            seen.append((np.nan_to_num(ratios[1], nan=0.0), path))
+            seen.append((float(np.nan_to_num(ratios[1], nan=0.0)), path))
     for path, k in _curves_inside(field.C, seen):
         limit = _radial_limit(along, path, k)
         if limit is not None:
@@ -437,7 +439,7 @@ def _sector_bound(term: ca.SX, field: SelectedField) -> tuple[polynomial.Polynom
     if found is None or not found.bounded:
         return None
     middle = found.low + (found.high - found.low) / 2
-    p = {((i, 1),): Fraction(middle) * number for i, number in enumerate(split.a[0]) if number}
+    p: polynomial.Polynomial = {((i, 1),): Fraction(middle) * number for i, number in enumerate(split.a[0]) if number}
     width = max(found.high - middle, middle - found.low) * rounded_norm(exact.doubles(split.a))
     return p if middle else {}, found.reach, width * NORM_ROUND_UP
 

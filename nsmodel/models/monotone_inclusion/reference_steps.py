@@ -140,7 +140,9 @@ def in_units(model: MonotoneInclusion, u: float, tau: float, common: dict[str, A
     x = (model.x, model.x / u), (model.t, model.t / tau)
     if model.potential_split is None:
         signs = ca.substitute([model.operator], [model.sign_symbols], [ca.sign(model.sign_arguments)])[0]
-        nonlinear = {"operator": u / tau * substitute_pairs(signs if model.sign_symbols.numel() else model.operator, *x)}
+        nonlinear: dict[str, Any] = {
+            "operator": u / tau * substitute_pairs(signs if model.sign_symbols.numel() else model.operator, *x)
+        }
     else:
         nonlinear = {"phi": u**2 / tau * substitute_pairs(potential_expression(model.potential_split), *x)}
     return MonotoneInclusion(

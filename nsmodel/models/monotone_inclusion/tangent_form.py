@@ -224,7 +224,7 @@ def _ridge_sector_bound(
 
 def _compose_ridge(c: Sequence[Fraction], h: polynomial.Polynomial, a: np.ndarray) -> polynomial.Polynomial | None:
     """(c'x) h(a'x) as a polynomial in x; None where it is too long."""
-    direction = {((i, 1),): number for i, number in enumerate(a) if number}
+    direction: polynomial.Polynomial = {((i, 1),): number for i, number in enumerate(a) if number}
     total: polynomial.Polynomial = {}
     factor: polynomial.Polynomial | None = {((i, 1),): number for i, number in enumerate(c) if number}
     for number in polynomial.univariate_coefficients(h):

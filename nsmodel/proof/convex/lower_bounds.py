@@ -14,7 +14,7 @@ The least value of a potential on a convex set: exactly for a quadratic, else by
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -48,7 +48,7 @@ def decompose_potential(
     g: ca.SX, C: ConvexSet
 ) -> tuple[polynomial.Quadratic, list[KinkTerm], list[LogSumExpTerm], list[ca.SX]] | None:
     """g as a convex quadratic, kinks, logarithms of sums, and terms with a bound of their own; None where that does not work."""
-    total: polynomial.Polynomial | None = {}
+    total: polynomial.Polynomial = {}
     kinks, largest, rest = [], [], []
     for factor, term in additive_terms(g):
         (p,) = polynomial.read_polynomials(term, C.x)
@@ -106,7 +106,7 @@ def _as_kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[KinkTerm | No
     split = find_ridges(term, C.x)
     if split is None or split.s.numel() != 1:
         return None, {}
-    ends = []
+    ends: list[Any] = []
     for sign in (-1, 1):
         found = polynomial_pieces(ca.substitute(split.h, split.s, sign * split.s), split.s)
         if found is None:
@@ -389,7 +389,7 @@ def _separable_polynomial_bound(g: ca.SX, C: ConvexSet) -> float | None:
 
 def _sum_of_squares_bound(g: ca.SX, C: ConvexSet) -> float | None:
     """A lower bound of a polynomial of degree > 2 plus terms with bounds of their own; None where there is none."""
-    total: polynomial.Polynomial | None = {}
+    total: polynomial.Polynomial = {}
     rest = Fraction(0)
     for factor, term in additive_terms(g):
         (p,) = polynomial.read_polynomials(term, C.x)
