@@ -205,9 +205,7 @@ def has_held_duty(signal: Any, parameters: Collection[str]) -> bool:
 def latched_pwm(name: str, signal: Pwm, place: int, duty: ca.SX) -> tuple[Pwm, ModelBlock]:
     """A PWM with the duty that its periods begin with, and the block that keeps that."""
     if other := next((number[1:] for number in signal.expressions if number != ".duty"), None):
-        raise ModelError(
-            f"input '{name}': its duty is of what blocks hold, and its {other} an expression; give {other}= a number beside it"
-        )
+        raise ModelError(f"input '{name}': its duty changes in the run, and its {other} is an expression; give {other}= a number")
     own, offset = f"{name}.duty", signal.phase % signal.period
     clipped = ca.fmin(ca.fmax(duty, 0), 1)
     block = ModelBlock(own, signal.period, offset, (place,), clipped, clipped, latch=True)

@@ -270,7 +270,7 @@ def _run_disc_scene(run: Trajectory) -> dict[str, Any]:
 def check_disc_scene(scene: Mapping[str, Any] | None, states: int) -> dict[str, Any]:
     """The scene of discs in the plane; PlotError where it is none, or has not two states for each."""
     if not scene or "radii" not in scene or states != 2 * len(scene["radii"]):
-        raise PlotError("people are drawn as discs in the plane: give the model scene={'radii': ..., 'walls': ..., 'exits': ...}")
+        raise PlotError("a run without discs in the plane: give the model scene={'radii': ..., 'walls': ..., 'exits': ...}")
     return dict(scene)
 
 

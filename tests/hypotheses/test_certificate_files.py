@@ -352,8 +352,8 @@ def test_wrong_use_is_told(tmp_path, capsys):
     assert "--certificate takes one model file" in capsys.readouterr().err
     file = tmp_path / "file"
     file.write_text("")
-    assert main(["check", case, "--quick", "--certificate", str(file)]) == 2
-    assert "file" in capsys.readouterr().err
+    assert main(["check", case, "--quick", "--certificate", str(file)]) == 5
+    assert f"storage error: cannot write the certificate into {file}" in capsys.readouterr().err
 
 
 def test_statements_of_other_classes():

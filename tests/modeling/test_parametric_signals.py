@@ -100,7 +100,7 @@ def test_a_duty_of_what_blocks_hold_is_read_as_ever():
     one, two = (simulate(model, rtol=1e-10, compiled=False).x[-1] for model in (held, buck(pwm(T, 0.4), {})))
     np.testing.assert_allclose(one, two, rtol=1e-9)
     for number, given in (("period", {"period": 1 / F, "duty": z}), ("high", {"period": T, "duty": z, "high": F})):
-        with pytest.raises(ModelError, match=f"'u': its duty is of what blocks hold, and its {number} an expression"):
+        with pytest.raises(ModelError, match=f"'u': its duty changes in the run, and its {number} is an expression"):
             buck(pwm(**given), {F: 1e5}, blocks=blocks)
 
 

@@ -630,7 +630,7 @@ def test_pictures_take_and_return_axes(small_run):
         assert draw(mine) is mine
     with pytest.raises(PlotError, match="row 1000 does not exist"):
         pictures.frame(small_run, 1000)
-    with pytest.raises(PlotError, match="people are drawn as discs"):
+    with pytest.raises(PlotError, match="without discs in the plane"):
         pictures.frame(Trajectory(small_run.arrays, {}), 0)
 
 
@@ -694,7 +694,7 @@ def test_a_film_in_one_call(small_run, tmp_path):
     options = {"seconds": 0.5, "fps": 4, "size": (3, 2), "dpi": 60}
     path = small_run.film(tmp_path / "film.gif", **options)
     assert path.read_bytes() == animate(small_run, tmp_path / "other.gif", **options).read_bytes()
-    with pytest.raises(PlotError, match="people are drawn as discs"):
+    with pytest.raises(PlotError, match="without discs in the plane"):
         Trajectory(small_run.arrays, {}).film(tmp_path / "film.gif", seconds=1)
 
 

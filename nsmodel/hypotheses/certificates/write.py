@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.files.storage import replace_atomically
+from nsmodel.files.storage import make_folder, replace_atomically
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import (
     ROUNDING_ALLOWANCES,
@@ -255,17 +255,15 @@ def write_certificate(report: Report, folder: str | Path) -> tuple[Path, int, in
         the path of the certificate; how many statements are proved in it, and how many are not checkable.
 
     Raises:
-        UsageError: no folder can be made there.
+        StorageError: no folder can be made there, or the files cannot be written.
     """
     target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"certificate: {target} cannot be created as a folder ({error.strerror})") from error
+    make_folder(target, f"the certificate into {target}")
     certificate = certificate_of(report)
     path = target / "certificate.json"
     with replace_atomically(path) as temporary:
         temporary.write_text(json.dumps(certificate, indent=1) + "\n", encoding="utf-8")
-    shutil.copyfile(verify.__file__, target / "verify.py")
+    with replace_atomically(target / "verify.py") as temporary:
+        shutil.copyfile(verify.__file__, temporary)
     left = sum(statement["proof"] is None for statement in certificate["statements"])
     return path, len(certificate["statements"]) - left, left
