@@ -156,9 +156,7 @@ def _flat_table(name: str, values: Any, kind: str = "double") -> str:
     return c_table(name, flat if flat.size else np.zeros(1), str(max(flat.size, 1)), kind=kind)
 
 
-def bodies_library_files(
-    model: ManyBodies, name: str, grid: TimeGrid, request: LibraryRequest
-) -> tuple[dict[str, str], dict[str, Any]]:
+def library_files(model: ManyBodies, name: str, grid: TimeGrid, request: LibraryRequest) -> tuple[dict[str, str], dict[str, Any]]:
     """Every file of the library by name, and what it is, for programs; no step does more work than ``request.max_work``.
 
     Raises:

@@ -21,8 +21,8 @@ from nsmodel.modeling.expressions import derivatives
 from nsmodel.modeling.laws import complementarity
 from nsmodel.modeling.variants import initial_inputs
 from nsmodel.models.sweeping_process.model import SweepingProcess
-from nsmodel.solvers.initial_checks import check_start_inside, start_margin
-from nsmodel.solvers.one_step_problem import OneStepProblem, with_carried_inputs
+from nsmodel.solvers.initial_checks import InitialChecks, check_start_inside, start_margin
+from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, with_carried_inputs
 
 QUADRATURE_POINTS = 8
 
@@ -164,3 +164,15 @@ def _nonconvexity_warnings(model: SweepingProcess) -> list[str]:
         if len(found) == 5:
             break
     return found
+
+
+SCHEMES = {
+    "prediction-correction": Scheme(
+        one_step_problem=one_step_problem,
+        initial_rows=initial_rows,
+        symbolic_initial_rows=start_rows,
+        derived_columns=derived_columns,
+        kept_within=kept_within,
+    ),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)
