@@ -62,7 +62,7 @@ class Part(Generic[T]):
 @cache
 def _read_part(package: str, name: str) -> Any:
     module, _, own = f"{package}.{name}".rpartition(".")
-    part = getattr(import_module(module), own, None) if find_spec(module) else None
+    part: Any = getattr(import_module(module), own, None) if find_spec(module) else None
     return part() if module == package else part
 
 

@@ -18,7 +18,6 @@ def hypothesis_checks() -> HypothesisChecks:
         decide=check.check,
         stay_times=inputs_and_parameters.stay_times,
         uniform=UniformChecks(
-            special_values=inputs_and_parameters.special_values,
             findings=inputs_and_parameters.uniform_findings,
             consequences=inputs_and_parameters.uniform_consequences,
         ),

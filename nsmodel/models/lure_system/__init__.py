@@ -24,7 +24,6 @@ def hypothesis_checks() -> HypothesisChecks:
         ),
         driven=DrivenChecks(
             fields=inputs_and_parameters.DRIVEN_FIELDS,
-            findings=inputs_and_parameters.driven_findings,
             consequences=inputs_and_parameters.driven_consequences,
             freeze_law=inputs_and_parameters.freeze_law,
         ),

@@ -19,7 +19,6 @@ def hypothesis_checks() -> HypothesisChecks:
         along_run=check.class_findings_along_run,
         run_hypotheses=check.RUN_HYPOTHESES,
         uniform=UniformChecks(
-            special_values=inputs_and_parameters.special_values,
             findings=inputs_and_parameters.uniform_findings,
             consequences=inputs_and_parameters.uniform_consequences,
         ),

@@ -101,11 +101,6 @@ def derived_columns(model: SweepingProcess, arrays: dict[str, np.ndarray], h_nex
     return {"reactions": arrays["multipliers"] / arrays["step"][:, None]}
 
 
-def kept_within(model: SweepingProcess) -> ca.SX:
-    """G(t, q), as it is declared."""
-    return model.g
-
-
 def continuous_problem(model: SweepingProcess) -> ContinuousProblem:
     """Return the model in continuous time; the constraints are the rows themselves."""
     l = ca.SX.sym("l", model.g.numel())
@@ -172,7 +167,6 @@ SCHEMES = {
         initial_rows=initial_rows,
         symbolic_initial_rows=start_rows,
         derived_columns=derived_columns,
-        kept_within=kept_within,
     ),
 }
 INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)
