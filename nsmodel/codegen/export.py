@@ -39,7 +39,7 @@ class LibraryRequest(NamedTuple):
 
 
 LibraryFiles: TypeAlias = Callable[[Any, str, TimeGrid, LibraryRequest], tuple[dict[str, str], dict[str, Any]]]
-LIBRARY_FILES = Part[LibraryFiles]("library_files")  # Of a class whose steps are not those of a one-step problem.
+LIBRARY_FILES = Part[LibraryFiles]("step_library.library_files")  # Of a class whose steps are not those of a one-step problem.
 
 
 def step_library_files(spec: StepSpec, source: LibrarySource, grid: TimeGrid, fingerprint: str) -> dict[str, str]:

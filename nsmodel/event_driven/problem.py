@@ -177,7 +177,7 @@ class ContinuousProblem:
         return {"y": self.h if self.outputs is None else self.outputs, **self.records}
 
 
-CONTINUOUS_PROBLEM = Part[Callable[[Any], ContinuousProblem]]("continuous_problem")
+CONTINUOUS_PROBLEM = Part[Callable[[Any], ContinuousProblem]]("schemes.continuous_problem")
 
 
 def with_input_states(problem: ContinuousProblem, model: Model, start: Sequence[float] | None = None) -> ContinuousProblem:

@@ -333,7 +333,7 @@ def _decide_for_all_values(
         seen += findings_at_roots(still, box.parameters, lambda exact_model: _check_quickly(exact_model, flat, runs)[0])
     findings = uniform.join_findings(box.parameters, seen, proved)
     if driven:
-        findings = driven.findings(model, region, motion, findings, runs, quick)
+        findings = driven.findings(model, region, motion, findings, runs, quick) if driven.findings else findings
         made = driven.consequences(model, region, motion, findings, runs)
     elif proofs and not motion.names:
         made = proofs.consequences(model, region, findings)

@@ -53,7 +53,7 @@ def to_sympy(expr: ca.SX) -> sympy.Matrix:
     return sp.Matrix(rows, columns, lambda i, j: sympy_algebra.condition_as_number(entries[i + rows * j]))
 
 
-EQUATIONS = Part[Callable[[Any], list[str]]]("latex_equations")
+EQUATIONS = Part[Callable[[Any], list[str]]]("documents.equations")
 
 
 def model_equations(model: Model) -> list[str]:

@@ -167,10 +167,8 @@ def _fold(expression: ca.SX, p: ca.SX, root: ExactRoot | None, seen: list[_Node]
 
     def apply(op: int, args: list[_Node]) -> _Node:
         new, old = (apply_operation(op, [getattr(arg, which) for arg in args]) for which in ("new", "old"))
-        known = [arg.p for arg in args if arg.p is not None]
         alone = any(arg.alone for arg in args) and all(arg.alone or arg.old.is_constant() for arg in args)
-        q = polynomial.apply_to_polynomials(op, known) if len(known) == len(args) else None
-        return finish(_Node(new, old, q, alone))
+        return finish(_Node(new, old, polynomial.apply_to_polynomials(op, [arg.p for arg in args]), alone))
 
     def finish(node: _Node) -> _Node:
         if node.alone:

@@ -28,14 +28,14 @@ class UniformChecks:
     """What a class proves for all values of parameters in a box.
 
     Attributes:
-        special_values: values of the parameters at which the model is special.
         findings: (model, region, quick), those that are proved for all values.
         consequences: (model, region, findings).
+        special_values: (model, box), values of the parameters at which the model is special.
     """
 
-    special_values: Callable[[Any, IntervalBox], list[ParameterValues]]
     findings: Callable[[Any, Region, bool], list[Finding]]
     consequences: Callable[[Any, Region, Sequence[Finding]], list[Consequence]]
+    special_values: Callable[[Any, IntervalBox], list[ParameterValues]] = lambda model, box: []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class DrivenChecks:
 
     Attributes:
         fields: {a part of the model, in a word for people: the fields in which inputs may stand}.
-        findings: (model, region, bounds of the inputs, findings for constant inputs, runs, quick).
+        findings: (model, region, bounds of the inputs, findings for constant inputs, runs, quick); left out: those.
         consequences: (model, region, bounds of the inputs, findings, runs).
         freeze_law: the model in the form in which hypotheses are looked at, where its law moves.
         run_of_frozen_law: (model, run), the run as one of that form.
@@ -52,8 +52,8 @@ class DrivenChecks:
     """
 
     fields: Mapping[str, Sequence[str]]
-    findings: Callable[[Any, Region, InputBounds, Sequence[Finding], Sequence[Trajectory], bool], list[Finding]]
     consequences: Callable[[Any, Region, InputBounds, Sequence[Finding], Sequence[Trajectory]], list[Consequence]]
+    findings: Callable[[Any, Region, InputBounds, Sequence[Finding], Sequence[Trajectory], bool], list[Finding]] | None = None
     freeze_law: Callable[[Any], Any] | None = None
     run_of_frozen_law: Callable[[Any, Trajectory], Trajectory] | None = None
     parametric_form: Callable[[Any, Region, Sequence[Trajectory]], tuple[Any, Region]] | None = None

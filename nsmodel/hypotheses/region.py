@@ -33,9 +33,9 @@ from nsmodel.hypotheses.findings import (
 )
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.convex_split import read_potential_parts
+from nsmodel.modeling.parameters import finite_interval
 from nsmodel.modeling.pickling import Picklable
 from nsmodel.proof import polynomial
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.expression_graph import rewrite_nodes
 from nsmodel.proof.extremum import samples
 from nsmodel.proof.verdict import HypothesisPart
@@ -114,13 +114,7 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
         rows = [names.index(name)] if name in names else stems.get(name)
         if rows is None:
             raise UsageError(f"region: '{name}' is not a state; the model has {', '.join(names)}")
-        try:
-            low, high = (float(end) for end in interval)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not -np.inf < low < high < np.inf:
-            raise UsageError(f"region: {name} = {interval!r}; expected a pair (low, high) of finite numbers, low < high")
-        lower[rows], upper[rows] = low, high
+        lower[rows], upper[rows] = finite_interval(f"region: {name}", interval)
         origin = "as given"
     t1 = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs)])
     return Region(lower, upper, 0.0, t1, names, origin)
@@ -222,7 +216,7 @@ def parameter_roots(entries: Iterable[ca.SX], model: Model, box: IntervalBox) ->
     for entry in entries:
         ratio = polynomial.read_quotient(entry, model.p)
         line = polynomial.univariate_coefficients(ratio[0]) if ratio is not None and ratio[0] else [Fraction(1)]
-        found += [float(a) for a, _ in polynomial_signs.real_roots(line, Fraction(low), Fraction(high))]
+        found += [float(a) for a, _ in polynomial.real_roots(line, Fraction(low), Fraction(high))]
     return [{name: x} for x in dict.fromkeys(found) if low <= x <= high]
 
 

@@ -54,7 +54,8 @@ def settings_difference(saved: Mapping[str, Any], now: Mapping[str, Any]) -> str
     return None
 
 
-FUNCTION_VALUES = Part[Callable[[Any, TimeGrid], Sequence[Any]]]("function_values")  # Of functions in Python: known by these.
+# The values by which functions in Python are known.
+FUNCTION_VALUES = Part[Callable[[Any, TimeGrid], Sequence[Any]]]("model.values_of_functions")
 
 
 def fingerprint(model: Model, grid: TimeGrid) -> str:

@@ -103,14 +103,23 @@ def split_boxes(values: Any, known: Mapping[str, Any]) -> tuple[Any, dict[str, t
         if name not in known or not isinstance(value, tuple | list) or len(value) != 2:
             numbers[key] = value
             continue
-        try:
-            low, high = (float(end) for end in value)
-        except (TypeError, ValueError):
-            low = high = np.nan
-        if not -np.inf < low < high < np.inf:
-            raise UsageError(f"parameter {name} = {value!r}; expected a pair (low, high) of finite numbers, low < high")
-        boxes[name] = (low, high)
+        boxes[name] = finite_interval(f"parameter {name}", value)
     return numbers, boxes
+
+
+def finite_interval(label: str, value: Any) -> tuple[float, float]:
+    """Return the ends of an interval that a user gave.
+
+    Raises:
+        UsageError: it is no pair low < high of finite numbers.
+    """
+    try:
+        low, high = (float(end) for end in value)
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not -np.inf < low < high < np.inf:
+        raise UsageError(f"{label} = {value!r}; expected a pair (low, high) of finite numbers, low < high")
+    return low, high
 
 
 def gather_values(values: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 r"""What the classes of models bring to the rest of the package: typed parts, each asked for by the module that needs it.
 
-A module declares what it needs, ``EQUATIONS = Part[Callable[[Any], list[str]]]("latex_equations")``, and asks
-``EQUATIONS.of(model)``; the package of a class that has the part defines a function of this name, without arguments, that
-returns it. ``grep 'Part\['`` lists all parts.
+A module declares what it needs, ``EQUATIONS = Part[Callable[[Any], list[str]]]("documents.equations")``, and asks
+``EQUATIONS.of(model)``: it is ``equations`` in the module ``documents`` of the package of the class. ``grep 'Part\['`` lists all
+parts.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Generic, TypeVar
 
 from nsmodel.errors import ModelError
@@ -32,7 +33,8 @@ class Part(Generic[T]):
     """What a module of the package needs of a class of models.
 
     Attributes:
-        name: of the function in the class's package that returns it.
+        name: "module.name", in the package of the class; of a part made of several modules the name of the function in
+            ``__init__.py`` that makes it.
     """
 
     name: str
@@ -56,15 +58,17 @@ class Part(Generic[T]):
         """
         return _read_part(_package_of(model), self.name)
 
-    def of_class_named(self, name: str | None) -> T | None:
-        """Return the part of the class that a run names as its model's; None where no class here has the name or the part."""
-        return _read_part(MODEL_CLASSES[name], self.name) if name in MODEL_CLASSES else None
-
 
 @cache
 def _read_part(package: str, name: str) -> Any:
-    make = getattr(import_module(package), name, None)
-    return None if make is None else make()
+    module, _, own = f"{package}.{name}".rpartition(".")
+    part: Any = getattr(import_module(module), own, None) if find_spec(module) else None
+    return part() if module == package else part
+
+
+def class_named(name: str | None) -> Any:
+    """Return the class of models that a run names as its model's; None where no class here has the name."""
+    return _read_part(MODEL_CLASSES[name], f"model.{name}") if name in MODEL_CLASSES else None
 
 
 def _class_name(model: Any) -> str:

@@ -23,7 +23,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import extremum, interval_bounds, polynomial
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, operation_codes, symbol_hashes
 from nsmodel.proof.verdict import HOLDS, UNKNOWN, VIOLATED
 
@@ -238,8 +237,8 @@ def _polynomial_failure(c: list[Fraction], relation: str, low: Fraction, high: F
     """Exactly: the first root in the interval, or the first time after which the sign is wrong."""
     if not any(c):
         return None if relation == NONNEGATIVE else _DomainFailure(float(low), True)
-    roots = polynomial_signs.real_roots(c, low, high)
-    wrong = None if relation == NONZERO else polynomial_signs.negative_point(c, low, high)
+    roots = polynomial.real_roots(c, low, high)
+    wrong = None if relation == NONZERO else polynomial.negative_point(c, low, high)
     if relation == NONNEGATIVE and wrong is None:
         return None
     if roots:

@@ -187,14 +187,13 @@ class _GrowthCalculus:
         out: list[SizeBounds] = []
         self.found = out
         for i, step in enumerate(self.code.steps):
-            args = [affine[j] for j in step.sources]
-            p: polynomial.Polynomial | None = None
+            p: polynomial.Polynomial | None
             if step.op == ca.OP_INPUT:
                 p = {((step.slot, 1),): Fraction(1)}
             elif step.op == ca.OP_CONST:
                 p = polynomial.constant_polynomial(step.number)
-            elif all(arg is not None for arg in args):
-                p = polynomial.apply_to_polynomials(step.op, [arg for arg in args if arg is not None])
+            else:
+                p = polynomial.apply_to_polynomials(step.op, [affine[j] for j in step.sources])
             p = p if p is not None and polynomial.degree(p) <= 1 else None
             affine.append(p)
             out.append(self._bounds_of_value(i, step, out, p))

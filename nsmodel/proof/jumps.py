@@ -118,9 +118,7 @@ def find_jump(
     with np.errstate(all="ignore"):
         sizes = np.linalg.norm(np.array(f(extremum.samples(lower, upper, 256).T)), axis=0)
         typical = np.median(sizes[np.isfinite(sizes)]) if np.isfinite(sizes).any() else 0.0
-        size = np.linalg.norm(above - below, axis=1)
-        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
-        size = np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > 1e-12 * typical), size, 0.0)
+    size = jump_sizes(below, above, 1e-12 * typical)
     if not size.any():
         return None
     k = int(np.argmax(size))
@@ -248,3 +246,11 @@ def _gap_between_parts(lo: np.ndarray, hi: np.ndarray, one: tuple[float, float],
     (i,), (j,) = sorted(places)
     gap = parts[j][0] - parts[i][1] if j > i else parts[i][0] - parts[j][1]
     return float(gap) * (1 - 1e-15) if np.isfinite(gap) else 0.0
+
+
+def jump_sizes(below: np.ndarray, above: np.ndarray, least: np.ndarray | float) -> np.ndarray:
+    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it: up to ``least``, (k,) or a number."""
+    with np.errstate(all="ignore"):
+        size = np.linalg.norm(above - below, axis=1)
+        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
+        return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)

@@ -14,11 +14,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.expression_graph import (
     additive_terms,
-    apply_operation,
-    fold_graph,
     is_double,
     is_same_expression,
     rewrite_nodes,
@@ -180,31 +177,15 @@ def _recentre_switch(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX
     if (slope, offset) == (1, 0):
         return h, low, high
 
-    def rewrite_affine(node: ca.SX, p: polynomial.Polynomial | None) -> ca.SX:
-        if p is None or polynomial.is_constant(p):
-            return node
+    def write(p: polynomial.Polynomial) -> ca.SX:
         a = p[((0, 1),)] / slope
         b = p.get((), Fraction(0)) - a * offset
         if not (is_double(a) and is_double(b)):
             raise ValueError("no double")
         return float(a) * s + float(b)
 
-    def apply(op: int, args: list[tuple[ca.SX, polynomial.Polynomial | None]]) -> tuple[ca.SX, polynomial.Polynomial | None]:
-        p = (
-            polynomial.apply_to_polynomials(op, [q for _, q in args if q is not None])
-            if all(q is not None for _, q in args)
-            else None
-        )
-        if p is not None and polynomial.degree(p) <= 1:
-            return apply_operation(op, [node for node, _ in args]), p
-        return apply_operation(op, [rewrite_affine(node, q) for node, q in args]), None
-
     try:
-        one: polynomial.Polynomial | None = {((0, 1),): Fraction(1)}
-        (last,) = fold_graph(
-            h, lambda symbol: (symbol, one), lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply
-        )
-        moved = rewrite_affine(*last)
+        moved = polynomial.rewrite_parts(h, lambda _: itself, write)
     except ValueError:
         return None
     ends = [end if np.isinf(end) else slope * Fraction(end) + offset for end in (low, high)]
@@ -283,9 +264,9 @@ def _is_nondecreasing_between(h: ca.SX, s: ca.SX, low: Fraction | None, high: Fr
     if quotient is not None:
         top, bottom = (polynomial.univariate_coefficients(part) for part in quotient)
         rate = _quotient_derivative_numerator(top, bottom)
-        defined = len(bottom) == 1 or not polynomial_signs.real_roots(bottom, low, high)
+        defined = len(bottom) == 1 or not polynomial.real_roots(bottom, low, high)
         if defined:
-            return polynomial_signs.negative_point(rate, low, high) is None
+            return polynomial.negative_point(rate, low, high) is None
     if not interval_bounds.is_continuous(h, s, a, b):
         return False
     if (
@@ -301,7 +282,7 @@ def _is_nondecreasing_between(h: ca.SX, s: ca.SX, low: Fraction | None, high: Fr
 
 def _quotient_derivative_numerator(top: list[Fraction], bottom: list[Fraction]) -> list[Fraction]:
     """The numerator N'D - N D' of the derivative of N/D."""
-    one, two = (_multiply_coefficients(polynomial_signs.derivative_coefficients(x), y) for x, y in ((top, bottom), (bottom, top)))
+    one, two = (_multiply_coefficients(polynomial.derivative_coefficients(x), y) for x, y in ((top, bottom), (bottom, top)))
     size = max(len(one), len(two))
     return [(one[k] if k < len(one) else Fraction(0)) - (two[k] if k < len(two) else Fraction(0)) for k in range(size)]
 

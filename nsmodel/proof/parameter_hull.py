@@ -151,7 +151,7 @@ class _MultiaffineReader:
         node, parts = apply_operation(op, [part[0] for part in args]), [part[1] for part in args]
         if any(part is None for part in parts):
             return node, None
-        plain = polynomial.apply_to_polynomials(op, [part for part in parts if part is not None])
+        plain = polynomial.apply_to_polynomials(op, parts)
         if plain is None and op == ca.OP_DIV:
             inverse = self._node_variable(apply_operation(ca.OP_INV, [args[1][0]]))
             plain = inverse and polynomial.multiply(parts[0] or {}, inverse)

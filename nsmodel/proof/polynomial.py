@@ -5,7 +5,7 @@ The sign of a polynomial in one variable on an interval, decided exactly: its re
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from math import lcm
@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.exact import round_down, zeros
-from nsmodel.proof.expression_graph import fold_graph, rewrite_nodes, stack_column
+from nsmodel.proof.expression_graph import apply_operation, fold_graph, rewrite_nodes, stack_column
 
 Monomial = tuple[tuple[int, int], ...]  # ((variable, power), ...), variables increasing, powers > 0
 Polynomial = dict[Monomial, Fraction]  # without zeros
@@ -43,11 +43,30 @@ def read_polynomials(expr: ca.SX, z: ca.SX) -> list[Polynomial | None]:
         index = place.get(symbol.element_hash())
         return None if index is None else {((index, 1),): Fraction(1)}
 
-    def result(op: int, args: list[Polynomial | None]) -> Polynomial | None:
-        known = [arg for arg in args if arg is not None]
-        return apply_to_polynomials(op, known) if known and len(known) == len(args) else None
+    return fold_graph(expr, variable, constant_polynomial, apply_to_polynomials)
 
-    return fold_graph(expr, variable, constant_polynomial, result)
+
+def rewrite_parts(
+    expr: ca.SX, variable: Callable[[ca.SX], Polynomial | None], write: Callable[[Polynomial], ca.SX], most: int = 1
+) -> ca.SX:
+    """Return a scalar in which each largest part that is a polynomial of degree 1 to ``most`` is written by ``write``.
+
+    ``variable`` gives the polynomial of a symbol, None for a symbol that is no variable.
+    """
+
+    def rewrite(node: ca.SX, p: Polynomial | None) -> ca.SX:
+        return node if p is None or is_constant(p) else write(p)
+
+    def apply(op: int, args: list[tuple[ca.SX, Polynomial | None]]) -> tuple[ca.SX, Polynomial | None]:
+        p = apply_to_polynomials(op, [q for _, q in args])
+        if p is not None and degree(p) <= most:
+            return apply_operation(op, [node for node, _ in args]), p
+        return apply_operation(op, [rewrite(node, q) for node, q in args]), None
+
+    (last,) = fold_graph(
+        expr, lambda symbol: (symbol, variable(symbol)), lambda number: (ca.SX(number), constant_polynomial(number)), apply
+    )
+    return rewrite(*last)
 
 
 def read_quotient(expr: ca.SX, z: ca.SX) -> tuple[Polynomial, Polynomial] | None:
@@ -136,9 +155,12 @@ def constant_polynomial(value: float) -> Polynomial | None:
     return None if not np.isfinite(value) else {(): Fraction(value)} if value else {}
 
 
-def apply_to_polynomials(op: int, args: Sequence[Polynomial]) -> Polynomial | None:
-    """Apply an operation of CasADi to polynomials; None where the result is none, or too long."""
-    a, b = args[0], args[-1]
+def apply_to_polynomials(op: int, args: Sequence[Polynomial | None]) -> Polynomial | None:
+    """Apply an operation of CasADi to polynomials; None where an argument or the result is none, or it is too long."""
+    known = [arg for arg in args if arg is not None]
+    if not known or len(known) < len(args):
+        return None
+    a, b = known[0], known[-1]
     if op == ca.OP_ADD:
         return add_multiple(a, b)
     if op == ca.OP_SUB:

@@ -296,7 +296,8 @@ class SchemePropagator:
 
 
 EndOfRun: TypeAlias = Callable[[Any, np.ndarray, np.ndarray, tuple[int, float] | None], dict[str, Any]]
-END_OF_RUN = Part[EndOfRun]("end_of_run")  # Of a scheme with a velocity: whether and why it has come to rest.
+# Of a scheme with a velocity: whether and why it has come to rest.
+END_OF_RUN = Part[EndOfRun]("finite_convergence.finite_convergence")
 
 
 class FixedGridPropagator(GridProgress, SchemePropagator):

@@ -124,7 +124,8 @@ class Propagator(Protocol):
 
 
 GridPropagator: TypeAlias = Callable[[Any, Options, TimeGrid, Callable[[], str | None]], Propagator]
-GRID_PROPAGATOR = Part[GridPropagator]("grid_propagator")  # Of a class whose steps are not those of a one-step problem.
+# Of a class whose steps are not those of a one-step problem.
+GRID_PROPAGATOR = Part[GridPropagator]("propagator.GRID_PROPAGATOR")
 
 
 class GridProgress:

@@ -14,7 +14,7 @@ from nsmodel._utils import did_you_mean
 from nsmodel.errors import StorageError, UsageError
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.parts import Part
+from nsmodel.modeling.parts import class_named
 from nsmodel.solvers.contacts import Contacts
 
 Contents = tuple[dict[str, np.ndarray], dict[str, Any]]  # The arrays and the metadata of a run.
@@ -191,12 +191,9 @@ def deferred_run(kind: type[R], read: Callable[[], Contents]) -> R:
     return run
 
 
-MODEL_TYPE = Part[type[Model]]("model_type")
-
-
 def model_type(run: RunData) -> type[Model]:
     """Return the class of the run's model; what all share where it is not known here."""
-    return MODEL_TYPE.of_class_named(run.metadata.get("model_class")) or Model
+    return class_named(run.metadata.get("model_class")) or Model
 
 
 def state_names(run: RunData) -> list[str]:

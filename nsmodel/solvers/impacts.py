@@ -133,7 +133,7 @@ class ImpactStructure(NamedTuple):
         return self.t, self.s, self.l, self.u
 
 
-IMPACT_STRUCTURE = Part[Callable[[Any], ImpactStructure | None]]("impact_structure")
+IMPACT_STRUCTURE = Part[Callable[[Any], ImpactStructure | None]]("schemes.impact_system")
 
 
 @cached_per_object

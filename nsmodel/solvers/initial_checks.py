@@ -45,7 +45,7 @@ class InitialChecks:
     admitted: Callable[[Any], list[ca.SX]] | None = None
 
 
-INITIAL_CHECKS = Part[InitialChecks]("initial_checks")
+INITIAL_CHECKS = Part[InitialChecks]("schemes.INITIAL_CHECKS")
 
 
 def check_start(model: Model) -> None:

@@ -328,7 +328,7 @@ class Scheme:
     state_before_short_step: Callable[[Any, np.ndarray, float], np.ndarray] | None = None
 
 
-SCHEMES = Part[Mapping[str, Scheme]]("schemes_by_name")
+SCHEMES = Part[Mapping[str, Scheme]]("schemes.SCHEMES")
 
 
 def _scheme_of(model: Any) -> Scheme:

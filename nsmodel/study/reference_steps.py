@@ -310,7 +310,7 @@ class ReferenceStep:
     states_before_step: Callable[[Any, Trajectory, np.ndarray], Callable[[int, float], np.ndarray]] | None = None
 
 
-REFERENCE_STEP = Part[ReferenceStep]("reference_step")
+REFERENCE_STEP = Part[ReferenceStep]("reference_steps.REFERENCE_STEP")
 
 
 @np.errstate(all="ignore")  # a run that diverges is judged like any other

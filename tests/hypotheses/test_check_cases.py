@@ -16,7 +16,6 @@ from nsmodel.hypotheses.check import hypotheses_of
 from nsmodel.hypotheses.findings import VERDICTS
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.parts import MODEL_CLASSES
-from nsmodel.proof.verdict import not_none
 
 # The hypotheses of each case that must be proved. "sampled" where a proof exists is a defect.
 HOLDS = {
@@ -224,7 +223,7 @@ def test_consequences_rest_on_findings_of_the_report(case_file, report_of):
 def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
     page = (REPOSITORY / "docs" / "hypotheses.md").read_text()
     headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
-    checks = [not_none(HYPOTHESIS_CHECKS.of_class_named(name)) for name in MODEL_CLASSES]
+    checks = [HYPOTHESIS_CHECKS.of(getattr(nsmodel, name)) for name in MODEL_CLASSES]
     hypotheses = list(dict.fromkeys(hypothesis for own in checks for hypothesis in own.hypotheses))
     hypotheses += [*along_run.RUN_HYPOTHESES, *(hypothesis for own in checks for hypothesis in own.run_hypotheses)]
     ids = [hypothesis.id for hypothesis in hypotheses]

@@ -10,7 +10,7 @@ import pytest
 import nsmodel
 from nsmodel.errors import ModelError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.parts import MODEL_CLASSES, Part
+from nsmodel.modeling.parts import MODEL_CLASSES, Part, class_named
 
 MODULES = [module.name for module in pkgutil.walk_packages(nsmodel.__path__, "nsmodel.") if not module.name.endswith("__main__")]
 PARTS = {
@@ -21,48 +21,41 @@ PARTS = {
     if isinstance(part, Part)
 }
 WITHOUT = {  # What a class need not have.
-    "function_values": {"SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MechanicalSystem"},
-    "impact_structure": {"SweepingProcess", "MonotoneInclusion", "ManyBodies", "MechanicalSystem"},
-    "continuous_problem": {"ManyBodies", "MechanicalSystem"},
-    "grid_propagator": set(MODEL_CLASSES) - {"ManyBodies"},
-    "end_of_run": set(MODEL_CLASSES) - {"FrictionOscillator"},
-    "library_files": set(MODEL_CLASSES) - {"ManyBodies"},
-    "reference_step": {"ManyBodies", "MechanicalSystem"},
-    "certificate_parts": {"MechanicalSystem"},
+    "model.values_of_functions": {"SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MechanicalSystem"},
+    "schemes.impact_system": {"SweepingProcess", "MonotoneInclusion", "ManyBodies", "MechanicalSystem"},
+    "schemes.continuous_problem": {"ManyBodies", "MechanicalSystem"},
+    "propagator.GRID_PROPAGATOR": set(MODEL_CLASSES) - {"ManyBodies"},
+    "finite_convergence.finite_convergence": set(MODEL_CLASSES) - {"FrictionOscillator"},
+    "step_library.library_files": set(MODEL_CLASSES) - {"ManyBodies"},
+    "reference_steps.REFERENCE_STEP": {"ManyBodies", "MechanicalSystem"},
+    "documents.CERTIFICATE": {"MechanicalSystem"},
 }
 
 
 def test_parts_are_declared():
-    assert len(PARTS) >= 12
-    assert {"model_type", "schemes_by_name", "initial_checks", "hypothesis_checks", "certificate_parts"} <= set(PARTS)
+    assert len(PARTS) >= 11
+    assert {"schemes.SCHEMES", "schemes.INITIAL_CHECKS", "hypothesis_checks", "documents.CERTIFICATE"} <= set(PARTS)
 
 
 @pytest.mark.parametrize("kind", MODEL_CLASSES)
 def test_a_class_has_its_parts_and_its_package_nothing_else(kind):
     package = importlib.import_module(MODEL_CLASSES[kind])
     own = {name for name, value in vars(package).items() if inspect.isfunction(value)}
-    assert own == {name for name in PARTS if kind not in WITHOUT.get(name, ())}
+    assert own == {"hypothesis_checks"}
     model_type = getattr(nsmodel, kind)
     for name, part in PARTS.items():
-        found = part.of_class_named(kind)
+        found = part.optional(model_type)
         assert (found is None) == (kind in WITHOUT.get(name, ()))
-        assert part.optional(model_type) is found
         if found is not None:
             assert part.of(model_type) is found
         else:
-            with pytest.raises(ModelError, match=f"{kind} has no part '{name}'"):
+            with pytest.raises(ModelError, match=f"{kind} has no part '{re.escape(name)}'"):
                 part.of(model_type)
 
 
 @pytest.mark.parametrize("kind", MODEL_CLASSES)
 def test_schemes_are_those_that_the_class_names(kind):
-    assert set(PARTS["schemes_by_name"].of_class_named(kind)) == set(getattr(nsmodel, kind).schemes)
-
-
-@pytest.mark.parametrize("package", MODEL_CLASSES.values())
-def test_no_part_has_the_name_of_a_module(package):
-    modules = {module.name for module in pkgutil.iter_modules(importlib.import_module(package).__path__)}
-    assert not modules & set(PARTS)
+    assert set(PARTS["schemes.SCHEMES"].of(getattr(nsmodel, kind))) == set(getattr(nsmodel, kind).schemes)
 
 
 def test_a_class_from_elsewhere_is_refused():
@@ -71,6 +64,8 @@ def test_a_class_from_elsewhere_is_refused():
 
     for kind in (LureSystem, Model, int):
         with pytest.raises(ModelError, match="is not a class of models; expected one of SweepingProcess, "):
-            PARTS["model_type"].of(kind)
-    assert PARTS["model_type"].of_class_named("Pendulum") is None
-    assert PARTS["model_type"].of_class_named(None) is None
+            PARTS["schemes.SCHEMES"].of(kind)
+
+    assert class_named("LureSystem") is nsmodel.LureSystem
+    assert class_named("Pendulum") is None
+    assert class_named(None) is None

@@ -82,7 +82,7 @@ class CertificateParts:
     proofs: Callable[[CertificateSubject, Finding, Mapping[str, Finding], dict[str, str], Fraction], Iterable[Data]]
 
 
-CERTIFICATE = Part[CertificateParts]("certificate_parts")
+CERTIFICATE = Part[CertificateParts]("documents.CERTIFICATE")
 
 
 def certificate_subject(model: Model, findings: Mapping[str, Finding], ranges: IntervalBox) -> CertificateSubject:

@@ -42,7 +42,6 @@ class Polyhedron(LawFactor):
 
     def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> RewrittenLaw:
         """l free with y - H'n = 0, and 0 <= n ⟂ H l - K >= 0."""
-        del moving, guarded
         l, n = ca.SX.sym("l", self.size), ca.SX.sym("n", len(self.K))
         rows = (*names, *(f"{names[0]} face {i}" for i in range(len(self.K))))
         outputs = ca.vertcat(y - ca.DM(self.H.T) @ n, ca.DM(self.H) @ l - ca.DM(self.K))

@@ -106,7 +106,6 @@ class Signal(Picklable):
 
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
         """The signal with what blocks of a model hold now: ``kept``, by name."""
-        del kept
         return self
 
     def in_time(self, tau: float) -> Signal:
@@ -169,12 +168,10 @@ class Signal(Picklable):
 
     def with_values(self, symbols: ca.SX, values: ca.SX) -> Signal:
         """The signal with ``values`` in place of the ``symbols`` of parameters; UsageError where a number is then a wrong one."""
-        del symbols, values
         return self
 
     def joint_slopes(self, t: float) -> dict[str, float]:
         """The derivatives of the time of the joint at t by those of these that move it."""
-        del t
         return {}
 
     def derivative_slopes(self, t: float) -> dict[str, np.ndarray]:
@@ -183,7 +180,6 @@ class Signal(Picklable):
 
     def within(self, t_end: float) -> Within | None:
         """Bounds of its values up to ``t_end``, with a rate where it has no jump there; None where they are not known."""
-        del t_end
         return None
 
     def jump(self, t_end: float) -> SignalJump | None:
@@ -197,7 +193,6 @@ class Signal(Picklable):
 
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """u(a+) and u(b-) of the steps between times t (K + 1,), the first of which has this number: (K, size) each."""
-        del number
         return self.after(t[:-1]), self.before(t[1:])
 
 
@@ -226,7 +221,6 @@ class ConstantSignal(Signal):
 
     def in_time(self, tau: float) -> Self:
         """The same signal: it does not depend on time."""
-        del tau
         return self
 
     def after(self, t: np.ndarray) -> np.ndarray:
@@ -248,12 +242,10 @@ class ConstantSignal(Signal):
 
     def derivative_slopes(self, t: float) -> dict[str, np.ndarray]:
         """1 for each value."""
-        del t
         return {number: row[None] for number, row in zip(self.numbers, np.eye(self.size), strict=True)}
 
     def within(self, t_end: float) -> Within | None:
         """Bounds that are the values."""
-        del t_end
         return constant_bounds(self.values)
 
 
@@ -347,26 +339,21 @@ class ParametricSignal(Signal):
 
     def jump(self, t_end: float) -> SignalJump | None:
         """None: where it jumps is not known."""
-        del t_end
 
     def check_valid(self, label: str, t_end: float) -> Never:
         """Refuse what needs numbers: as do the functions of time."""
-        del label, t_end
         self._need_numbers()
 
     def edges(self, t_end: float) -> Never:
         """Refuse: where it jumps is not known."""
-        del t_end
         self._need_numbers()
 
     def kinks(self, t_end: float) -> Never:
         """Refuse: where it bends is not known."""
-        del t_end
         self._need_numbers()
 
     def after(self, t: np.ndarray) -> Never:
         """Refuse: what it is at a time is not known."""
-        del t
         self._need_numbers()
 
     before = after

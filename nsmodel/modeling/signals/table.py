@@ -303,12 +303,10 @@ class Steps(Signal):
 
     def in_time(self, tau: float) -> Self:
         """The same: it knows steps, and no time."""
-        del tau
         return self
 
     def within(self, t_end: float) -> Within:
         """The least and the largest of each column."""
-        del t_end
         low, high = self.values.min(axis=0), self.values.max(axis=0)
         return constant_bounds(low) if (low == high).all() else Within(low, high, None, self.values[0])
 

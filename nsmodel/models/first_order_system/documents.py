@@ -22,6 +22,7 @@ from nsmodel.hypotheses.certificates.hints import (
     exact_number_text,
 )
 from nsmodel.hypotheses.certificates.write import (
+    CertificateParts,
     CertificateSubject,
     column_text,
     dense_matrix_text,
@@ -143,3 +144,6 @@ def equations(model: FirstOrderSystem) -> list[str]:
         law_latex(model.law),
         start,
     ]
+
+
+CERTIFICATE = CertificateParts(stated=STATED, subject=subject, proofs=proofs)

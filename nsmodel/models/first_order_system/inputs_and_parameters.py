@@ -33,7 +33,7 @@ from nsmodel.hypotheses.findings import (
     make_finding,
 )
 from nsmodel.hypotheses.inputs import InputBounds, InputJump, missing_rate_reason, scheme_limit_consequence
-from nsmodel.hypotheses.region import ParameterValues, Region, box_middle, depends_on_symbol, findings_for_box, sample_values
+from nsmodel.hypotheses.region import Region, box_middle, depends_on_symbol, findings_for_box, sample_values
 from nsmodel.hypotheses.staying import StayTime, multiplier_hull, stay_by_rates
 from nsmodel.modeling.laws import Law
 from nsmodel.models.first_order_system.check import (
@@ -101,11 +101,6 @@ class AffineSystem(NamedTuple):
         low, high = self.lower.copy(), self.upper.copy()
         low[-3], high[-3] = steps
         return low, high
-
-
-def special_values(model: FirstOrderSystem, box: IntervalBox) -> list[ParameterValues]:
-    """No values are special."""
-    return []
 
 
 def uniform_findings(model: FirstOrderSystem, region: Region, quick: bool) -> list[Finding]:
@@ -423,7 +418,6 @@ def driven_consequences(
     model: FirstOrderSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows of steps; of the order for signals that are smooth between their edges alone."""
-    del runs
     moved = [finding.id for finding in own if finding.id == F_INPUTS.id]
     read = motion.indices_read_by(model.f, model.g, model.h)
     made = []

@@ -16,7 +16,7 @@ import numpy as np
 from nsmodel.modeling.base import Model
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.simulation.trajectory import Trajectory
-from nsmodel.study.reference_steps import StepMagnitudes, StepResiduals, output_law_residual, theta_gamma_residual
+from nsmodel.study.reference_steps import ReferenceStep, StepMagnitudes, StepResiduals, output_law_residual, theta_gamma_residual
 from nsmodel.study.units import scaled_law, substitute_pairs
 
 
@@ -70,3 +70,11 @@ def states_with_input(model: Model, l: ca.SX, r: ca.SX, run: Trajectory, start: 
         return np.concatenate([run.x[row], here])
 
     return state
+
+
+REFERENCE_STEP = ReferenceStep(
+    residuals=residuals,
+    acting=acting,
+    in_units=in_units,
+    states_before_step=states,
+)

@@ -28,9 +28,10 @@ import numpy as np
 from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.solvers.impacts import ImpactStructure, impact_structure
-from nsmodel.solvers.initial_checks import check_law_sets
+from nsmodel.solvers.initial_checks import InitialChecks, check_law_sets
 from nsmodel.solvers.one_step_problem import (
     OneStepProblem,
+    Scheme,
     SchemeOrder,
     moving_law_outputs,
     rewrite_as_basic_law,
@@ -188,3 +189,9 @@ def _is_mass_singular(M: ca.SX) -> bool:
 
 def _is_identity(M: ca.SX) -> bool:
     return (M - ca.SX.eye(M.shape[0])).is_zero()
+
+
+SCHEMES = {
+    "theta-gamma": Scheme(one_step_problem=one_step_problem, initial_rows=initial_rows),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings)

@@ -2,72 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nsmodel.event_driven.problem import ContinuousProblem
-    from nsmodel.hypotheses.certificates.write import CertificateParts
     from nsmodel.hypotheses.framework import HypothesisChecks
-    from nsmodel.modeling.base import Model
-    from nsmodel.simulation.fixed_grid import EndOfRun
-    from nsmodel.solvers.impacts import ImpactStructure
-    from nsmodel.solvers.initial_checks import InitialChecks
-    from nsmodel.solvers.one_step_problem import Scheme
-    from nsmodel.study.reference_steps import ReferenceStep
-
-
-def model_type() -> type[Model]:
-    """Return the class."""
-    from nsmodel.models.friction_oscillator.model import FrictionOscillator
-
-    return FrictionOscillator
-
-
-def schemes_by_name() -> Mapping[str, Scheme]:
-    """Return its schemes."""
-    from nsmodel.models.friction_oscillator import schemes
-    from nsmodel.solvers.one_step_problem import Scheme
-
-    return {
-        "inertial proximal": Scheme(
-            one_step_problem=schemes.one_step_problem,
-            initial_rows=schemes.initial_rows,
-            symbolic_initial_rows=schemes.start_rows,
-            symbolic_start_state=schemes.start_of,
-            derived_columns=schemes.derived_columns,
-            state_before_short_step=schemes.shortened,
-        ),
-    }
-
-
-def initial_checks() -> InitialChecks:
-    """Return what is looked at before a run."""
-    from nsmodel.models.friction_oscillator import schemes
-    from nsmodel.solvers.initial_checks import InitialChecks
-
-    return InitialChecks(check_start=schemes.check_start, warnings=schemes.warnings, admitted=schemes.admitted)
-
-
-def impact_structure() -> Callable[[Any], ImpactStructure | None]:
-    """Return the system in which impacts are looked for."""
-    from nsmodel.models.friction_oscillator.schemes import impact_system
-
-    return impact_system
-
-
-def continuous_problem() -> Callable[[Any], ContinuousProblem]:
-    """Return what states it in continuous time."""
-    from nsmodel.models.friction_oscillator import schemes
-
-    return schemes.continuous_problem
-
-
-def end_of_run() -> EndOfRun:
-    """Return what says whether a run has come to rest."""
-    from nsmodel.models.friction_oscillator.finite_convergence import finite_convergence
-
-    return finite_convergence
 
 
 def hypothesis_checks() -> HypothesisChecks:
@@ -92,32 +30,4 @@ def hypothesis_checks() -> HypothesisChecks:
             consequences=inputs_and_parameters.driven_consequences,
             freeze_law=inputs_and_parameters.freeze_law,
         ),
-    )
-
-
-def latex_equations() -> Callable[[Any], list[str]]:
-    """Return what writes its equations in LaTeX."""
-    from nsmodel.models.friction_oscillator import documents
-
-    return documents.equations
-
-
-def certificate_parts() -> CertificateParts:
-    """Return what writes its certificates."""
-    from nsmodel.hypotheses.certificates.write import CertificateParts
-    from nsmodel.models.friction_oscillator import documents
-
-    return CertificateParts(stated=documents.STATED, subject=documents.subject, proofs=documents.proofs)
-
-
-def reference_step() -> ReferenceStep:
-    """Return its scheme a second time, and the class in other units."""
-    from nsmodel.models.friction_oscillator import reference_steps
-    from nsmodel.study.reference_steps import ReferenceStep
-
-    return ReferenceStep(
-        residuals=reference_steps.residuals,
-        acting=reference_steps.acting,
-        in_units=reference_steps.in_units,
-        states_before_step=reference_steps.states,
     )

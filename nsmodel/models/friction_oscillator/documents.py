@@ -22,6 +22,7 @@ from nsmodel.hypotheses.certificates.hints import (
     nonnegativity_hint,
 )
 from nsmodel.hypotheses.certificates.write import (
+    CertificateParts,
     CertificateSubject,
     column_text,
     dense_matrix_text,
@@ -118,3 +119,6 @@ def equations(model: FrictionOscillator) -> list[str]:
     pair = [start_line("x_0", model.x0, names), start_line("x_1", model.x1, names)] if model.x1 is not None else None
     pair = pair or [start_line("x(0)", model.x0, names), start_line(r"\dot{x}(0)", model.v0, names)]
     return [*lines, r",\quad ".join(pair)]
+
+
+CERTIFICATE = CertificateParts(stated=STATED, subject=subject, proofs=proofs)

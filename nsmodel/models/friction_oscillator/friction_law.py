@@ -12,7 +12,6 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.models.friction_oscillator.model import Friction
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial, univariate
 from nsmodel.proof.convex import piecewise, rules
-from nsmodel.proof.convex import piecewise as joints
 from nsmodel.proof.convex.piecewise import CaseInterval, WeightedTerms, split_by_cases
 from nsmodel.proof.expression_graph import additive_terms
 from nsmodel.proof.jumps import find_jump, jump_nodes
@@ -59,7 +58,7 @@ def _slope_by_intervals(theta: ca.SX, s: ca.SX) -> tuple[float, float]:
     first = ca.gradient(theta, s)
     if not interval_bounds.is_continuous(ca.vertcat(theta, first), s, ZERO_SPEED, np.full(1, 1e-6)):
         return -np.inf, np.inf
-    number = joints.exact_value(first, s, Fraction(0))
+    number = piecewise.exact_value(first, s, Fraction(0))
     if number is not None:
         return exact.round_down(number), exact.round_up(number)
     low, high = interval_bounds.enclose(first, s, ZERO_SPEED, ZERO_SPEED)
@@ -77,7 +76,7 @@ def check_friction_law(element: Friction, s: ca.SX, *, quick: bool) -> Hypothesi
     undefined = _undefined_part(theta, s)
     if undefined is not None:
         return undefined
-    jumps = [] if found is None else [joints.joint_jump(terms, s, *both) for both in pairwise(found)]
+    jumps = [] if found is None else [piecewise.joint_jump(terms, s, *both) for both in pairwise(found)]
     for piece, jump in zip(found[1:] if found is not None else [], jumps, strict=True):
         broken = None if jump is None else _joint_violation(jump, piece)
         if broken is not None:
@@ -198,7 +197,7 @@ def _undefined_part(theta: ca.SX, s: ca.SX) -> HypothesisPart | None:
     return None
 
 
-def _joint_violation(jump: joints.JointJump, piece: CaseInterval) -> HypothesisPart | None:
+def _joint_violation(jump: piecewise.JointJump, piece: CaseInterval) -> HypothesisPart | None:
     """A jump of theta or of its slope at the beginning of a piece, clear of rounding."""
     place = float(sum(piece.low) / 2)
     for what, (low, high), before in (("jumps", jump.value, None), ("has a kink", jump.slope, jump.before)):

@@ -72,7 +72,6 @@ def driven_findings(
     quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each value of the inputs, but for the steps; see the inclusions' module of this name."""
-    del model, region, motion, quick
     return [forced_steps_finding(runs) if item.id == O_STEPS.id and runs else item for item in own]
 
 
@@ -80,7 +79,6 @@ def driven_consequences(
     model: FrictionOscillator, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """A step has one solution; nothing is said of rest."""
-    del model, region, motion, runs
     well = make_consequence(
         "well posed", "each step has one and only one solution", own, WELL_POSED_IDS, f"{CABOT_PAPER}, Proposition 2.1"
     )

@@ -19,6 +19,7 @@ from nsmodel.study.reference_steps import (
     EQUATION_TOLERANCE,
     EVALUATION_ROUNDING,
     PROBE_LENGTHS,
+    ReferenceStep,
     StepResiduals,
     evaluate_at_rows,
     majorant,
@@ -109,3 +110,11 @@ def in_units(model: FrictionOscillator, u: float, tau: float, common: dict[str, 
 def states(model: FrictionOscillator, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:
     """(row, h) -> x and the difference h v, the older position that the velocity gives for this step; with a force x and v."""
     return lambda row, h: np.concatenate([run.x[row], (1.0 if model.keeps_velocity else h) * run.v[row]])
+
+
+REFERENCE_STEP = ReferenceStep(
+    residuals=residuals,
+    acting=acting,
+    in_units=in_units,
+    states_before_step=states,
+)

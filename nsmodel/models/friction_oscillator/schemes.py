@@ -36,6 +36,7 @@ from nsmodel.modeling.parameters import numbered_row_names
 from nsmodel.models.friction_oscillator.model import Friction, FrictionOscillator
 from nsmodel.solvers.impacts import ImpactStructure
 from nsmodel.solvers.initial_checks import (
+    InitialChecks,
     check_start_inside,
     check_term_weights,
     convexity_warning,
@@ -44,7 +45,7 @@ from nsmodel.solvers.initial_checks import (
     start_margin,
     symbolic_term_weights,
 )
-from nsmodel.solvers.one_step_problem import OneStepProblem, stationary_parts, subdifferential, with_carried_inputs
+from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, stationary_parts, subdifferential, with_carried_inputs
 
 SMALLEST_SPEED = 1e-150
 
@@ -354,3 +355,16 @@ def impact_system(model: FrictionOscillator) -> ImpactStructure | None:
         model.t, s, n, ca.vertcat(v, slopes.T @ n), c, F_l, ca.jacobian(c, s), ca.SX(n.numel(), n.numel()), start,
         np.zeros(n.numel()), np.full(n.numel(), np.inf), states, model.constraint_names, -n.numel(),
     )  # fmt: skip
+
+
+SCHEMES = {
+    "inertial proximal": Scheme(
+        one_step_problem=one_step_problem,
+        initial_rows=initial_rows,
+        symbolic_initial_rows=start_rows,
+        symbolic_start_state=start_of,
+        derived_columns=derived_columns,
+        state_before_short_step=shortened,
+    ),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)

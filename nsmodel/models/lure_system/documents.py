@@ -17,6 +17,7 @@ import numpy as np
 from nsmodel.hypotheses.certificates import verify
 from nsmodel.hypotheses.certificates.hints import ROUND_DOWN, StatedNumber, UnprovedFinding, cover_hint, exact_number_text
 from nsmodel.hypotheses.certificates.write import (
+    CertificateParts,
     CertificateSubject,
     column_text,
     dense_matrix_text,
@@ -205,3 +206,6 @@ def equations(model: LureSystem) -> list[str]:
     lines += [line for name, of in ((f, model.f), (e, model.e)) if name for line in vector_lines(name, of, names)]
     lines.append(law_latex(model.law) if model.law is not None else rf"\Phi(y) = {entry_formulas(model.phi, names)[0]}")
     return [*lines, start_line("x(0)", model.x0, names)]
+
+
+CERTIFICATE = CertificateParts(stated=STATED, subject=subject, proofs=proofs)

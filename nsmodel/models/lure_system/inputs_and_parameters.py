@@ -320,19 +320,10 @@ SIGNAL_PHRASES = {
 }
 
 
-def driven_findings(
-    model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
-) -> list[Finding]:  # fmt: skip
-    """Those for constant inputs: none asks how f moves; see the inclusions' module of this name."""
-    del model, region, motion, runs, quick
-    return list(own)
-
-
 def driven_consequences(
     model: LureSystem, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal; nothing is at rest that a signal drives."""
-    del runs
     made = [item for item in uniform_consequences(model, region, own) if item.name not in STABILITY_NAMES]
     for few, whole in SIGNAL_PHRASES.items():
         made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]

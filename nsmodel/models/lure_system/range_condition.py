@@ -28,7 +28,6 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Findi
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import ExactSet, Halfspaces, Intervals, RoundSet
 from nsmodel.models.lure_system import domains
-from nsmodel.models.lure_system import domains as potential_domains
 from nsmodel.models.lure_system.domains import (
     TAU_COLUMN,
     ConvexPotential,
@@ -96,9 +95,9 @@ def read_range_setting(model: LureSystem) -> RangeSetting:
             own = domains.domains_of_law(model.law, D)
         else:
             broken = True
-            potential = potential_domains.read_potential(model.phi, model.phi_split, model.y)
+            potential = domains.read_potential(model.phi, model.phi_split, model.y)
             broken = False
-            own = potential_domains.domains_of_potential(potential, len(D), bool(D.any()))
+            own = domains.domains_of_potential(potential, len(D), bool(D.any()))
     except EmptyDomain as empty:
         reason, broken = f"{'K' if model.law is not None else 'the domain of phi'}: {empty}", True
     except UndecidedDomain as undecided:

@@ -17,6 +17,7 @@ from nsmodel.models.first_order_system.reference_steps import states_with_input
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.study.reference_steps import (
+    ReferenceStep,
     StepMagnitudes,
     StepResiduals,
     output_law_residual,
@@ -81,3 +82,11 @@ def states(model: LureSystem, run: Trajectory, start: np.ndarray) -> Callable[[i
     """(row, h) -> x, and B l where gamma < 1."""
     l = ca.SX.sym("l", model.B.shape[1])
     return states_with_input(model, l, model.B @ l, run, start)
+
+
+REFERENCE_STEP = ReferenceStep(
+    residuals=residuals,
+    acting=acting,
+    in_units=in_units,
+    states_before_step=states,
+)

@@ -14,6 +14,7 @@ from nsmodel.modeling.laws.base import Halfspaces, Intervals
 from nsmodel.models.lure_system.domains import TAU_COLUMN, AffineTerm, ConvexPotential, Domains
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.proof import conic, exact
+from nsmodel.proof.convex.piecewise import exact_operation
 from nsmodel.proof.expression_graph import fold_graph
 from nsmodel.proof.interval_arithmetic import IntervalPair, excludes
 from nsmodel.proof.interval_functions import OPERATIONS
@@ -103,7 +104,7 @@ def _constant_value(number: float) -> _ValueAtZero:
 
 def _operation_at_zero(op: int, args: list[_ValueAtZero]) -> _ValueAtZero:
     known, bounds = [arg.exact for arg in args], [arg.bounds for arg in args if arg.bounds is not None]
-    number = rational_operation_value(op, known)
+    number = exact_operation(op, known)
     if number is not None:
         return _value_of(number)
     if op not in OPERATIONS or len(bounds) < len(args):
@@ -113,38 +114,6 @@ def _operation_at_zero(op: int, args: list[_ValueAtZero]) -> _ValueAtZero:
     result, rule = OPERATIONS[op].bounds(*bounds), OPERATIONS[op].continuous
     defined = np.isfinite(result).all() and (rule is None or OPERATIONS[op].jumps or bool(np.all(rule(result, *bounds))))
     return _ValueAtZero(None, result if defined else None)
-
-
-def rational_operation_value(op: int, args: list[Fraction | None]) -> Fraction | None:
-    """The exact value of an operation of CasADi on rational numbers; None where it is not rational or not defined."""
-    if op == ca.OP_CALL:
-        return None
-    a, b = args[0], args[-1]
-    if a is None or b is None:
-        return None
-    if op in _RATIONAL_OPERATIONS:
-        return _RATIONAL_OPERATIONS[op](a, b)
-    if op in (ca.OP_DIV, ca.OP_INV):
-        return None if b == 0 else (a / b if op == ca.OP_DIV else 1 / b)
-    if op in (ca.OP_POW, ca.OP_CONSTPOW) and b.denominator == 1 and abs(b) <= 30 and (a or b >= 0):
-        return a**b.numerator
-    if op in (ca.OP_POW, ca.OP_CONSTPOW) and a == 0 and b > 0:
-        return Fraction(0)
-    if a == 0 and op in _VALUES_AT_ZERO:
-        return Fraction(_VALUES_AT_ZERO[op])
-    return Fraction(1) if a == 1 and op == ca.OP_SQRT else None
-
-
-_RATIONAL_OPERATIONS = {
-    ca.OP_ADD: lambda a, b: a + b, ca.OP_SUB: lambda a, b: a - b, ca.OP_MUL: lambda a, b: a * b, ca.OP_NEG: lambda a, b: -a,
-    ca.OP_TWICE: lambda a, b: 2 * a, ca.OP_SQ: lambda a, b: a * a, ca.OP_FABS: lambda a, b: abs(a),
-    ca.OP_FMAX: lambda a, b: max(a, b), ca.OP_FMIN: lambda a, b: min(a, b),
-}  # fmt: skip
-_VALUES_AT_ZERO = {
-    **dict.fromkeys((ca.OP_SIN, ca.OP_TAN, ca.OP_ASIN, ca.OP_ATAN, ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ATANH), 0),
-    **dict.fromkeys((ca.OP_SQRT, ca.OP_EXPM1, ca.OP_LOG1P, ca.OP_ERF, ca.OP_SIGN), 0),
-    **dict.fromkeys((ca.OP_EXP, ca.OP_COS, ca.OP_COSH), 1),
-}
 
 
 def _sampled_force_size(model: LureSystem) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from nsmodel.modeling.laws.base import LawEnds
 from nsmodel.models.lure_system.model import LureSystem
 from nsmodel.solvers.impacts import ImpactStructure, impact_structure
 from nsmodel.solvers.initial_checks import (
+    InitialChecks,
     check_law_sets,
     check_term_weights,
     convexity_warning,
@@ -31,6 +32,7 @@ from nsmodel.solvers.initial_checks import (
 )
 from nsmodel.solvers.one_step_problem import (
     OneStepProblem,
+    Scheme,
     SchemeOrder,
     moving_law_outputs,
     rewrite_as_basic_law,
@@ -169,3 +171,9 @@ def impact_system(model: LureSystem) -> ImpactStructure | None:
     l = ca.SX.sym("l", model.law.size)
     F, Y = model.A + model.f + model.B @ l, model.output(model.x, l)
     return impact_structure(model, model.law, l, F, Y, (model.B, model.C, model.D), "y' (C B = 0)")
+
+
+SCHEMES = {
+    "theta-gamma": Scheme(one_step_problem=one_step_problem, initial_rows=initial_rows),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)

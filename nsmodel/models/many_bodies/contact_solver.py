@@ -25,7 +25,6 @@ from nsmodel.models.many_bodies.contact_search import candidate_contact_rows, ca
 from nsmodel.models.many_bodies.schemes import BODIES_SCHEME, BodiesProblem, ContactRows, uses_neighbour_search
 from nsmodel.proof import conic
 from nsmodel.solvers import mlcp
-from nsmodel.solvers import mlcp as qp
 from nsmodel.solvers.contacts import NO_CONTACTS, Contacts
 from nsmodel.solvers.diagnosis import describe_overreach, opposing_rows
 from nsmodel.solvers.residuals import EPS, REACH, UNRESOLVED, NumericLaw
@@ -253,7 +252,7 @@ def _largest_row_norm(d: np.ndarray) -> float:
     return float(np.sqrt((d**2).sum(axis=1)).max(initial=0.0))
 
 
-BODIES_SOLVERS = ("auto", ACTIVE_SET, CLARABEL, *qp.QP_SOLVERS, mlcp.LEMKE)
+BODIES_SOLVERS = ("auto", ACTIVE_SET, CLARABEL, *mlcp.QP_SOLVERS, mlcp.LEMKE)
 CUTOFF_FACTOR = 1.25  # The cut-off, beside what moved in the last step.
 
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.certificates.hints import UnprovedFinding, exact_number_text
-from nsmodel.hypotheses.certificates.write import CertificateSubject
+from nsmodel.hypotheses.certificates.write import CertificateParts, CertificateSubject
 from nsmodel.hypotheses.equations import entry_formulas, function_call_latex, space_latex, vector_lines
 from nsmodel.hypotheses.findings import Finding, IntervalBox
 from nsmodel.hypotheses.latex import SymbolNames, symbol_latex, text_latex
@@ -130,3 +130,6 @@ def _member_names(*members: GroupMember) -> SymbolNames:
             own = [symbol.name() for symbol in ca.vertsplit(getattr(member, key))]
             latex_names |= {name: symbol_latex("_".join([key, member.name, *name.split("_")[1:]])) for name in own}
     return SymbolNames(latex_names, {})
+
+
+CERTIFICATE = CertificateParts(stated=STATED, subject=subject, proofs=proofs)

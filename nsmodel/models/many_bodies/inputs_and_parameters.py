@@ -17,10 +17,10 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, IntervalBox, Scope, intersect_scopes, make_finding
+from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, Scope, intersect_scopes, make_finding
 from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds
-from nsmodel.hypotheses.region import ParameterValues, Region, findings_for_box, unaffected_findings
+from nsmodel.hypotheses.region import Region, findings_for_box, unaffected_findings
 from nsmodel.models.many_bodies.check import check, known_start_point
 from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.models.many_bodies.representatives import (
@@ -59,11 +59,6 @@ from nsmodel.simulation.trajectory import Trajectory
 READS = {hypothesis.id: ("constraints",) for hypothesis in (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE, S_START)} | {
     S_F.id: ("f", "constraints")
 }
-
-
-def special_values(model: ManyBodies, box: IntervalBox) -> list[ParameterValues]:
-    """No values are special."""
-    return []
 
 
 def uniform_findings(model: ManyBodies, region: Region, quick: bool) -> list[Finding]:
@@ -154,7 +149,6 @@ def driven_findings(
     model: ManyBodies, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each value of the inputs, and S-f with the L_t of their rates; see the inclusions' module of this name."""
-    del runs, quick
     made = velocity_finding(model, region, motion)
     if made is None:
         return list(own)
@@ -166,7 +160,6 @@ def driven_consequences(
     model: ManyBodies, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal."""
-    del motion, runs
     return state_for_each_signal(uniform_consequences(model, region, own))
 
 

@@ -37,6 +37,7 @@ from nsmodel.models.many_bodies.schemes import BodiesProblem, ContactRows
 from nsmodel.simulation.options import Options
 from nsmodel.simulation.propagator import (
     GridProgress,
+    GridPropagator,
     ResumedBackend,
     buffered_row_count,
     check_exact_function,
@@ -384,3 +385,6 @@ def _gap_rounding(rows: ContactRows, q: np.ndarray) -> np.ndarray:
 
 def _format_position(values: np.ndarray) -> str:
     return f"({', '.join(f'{v:.6g}' for v in values)})"
+
+
+GRID_PROPAGATOR: GridPropagator = ManyBodiesPropagator

@@ -19,6 +19,8 @@ from nsmodel.errors import StepError, UsageError
 from nsmodel.models.many_bodies.families import Family
 from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.proof.verdict import attach_buffers, not_none
+from nsmodel.solvers.initial_checks import InitialChecks
+from nsmodel.solvers.one_step_problem import Scheme
 
 BATCH_SIZE = 4096  # Members evaluated in one call.
 LARGEST_TABLE = 20_000_000  # Rows that a step evaluates at most.
@@ -273,3 +275,9 @@ def warnings(model: ManyBodies) -> list[str]:
         if np.isfinite(H).all() and (least := np.linalg.eigvalsh(H)[0]) < -1e-9 * bend:
             found.append(f"{label} is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost")
     return found
+
+
+SCHEMES = {
+    "prediction-correction": Scheme(one_step_problem=one_step_problem, initial_rows=one_step_problem),
+}
+INITIAL_CHECKS = InitialChecks(warnings=warnings)

@@ -24,7 +24,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import library, structs
-from nsmodel.codegen import structs as statuses
 from nsmodel.codegen.export import WORST_CASE_NEEDS, LibraryRequest
 from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.features import MAX_WORK
@@ -68,7 +67,7 @@ def solver_source(d: int) -> str:
             "#include <time.h>\n",
             compiler_guard().replace("static int", "int"),
             f"#define DIM {d}\n{define_lines(BODIES_CONSTANTS)}",
-            statuses.status_enum(),
+            structs.status_enum(),
             *parts,
         ]
     )
@@ -86,7 +85,7 @@ def library_source(model: ManyBodies, name: str) -> str:
     text = [
         f'#include "{name}.h"\n\n{HEADERS}', compiler_guard(), f"#define DIM {model.bodies.d} /* states of a body */\n",
         define_lines(BODIES_CONSTANTS), *_bodies_fragments(), _model_functions(model), _model_tables(model),
-        read_fragment("bodies_api.c", frozenset(), {"STATUS_CASES": statuses.status_cases()}),
+        read_fragment("bodies_api.c", frozenset(), {"STATUS_CASES": structs.status_cases()}),
     ]  # fmt: skip
     return prefix_names(prune_unused("\n".join(text)), name)
 
@@ -156,9 +155,7 @@ def _flat_table(name: str, values: Any, kind: str = "double") -> str:
     return c_table(name, flat if flat.size else np.zeros(1), str(max(flat.size, 1)), kind=kind)
 
 
-def bodies_library_files(
-    model: ManyBodies, name: str, grid: TimeGrid, request: LibraryRequest
-) -> tuple[dict[str, str], dict[str, Any]]:
+def library_files(model: ManyBodies, name: str, grid: TimeGrid, request: LibraryRequest) -> tuple[dict[str, str], dict[str, Any]]:
     """Every file of the library by name, and what it is, for programs; no step does more work than ``request.max_work``.
 
     Raises:
@@ -187,7 +184,7 @@ def bodies_library_files(
         "FAMILIES": comment_text(", ".join(model.constraints) or "none"),
         "STATES": f"{d} of each of {n} bodies, one after the other",
         "UNIT_T": f" ({comment_text(model.units['t'])})" if "t" in model.units else "",
-        "STATUSES": prefix_names(statuses.status_enum(), name), "WORK": str(request.max_work),
+        "STATUSES": prefix_names(structs.status_enum(), name), "WORK": str(request.max_work),
         "SIZE": f"{(memory + 41 * contacts) / 1e6:.3g} MB",
     }  # fmt: skip
     about = {

@@ -22,7 +22,6 @@ from nsmodel.models.sweeping_process.admissible_points import unconstrained_proc
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, HypothesisAnswer
 from nsmodel.models.sweeping_process.velocity_field import (
     FieldBlock,
-    jump_sizes,
     lipschitz_bound,
     lipschitz_proved_answer,
     steep_point,
@@ -31,7 +30,7 @@ from nsmodel.models.sweeping_process.velocity_field import (
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.domain import check_defined_in_time
 from nsmodel.proof.expression_graph import rewrite_nodes, stack_column
-from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_lower_bound, jump_nodes
+from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_lower_bound, jump_nodes, jump_sizes
 
 MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first.
 MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps.

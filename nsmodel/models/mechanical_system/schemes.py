@@ -27,8 +27,8 @@ from nsmodel.modeling.laws import Law, complementarity, equality, product
 from nsmodel.modeling.variants import initial_inputs
 from nsmodel.models.mechanical_system.model import ContactTerms, MechanicalSystem, applied_forces
 from nsmodel.models.mechanical_system.several_answers import uniqueness_doubt
-from nsmodel.solvers.initial_checks import parameter_values_text
-from nsmodel.solvers.one_step_problem import OneStepProblem, SchemeOrder, rewrite_as_basic_law, with_carried_inputs
+from nsmodel.solvers.initial_checks import InitialChecks, parameter_values_text
+from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, SchemeOrder, rewrite_as_basic_law, with_carried_inputs
 
 OPEN = 1e30  # What is added to the normal velocity of a contact that does not act.
 TOL_G = 1e-10  # Part of the largest gap so far up to which a contact counts as closed, where tol_g is left out.
@@ -352,3 +352,15 @@ def warnings(model: MechanicalSystem) -> list[str]:
     """That a step may have several answers, where nothing shows that it has one."""
     why = uniqueness_doubt(model)
     return [f"unique: not guaranteed ({why})"] if why else []
+
+
+SCHEMES = {
+    "moreau-jean": Scheme(
+        one_step_problem=one_step_problem,
+        initial_rows=initial_rows,
+        symbolic_initial_rows=symbolic_initial_rows,
+        symbolic_start_state=symbolic_start_state,
+        derived_columns=derived_columns,
+    ),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)

@@ -392,7 +392,6 @@ def parametric_model_and_region(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory]
 ) -> tuple[MonotoneInclusion, Region]:  # fmt: skip
     """The inclusion that stands still at t, a parameter as all others, and the region with the times among its parameters."""
-    del runs
     if not model.moves:
         return model, region
     boxes = {**region.parameters, str(model.t): (region.t0, region.t1)}
@@ -411,7 +410,6 @@ def driven_findings(
         own: what was found at each time and value.
         runs: with the signals of the model; quick: no searches.
     """
-    del runs
     time = region.t0, region.t1
     timed = [finding_in_time(finding, str(model.t), time) for finding in own] if model.moves else list(own)
     return [*timed, set_motion_finding(model, region, motion, quick)]

@@ -23,7 +23,7 @@ from nsmodel.hypotheses.certificates.hints import (
     interior_point_hint,
     nonnegativity_hint,
 )
-from nsmodel.hypotheses.certificates.write import CertificateSubject, Data, column_text, expression_program
+from nsmodel.hypotheses.certificates.write import CertificateParts, CertificateSubject, Data, column_text, expression_program
 from nsmodel.hypotheses.equations import (
     MAX_LISTED_ROWS,
     constraint_lines,
@@ -181,3 +181,6 @@ def _joined_potential(split: ConvexSplit) -> ca.SX:
     shape = {"abs": ca.fabs, "max": lambda u: ca.fmax(u, 0), "norm": ca.norm_2}
     terms = [term.weight * shape[term.kind](term.u) for term in split.terms if term.kind in shape]
     return split.smooth + ca.sum1(stack_column(terms))
+
+
+CERTIFICATE = CertificateParts(stated=STATED, subject=subject, proofs=proofs)

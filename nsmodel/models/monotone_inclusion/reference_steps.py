@@ -18,6 +18,7 @@ from nsmodel.study.reference_steps import (
     LAW_TOLERANCE,
     PROBE_LENGTHS,
     PROJECTION_TOLERANCE,
+    ReferenceStep,
     StepResiduals,
     evaluate_at_rows,
     majorant,
@@ -151,3 +152,6 @@ def in_units(model: MonotoneInclusion, u: float, tau: float, common: dict[str, A
         constraints={name: u * substitute_pairs(c, *x) for name, c in model.constraints.items()},
         tolerances=scaled_tolerances(model.tolerances, u, tau), **nonlinear, **common,
     )  # fmt: skip
+
+
+REFERENCE_STEP = ReferenceStep(residuals=residuals, acting=acting, in_units=in_units)

@@ -44,13 +44,14 @@ from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.proof import polynomial
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.solvers.initial_checks import (
+    InitialChecks,
     check_start_inside,
     check_term_weights,
     parameter_values_text,
     start_margin,
     symbolic_term_weights,
 )
-from nsmodel.solvers.one_step_problem import OneStepProblem, Prediction, subdifferential, with_carried_inputs
+from nsmodel.solvers.one_step_problem import OneStepProblem, Prediction, Scheme, subdifferential, with_carried_inputs
 
 
 @dataclass(frozen=True)
@@ -204,3 +205,14 @@ def admitted(model: MonotoneInclusion) -> list[ca.SX]:
 def warnings(model: MonotoneInclusion) -> list[str]:
     """Nothing beside what the step shows."""
     return []
+
+
+SCHEMES = {
+    "catching-up": Scheme(
+        one_step_problem=catching_up_problem,
+        initial_rows=initial_rows,
+        kept_within=kept_within,
+    ),
+    "implicit": Scheme(one_step_problem=implicit_problem, initial_rows=initial_rows, kept_within=kept_within),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)

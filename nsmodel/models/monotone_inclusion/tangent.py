@@ -33,7 +33,6 @@ from nsmodel.models.monotone_inclusion.tangent_form import (
     sector_tangent_form,
 )
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_squares
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.verdict import HypothesisPart
 
 DECAY_RATES = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
@@ -278,12 +277,12 @@ def _polynomial_upper_bound(p: polynomial.Polynomial, low: float, high: float) -
     """A number that a polynomial in one variable does not exceed on [low, high], verified exactly."""
     c = [-number for number in polynomial.univariate_coefficients(p)]
     a, b = (Fraction(end) if np.isfinite(end) else None for end in (low, high))
-    least, _ = polynomial_signs.approximate_minimum(c, a, b)
+    least, _ = polynomial.approximate_minimum(c, a, b)
     if not np.isfinite(least):
         return None
     for more in (1e-12, 1e-9, 1e-6):
         level = Fraction(float(-least + more * (1 + abs(least))))
-        if polynomial_signs.negative_point([c[0] + level, *c[1:]], a, b) is None:
+        if polynomial.negative_point([c[0] + level, *c[1:]], a, b) is None:
             return max(level, Fraction(0))
     return None
 

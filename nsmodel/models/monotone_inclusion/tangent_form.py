@@ -27,8 +27,6 @@ from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
 from nsmodel.proof.expression_graph import (
     additive_terms,
-    apply_operation,
-    fold_graph,
     is_double,
     is_same_expression,
     symbol_hashes,
@@ -289,31 +287,27 @@ def as_function_of_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
     n = x.numel()
     place = {entry.element_hash(): i for i, entry in enumerate(ca.vertsplit(x))}
 
-    def from_square(node: ca.SX | None, p: polynomial.Polynomial | None) -> ca.SX | None:
-        if p is None or polynomial.is_constant(p):
-            return node
-        numbers = {p.get(((i, 2),)) for i in range(n)}
-        (number, *more) = numbers
-        if more or number is None or set(p) - {()} != {((i, 2),) for i in range(n)}:
-            return None
+    def write(p: polynomial.Polynomial) -> ca.SX:
+        (number, *more) = {p.get(((i, 2),)) for i in range(n)}
         offset = p.get((), Fraction(0))
-        return float(number) * square + float(offset) if is_double(number) and is_double(offset) else None
+        if (
+            more
+            or number is None
+            or set(p) - {()} != {((i, 2),) for i in range(n)}
+            or not (is_double(number) and is_double(offset))
+        ):
+            raise ValueError("not a function of the square, or a coefficient is no double")
+        return float(number) * square + float(offset)
 
-    def apply(op: int, args: list) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
-        p = polynomial.apply_to_polynomials(op, [q for _, q in args]) if all(q is not None for _, q in args) else None
-        if p is not None and polynomial.degree(p) <= 2:
-            return (apply_operation(op, [node for node, _ in args]) if all(node is not None for node, _ in args) else None), p
-        nodes = [from_square(node, q) for node, q in args]
-        known = [node for node in nodes if node is not None]
-        return (apply_operation(op, known) if len(known) == len(nodes) else None), None
-
-    def variable(entry: ca.SX) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
+    def variable(entry: ca.SX) -> polynomial.Polynomial | None:
         i = place.get(entry.element_hash())
-        return entry, None if i is None else {((i, 1),): Fraction(1)}
+        return None if i is None else {((i, 1),): Fraction(1)}
 
-    (last,) = fold_graph(expr, variable, lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply)
-    result = from_square(*last)
-    return result if result is not None and not symbol_hashes(result) - symbol_hashes(square) else None
+    try:
+        result = polynomial.rewrite_parts(expr, variable, write, most=2)
+    except ValueError:
+        return None
+    return result if not symbol_hashes(result) - symbol_hashes(square) else None
 
 
 def aligned_offset(field: SelectedField) -> float:

@@ -27,7 +27,7 @@ from nsmodel.hypotheses.certificates.hints import (
     exact_number_text,
     straight_line_program,
 )
-from nsmodel.hypotheses.certificates.write import CertificateSubject, Data, column_text, expression_program
+from nsmodel.hypotheses.certificates.write import CertificateParts, CertificateSubject, Data, column_text, expression_program
 from nsmodel.hypotheses.equations import (
     constraint_lines,
     function_call_latex,
@@ -315,3 +315,6 @@ def equations(model: SweepingProcess) -> list[str]:
         else f"Q = {space_latex(len(model.names))}"
     )
     return [*lines, *constraint_lines("g", model.constraints, model, names, "q"), start_line("q(0)", model.q0, names)]
+
+
+CERTIFICATE = CertificateParts(stated=STATED, subject=subject, proofs=proofs)

@@ -33,14 +33,13 @@ from nsmodel.hypotheses.findings import (
     Consequence,
     Finding,
     Hypothesis,
-    IntervalBox,
     Scope,
     intersect_scopes,
     make_finding,
 )
 from nsmodel.hypotheses.framework import SpeedBound
 from nsmodel.hypotheses.inputs import NO_INPUT_BOUNDS, InputBounds, InputJump, missing_rate_reason
-from nsmodel.hypotheses.region import ParameterValues, Region, findings_for_box, unaffected_findings
+from nsmodel.hypotheses.region import Region, findings_for_box, unaffected_findings
 from nsmodel.models.sweeping_process.admissible_points import build_process, point_of_start_set
 from nsmodel.models.sweeping_process.check import (
     A2,
@@ -79,11 +78,6 @@ READS = {hypothesis.id: ("g",) for hypothesis in (*CONSTRAINT_HYPOTHESES, A5, A5
     S_F.id: ("f", "g"),
     S_START.id: ("g", "q0"),
 }
-
-
-def special_values(model: SweepingProcess, box: IntervalBox) -> list[ParameterValues]:
-    """No values are special."""
-    return []
 
 
 def uniform_findings(model: SweepingProcess, region: Region, quick: bool) -> list[Finding]:
@@ -278,7 +272,6 @@ def driven_findings(
     model: SweepingProcess, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
     """Those at each time and value of the inputs, but for speeds and the start; see the inclusions' module of this name."""
-    del runs
     made = {finding.id: finding for finding in own}
     if motion.indices_read_by(model.g):
         made |= {finding.id: finding for finding in _speed_findings(model, region, motion, quick)}
@@ -293,7 +286,6 @@ def driven_consequences(
     model: SweepingProcess, region: Region, motion: InputBounds, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal: of the set at each time, of solutions, and of the scheme where speeds are known."""
-    del motion, runs
     return state_for_each_signal(uniform_consequences(model, region, own))
 
 

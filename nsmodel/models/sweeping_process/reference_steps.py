@@ -17,6 +17,7 @@ from nsmodel.study.reference_steps import (
     EVALUATION_ROUNDING,
     LAW_TOLERANCE,
     PROJECTION_TOLERANCE,
+    ReferenceStep,
     StepResiduals,
     apply_matrices,
     evaluate_at_rows,
@@ -78,3 +79,6 @@ def in_units(model: SweepingProcess, u: float, tau: float, common: dict[str, Any
         q=model.q, f=u / tau * substitute_pairs(model.f, t, q), constraints=constraints, q0=u * ca.DM(model.q0),
         mean_forcing=model.mean_forcing, **common,
     )  # fmt: skip
+
+
+REFERENCE_STEP = ReferenceStep(residuals=residuals, acting=acting, in_units=in_units)

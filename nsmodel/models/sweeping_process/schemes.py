@@ -21,8 +21,8 @@ from nsmodel.modeling.expressions import derivatives
 from nsmodel.modeling.laws import complementarity
 from nsmodel.modeling.variants import initial_inputs
 from nsmodel.models.sweeping_process.model import SweepingProcess
-from nsmodel.solvers.initial_checks import check_start_inside, start_margin
-from nsmodel.solvers.one_step_problem import OneStepProblem, with_carried_inputs
+from nsmodel.solvers.initial_checks import InitialChecks, check_start_inside, start_margin
+from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, with_carried_inputs
 
 QUADRATURE_POINTS = 8
 
@@ -101,11 +101,6 @@ def derived_columns(model: SweepingProcess, arrays: dict[str, np.ndarray], h_nex
     return {"reactions": arrays["multipliers"] / arrays["step"][:, None]}
 
 
-def kept_within(model: SweepingProcess) -> ca.SX:
-    """G(t, q), as it is declared."""
-    return model.g
-
-
 def continuous_problem(model: SweepingProcess) -> ContinuousProblem:
     """Return the model in continuous time; the constraints are the rows themselves."""
     l = ca.SX.sym("l", model.g.numel())
@@ -164,3 +159,14 @@ def _nonconvexity_warnings(model: SweepingProcess) -> list[str]:
         if len(found) == 5:
             break
     return found
+
+
+SCHEMES = {
+    "prediction-correction": Scheme(
+        one_step_problem=one_step_problem,
+        initial_rows=initial_rows,
+        symbolic_initial_rows=start_rows,
+        derived_columns=derived_columns,
+    ),
+}
+INITIAL_CHECKS = InitialChecks(check_start=check_start, warnings=warnings, admitted=admitted)

@@ -26,7 +26,7 @@ from nsmodel.proof.expression_graph import (
     stack_column,
     symbol_hashes,
 )
-from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_lower_bound, jump_nodes, switching_point_pairs
+from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_lower_bound, jump_nodes, jump_sizes, switching_point_pairs
 from nsmodel.proof.ray_expansion import growth_exponent
 from nsmodel.proof.verdict import overlapping_groups
 
@@ -205,14 +205,6 @@ def _jump_rounding(f: ca.Function, x: np.ndarray, step: np.ndarray) -> np.ndarra
             around = np.fmax(around, np.where(np.isfinite(size), size, 0.0))
     far = np.max(np.abs(x) / np.where(step > 0, step, np.inf), axis=1, initial=0.0)
     return 1e-12 * around * (1 + far)
-
-
-def jump_sizes(below: np.ndarray, above: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it, which ``least`` (k,) is known to."""
-    with np.errstate(all="ignore"):
-        size = np.linalg.norm(above - below, axis=1)
-        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
-        return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)
 
 
 def _constraint_states(process: PartialSweepingProcess) -> list[set[int]]:

@@ -20,7 +20,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import conic, exact, extremum, interval_bounds, polynomial, sum_of_squares, univariate
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.convex.directions import infimum_by_directions
 from nsmodel.proof.convex.piecewise import polynomial_pieces, split_by_cases
 from nsmodel.proof.convex.rules import find_ridges
@@ -376,11 +375,11 @@ def _separable_polynomial_bound(g: ca.SX, C: ConvexSet) -> float | None:
             {monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == i}
         )
         a, b = (Fraction(float(end[i])) if np.isfinite(end[i]) else None for end in C.bounding_box)
-        least = polynomial_signs.approximate_minimum(c, a, b)[0]
+        least = polynomial.approximate_minimum(c, a, b)[0]
         levels = (
             [Fraction(least) - Fraction(less * (1 + abs(least))) for less in (1e-12, 1e-9, 1e-6)] if np.isfinite(least) else []
         )
-        proved = [level for level in levels if polynomial_signs.negative_point([c[0] - level, *c[1:]], a, b) is None]
+        proved = [level for level in levels if polynomial.negative_point([c[0] - level, *c[1:]], a, b) is None]
         if not proved:
             return None
         total += proved[0]

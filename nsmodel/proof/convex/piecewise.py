@@ -11,6 +11,7 @@ is none, wherever exactly c lies.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import count
 from math import isqrt
@@ -20,7 +21,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval_bounds, polynomial, univariate
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.exact import round_down, round_up
 from nsmodel.proof.exponential_sums import Enclosure
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, operation_codes, stack_column
@@ -120,10 +120,7 @@ class _CaseResolver:
             or op not in (*KINK_OPERATIONS, *COMPARISON_OPERATIONS, *LOGICAL_OPERATIONS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)
             or self.cuts
         ):
-            known = [arg.p for arg in args if arg.p is not None]
-            return _CaseNode(
-                polynomial.apply_to_polynomials(op, known) if len(known) == len(args) else None, old, holds, resolved
-            )
+            return _CaseNode(polynomial.apply_to_polynomials(op, [arg.p for arg in args]), old, holds, resolved)
         case = self._operation_case(op, args)
         if case is None:
             return _CaseNode(None, old, True, True)
@@ -169,11 +166,11 @@ class _CaseResolver:
     def _polynomial_sign(self, c: list[Fraction]) -> int | None:
         """The same of a polynomial with these coefficients."""
         low, high = self.low, self.high
-        roots = [place for place in polynomial_signs.real_roots(c, low, high) if place[0] > low and place[1] != high]
+        roots = [place for place in polynomial.real_roots(c, low, high) if place[0] > low and place[1] != high]
         if roots:
             self.cuts.append(roots[0])
             return None
-        value = polynomial_signs.evaluate_at(c, low + 1 if high is None else (low + high) / 2)
+        value = polynomial.evaluate_at(c, low + 1 if high is None else (low + high) / 2)
         return (value > 0) - (value < 0)
 
 
@@ -347,15 +344,15 @@ def exact_value(expr: ca.SX, s: ca.SX, at: Fraction) -> Fraction | None:
     def number(value: float) -> Fraction | None:
         return Fraction(value) if np.isfinite(value) else None
 
-    def apply(op: int, args: list[Fraction | None]) -> Fraction | None:
-        known = [arg for arg in args if arg is not None]
-        return _exact_operation(op, known) if len(known) == len(args) and known else None
-
     own = s.element_hash()
-    return fold_graph(expr, lambda item: at if item.element_hash() == own else None, number, apply)[0]
+    return fold_graph(expr, lambda item: at if item.element_hash() == own else None, number, exact_operation)[0]
 
 
-def _exact_operation(op: int, args: list[Fraction]) -> Fraction | None:
+def exact_operation(op: int, given: Sequence[Fraction | None]) -> Fraction | None:
+    """The value of an operation of CasADi on rational numbers where it is known to be one, else None."""
+    args = [arg for arg in given if arg is not None]
+    if not args or len(args) < len(given):
+        return None
     a, b = args[0], args[-1]
     p = polynomial.apply_to_polynomials(op, [{(): arg} if arg else {} for arg in args])
     if p is not None:
@@ -407,7 +404,7 @@ def polynomial_pieces(expr: ca.SX, s: ca.SX) -> list[PolynomialPiece] | None:
             return None
         low, high = piece.rational_ends
         done.append(PolynomialPiece(low, high, polynomial.univariate_coefficients(p)))
-    if any(exact_value(expr, s, piece.low) != polynomial_signs.evaluate_at(piece.c, piece.low) for piece in done):
+    if any(exact_value(expr, s, piece.low) != polynomial.evaluate_at(piece.c, piece.low) for piece in done):
         return None  # the value at the joint itself, where a condition or sign may differ from both sides
     return done
 
@@ -418,8 +415,7 @@ def _piece_polynomial(expr: ca.SX, cases: Cases) -> polynomial.Polynomial | None
     def apply(op: int, args: list[polynomial.Polynomial | None]) -> polynomial.Polynomial | None:
         case = cases.get(next(calls))
         if case is None:
-            known = [arg for arg in args if arg is not None]
-            return polynomial.apply_to_polynomials(op, known) if len(known) == len(args) and known else None
+            return polynomial.apply_to_polynomials(op, args)
         total = polynomial.scale_polynomial({(): Fraction(1)}, case[1])
         for factor, arg in zip(case[0], args, strict=True):
             if factor:

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_squares, univariate
-from nsmodel.proof import polynomial as polynomial_signs
 from nsmodel.proof.convex import rules
 from nsmodel.proof.convex.directions import is_convex_by_directions
 from nsmodel.proof.convex.piecewise import exact_value
@@ -134,10 +133,8 @@ def _is_separable_convex(smooth: ca.SX, C: ConvexSet) -> bool:
         return False
     for variable in polynomial.variables(p):
         own = {monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == variable}
-        second = polynomial_signs.derivative_coefficients(
-            polynomial_signs.derivative_coefficients(polynomial.univariate_coefficients(own))
-        )
-        if polynomial_signs.negative_point(second, None, None) is not None:
+        second = polynomial.derivative_coefficients(polynomial.derivative_coefficients(polynomial.univariate_coefficients(own)))
+        if polynomial.negative_point(second, None, None) is not None:
             return False
     return True
 

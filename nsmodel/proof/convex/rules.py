@@ -214,9 +214,9 @@ class _ConvexityAnalysis:
         if node.op == ca.OP_CONST:
             return polynomial.constant_polynomial(float(node.expr))
         args = [self.polynomials[j] for j in node.source]
-        if any(arg is None or polynomial.degree(arg) > 2 for arg in args):
+        if any(arg is not None and polynomial.degree(arg) > 2 for arg in args):
             return None
-        return polynomial.apply_to_polynomials(node.op, [arg for arg in args if arg is not None])
+        return polynomial.apply_to_polynomials(node.op, args)
 
     def _as_power(self, k: int) -> tuple[int, bool, float]:
         """Node k as u^p or |u|^p."""
@@ -417,31 +417,18 @@ def _build_ridges(expr: ca.SX, x: ca.SX) -> Ridges:
     place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(x))}
     known: dict[Direction, ca.SX] = {}
 
-    def variable(symbol: ca.SX) -> _RidgeNode:
+    def variable(symbol: ca.SX) -> polynomial.Polynomial:
         if symbol.element_hash() not in place:
             raise ValueError("another symbol than x")
-        return symbol, {((place[symbol.element_hash()], 1),): Fraction(1)}
+        return {((place[symbol.element_hash()], 1),): Fraction(1)}
 
-    def apply(op: int, args: list[_RidgeNode]) -> _RidgeNode:
-        p = (
-            polynomial.apply_to_polynomials(op, [q for _, q in args if q is not None])
-            if all(q is not None for _, q in args)
-            else None
-        )
-        if p is not None and polynomial.degree(p) <= 1:
-            return apply_operation(op, [node for node, _ in args]), p
-        return apply_operation(op, [_direction_expression(node, q, known) for node, q in args]), None
-
-    (last,) = fold_graph(expr, variable, lambda number: (ca.SX(number), polynomial.constant_polynomial(number)), apply)
-    result = _direction_expression(*last, known)
+    result = polynomial.rewrite_parts(expr, variable, lambda p: _direction_expression(p, known))
     a = [[dict(direction).get(j, Fraction(0)) for j in range(x.numel())] for direction in known]
     return Ridges(result, stack_column(known.values()), np.array(a, dtype=object).reshape(len(known), x.numel()))
 
 
-def _direction_expression(node: ca.SX, p: polynomial.Polynomial | None, known: dict[Direction, ca.SX]) -> ca.SX:
-    """An affine node written with the symbol of its direction; ValueError where doubles do not hold its coefficients."""
-    if p is None or polynomial.is_constant(p):
-        return node
+def _direction_expression(p: polynomial.Polynomial, known: dict[Direction, ca.SX]) -> ca.SX:
+    """An affine function written with the symbol of its direction; ValueError where doubles do not hold its coefficients."""
     linear = sorted((monomial[0][0], number) for monomial, number in p.items() if monomial)
     first, offset = linear[0][1], p.get((), Fraction(0))
     if not (is_double(first) and is_double(offset)):
