@@ -637,6 +637,12 @@ def _not_finite_handle(count: int) -> list[Any]:
 # -- the picture that fits ---------------------------------------------------------------------------------------------
 
 
+def draw_variable(variable: Any, **options: Any) -> Axes:
+    """Draw what `Variable.plot` draws: a map, lines, or the picture that fits, as the options ask."""
+    draw = sweep_map if "y" in options else sweep_line if options.keys() - {"ax"} else sweep_overview
+    return draw(variable, **options)
+
+
 def sweep_overview(variable: Any, *, ax: Axes | None = None) -> Axes:
     """Draw the picture that fits a sweep.
 

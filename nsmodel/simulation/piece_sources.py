@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -184,46 +184,13 @@ PIECES_PER_REQUEST, MAX_PIECES_PER_CALL, MAX_CALL_BYTES = (
 )  # Pieces of a call, for each asked for and at most, and the memory that they may take.
 
 
-class PieceSource(Protocol):
-    """Pieces one after the other.
+class InterpretedPieces:
+    """Pieces one after the other, by the course itself: the integrator, and stretches of steps where these are let.
 
     Attributes:
-        t: where the next one starts; tau: its unit of time; x: its state; order: of the series.
-        integrator: the interpreted one, at the same place; behind: of how many pieces "before" is, see ``standing``.
+        t: where the next piece starts; tau: its unit of time; x: its state; order: of the series.
+        integrator: the interpreted one, at the same place; behind: of how many pieces "before" is, see ``checkpoint``.
     """
-
-    behind: int
-
-    @property
-    def t(self) -> float: ...  # noqa: D102
-    @property
-    def tau(self) -> float: ...  # noqa: D102
-    @property
-    def x(self) -> np.ndarray: ...  # noqa: D102
-    @property
-    def order(self) -> int: ...  # noqa: D102
-    @property
-    def integrator(self) -> Integrator: ...  # noqa: D102
-
-    def make_pieces(self, until: float, room: int) -> PieceBuffer:
-        """The next pieces, about so many, up to a time; none that has no length."""
-        ...
-
-    def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """What was counted so far; ``before``: before the last pieces, ``behind`` of them."""
-        ...
-
-    def checkpoint(self, *, before: bool = False) -> dict[str, Any]:
-        """What the next pieces depend on; ``before``: the last ones, ``behind`` of them, and those after."""
-        ...
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Take up what ``standing`` gave."""
-        ...
-
-
-class InterpretedPieces:
-    """The course itself: the integrator, and stretches of steps where these are let."""
 
     behind: int = 1
 
@@ -292,7 +259,9 @@ class InterpretedPieces:
         return after if along is None else RowScales(*([*map(max, *both)] for both in zip(along, after, strict=True)))
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""
+        """What was counted so far, or before the last pieces: touches, verdicts about modes, pieces with redundant rows or by
+        collocation; stretches.
+        """
         if before and self._before is not None:
             return self._before[1]
         made = self.integrator
@@ -465,3 +434,6 @@ class CompiledPieces:
         rows = [("row", i) for i in range(m) if opened[i]]
         branches = [(p, i) for p in self._branch_parts for i, one in enumerate(opened[m:-1][self._branch_slice(p)]) if one]
         return sorted([*branches, *rows])
+
+
+PieceSource = InterpretedPieces | CompiledPieces

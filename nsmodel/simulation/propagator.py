@@ -39,17 +39,6 @@ RUNAWAY_LIMIT = 1e100  # A state beyond this has diverged: squares of it, and of
 ResumedBackend = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
 
 
-class RowBuffer(Protocol):
-    """Rows in memory: when they are ``full`` they must be cleared."""
-
-    filled: int
-    full: bool
-
-    def clear(self) -> None:
-        """Forget the rows."""
-        ...
-
-
 class Propagator(Protocol):
     """A run as it goes: the place where it stands, how it goes on from there, and what has been counted on the way.
 

@@ -141,14 +141,14 @@ class Study(Picklable):
 
     def plot(self, ax: Any = None) -> Any:
         """Draw errors and times on ``ax`` or a new figure; return the axes (see `nsmodel.plot.work_precision`)."""
-        return display("plot_study", self, ax)
+        return display("work_precision", self, ax=ax)
 
     def view(self, path: str | Path | None = None) -> Path:
         """Write the study as one HTML file, and return its path; without a path a temporary file, opened in the browser.
 
         StorageError where it cannot be written.
         """
-        return display("view_study", self, path)
+        return display("write_study_page", self, path)
 
 
 class StudyInterrupted(KeyboardInterrupt):

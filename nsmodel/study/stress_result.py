@@ -151,7 +151,7 @@ class Stress:
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the table as a heat map, on ``ax`` or a new figure; return the axes (see `nsmodel.plot.stress`)."""
-        return display("plot_stress", self, ax)
+        return display("stress", self, ax=ax)
 
 
 def _check_kinds(cells: Iterable[Cell]) -> list[str]:
