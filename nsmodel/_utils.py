@@ -301,6 +301,16 @@ def join_within_width(items: Iterable[str], width: int = REPR_WIDTH) -> str:
     )
 
 
+def align_columns(rows: Sequence[Sequence[str]], side: Callable[[str, int], str] = str.rjust) -> list[str]:
+    """Rows of words as lines, each column as wide as its longest word; ``side``: ``str.rjust`` or ``str.ljust``.
+
+    >>> align_columns([("x", "name"), ("10", "y")])
+    [' x  name', '10     y']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(side, row, widths)).rstrip() for row in rows]
+
+
 def wrap_lines(text: str) -> list[str]:
     """The text in lines of 100 columns, ten at most."""
     lines = textwrap.wrap(text, REPR_WIDTH, subsequent_indent="    ", break_on_hyphens=False)

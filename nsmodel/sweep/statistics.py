@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import bdtr, ndtri, stdtrit
 
-from nsmodel._utils import checks_keywords, escape_invisible, html_repr, one_line, short_repr
+from nsmodel._utils import align_columns, checks_keywords, escape_invisible, html_repr, one_line, short_repr
 from nsmodel.errors import UsageError
 from nsmodel.sweep.variable import (
     Over,
@@ -534,8 +534,7 @@ def _aligned_table(of: Statistics | Share, columns: Mapping[str, _Column]) -> li
     table = {dim: [_format_coordinate(of.coords[dim][k]) for k in places] for dim, places in zip(of.dims, index, strict=True)}
     table |= {name: column(selected) for name, column in columns.items()}
     rows = [list(map(one_line, table)), *zip(*table.values(), strict=True)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  " + "  ".join(word.rjust(width) for word, width in zip(row, widths, strict=True)) for row in rows]
+    lines = [f"  {line}" for line in align_columns(rows)]
     return lines + ([f"  {len(selected)} of {count} rows, evenly spread"] if len(selected) < count else [])
 
 
