@@ -251,7 +251,11 @@ def short_repr(self: Any) -> str:
     >>> short_repr(made)
     "SimpleNamespace(name='wall', at=array 300 x 2)"
     """
-    parts = [f"{name}={describe_shortly(value)}" for name, value in _repr_fields(self) if not _is_empty_value(value)]
+    parts = [
+        f"{name}={describe_shortly(value)}"
+        for name, value in _repr_fields(self)
+        if not (value is None or (isinstance(value, str | tuple | list | Mapping) and not value))
+    ]
     return "\n".join(wrap_lines(f"{type(self).__name__}({', '.join(parts)})"))
 
 
@@ -309,6 +313,11 @@ def align_columns(rows: Sequence[Sequence[str]], side: Callable[[str, int], str]
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(map(side, row, widths)).rstrip() for row in rows]
+
+
+def labelled_lines(label: str, text: str, width: int = 16) -> list[str]:
+    """A text in lines of 100 columns behind a label, which has a column of so many letters."""
+    return textwrap.wrap(text, REPR_WIDTH, initial_indent=f"  {label:{width}}", subsequent_indent=" " * (width + 2))
 
 
 def wrap_lines(text: str) -> list[str]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import textwrap
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-from nsmodel._utils import align_columns
+from nsmodel._utils import align_columns, labelled_lines
 from nsmodel._utils import print_escaped as print
 from nsmodel.cli.common import (
     EXIT_DONE,
@@ -202,7 +201,7 @@ def _report_run(
         print(f"nsmodel: {where}warning: {warning}", file=sys.stderr)
     if printed:
         _print_summary(run, seconds)
-        print(textwrap.fill(document["hypotheses"], 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
+        print("\n".join(labelled_lines("hypotheses", document["hypotheses"])))
         if folder is not None:
             print(f"  saved           {folder / 'trajectory.npz'}")
         _print_paths(arguments, pictures)

@@ -366,9 +366,7 @@ class CompiledPieces:
         unique = {verdict: int(count) for verdict, count in zip(UNIQUENESS_VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
         past = [dict(one) for one in self._fallback_state["past"]]
-        parts = [
-            part for part in self._branch_parts for _ in range(self._branch_slice(part).start, self._branch_slice(part).stop)
-        ]
+        parts = [part for part, at in self.steps.branches.items() for _ in range(at.start, at.stop)]
         notes["undecided"] = describe_undecided(place["undecided"].tolist(), self.problem.rows, parts)
         return notes | {"collocated": int(place["stiff"][-1]), "stretches": past}
 
@@ -377,13 +375,13 @@ class CompiledPieces:
         if before and self._behind is not None:
             return self._behind[0]
         place, m = self.steps.before if before else self.steps.at, self.problem.l.numel()
-        choices = [place["choice"][:-1][self._branch_slice(part)].tolist() for part in self._branch_parts]
+        choices = {part: place["choice"][:-1][at].tolist() for part, at in self.steps.branches.items()}
         n = int(place["events"]).bit_length()
         counts = self.counts(before=before)
         integrator = {
             "t": float(place["t"]), "late": float(place["late"]), "x": place["x"].tolist(), "tau": float(place["tau"]),
             "codes": place["codes"][:m].tolist(), "open": self._open_switches(place["open"]),
-            "choice": dict(zip(self._branch_parts, choices, strict=True)), "l": place["l"][:m].tolist(),
+            "choice": choices, "l": place["l"][:m].tolist(),
             "sizes": {
                 name: place[f"size_{name}"][:count].tolist()
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
@@ -409,10 +407,10 @@ class CompiledPieces:
         for name, sizes in saved["sizes"].items():
             place[f"size_{name}"][: len(sizes)] = sizes
         for part, choice in saved["choice"].items():
-            place["choice"][:-1][self._branch_slice(part)] = choice
+            place["choice"][:-1][self.steps.branches[part]] = choice
         place["open"] = 0
         for kind, i in saved["open"]:
-            place["open"][i if kind == "row" else m + self._branch_slice(kind).start + i] = 1
+            place["open"][i if kind == "row" else m + self.steps.branches[kind].start + i] = 1
         counted = saved["accumulation"]
         self.steps.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
@@ -422,17 +420,10 @@ class CompiledPieces:
         place["unique"] = [unique[verdict] for verdict in UNIQUENESS_VERDICTS]
         place["touches"], place["redundant"], place["known"] = saved["touches"], saved["redundant"], 0
 
-    @property
-    def _branch_parts(self) -> list[str]:
-        return list(self.steps.branches)
-
-    def _branch_slice(self, part: str) -> slice:
-        return self.steps.branches[part]
-
     def _open_switches(self, opened: np.ndarray) -> list[tuple[str, int]]:
         m = self.problem.l.numel()
         rows = [("row", i) for i in range(m) if opened[i]]
-        branches = [(p, i) for p in self._branch_parts for i, one in enumerate(opened[m:-1][self._branch_slice(p)]) if one]
+        branches = [(p, i) for p, at in self.steps.branches.items() for i, one in enumerate(opened[m:-1][at]) if one]
         return sorted([*branches, *rows])
 
 
