@@ -15,7 +15,7 @@ from nsmodel.study.result import short_number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.study.lines import Line, Point
+    from nsmodel.study.lines import Point
     from nsmodel.study.result import Study
     from nsmodel.study.stress_result import Stress
 
@@ -59,8 +59,9 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
             note, place = f"{line.name}: {count} failed ×", (0.995, 0.985 - 0.045 * failures)
             ax.text(*place, style.safe_text(note), color=look["color"], fontsize=8, ha="right", va="top", transform=ax.transAxes)
             failures += 1
-        if any(point.drawn for point in line.points):
-            handles.append(Line2D([], [], **look, **mark, label=style.safe_text(_line_label(line))))
+        if points:
+            label = f"{line.name} ({line.missing_text})" if line.missing_text else line.name
+            handles.append(Line2D([], [], **look, **mark, label=style.safe_text(label)))
     if missing := len(study.lines) - len(handles):
         handles.append(Line2D([], [], linestyle="", label=f"{missing} more without a point: left out or failed"))
     ax.set_xscale("log")
@@ -86,12 +87,6 @@ def _annotate_steps(ax: Axes, points: Sequence[tuple[Point, str]]) -> None:
             look = {"fontsize": 6.5, "color": colour}
             ax.annotate(step_text, (point.error, point.seconds), (4, 3), textcoords="offset points", **look)
             taken.append((x, y))
-
-
-def _line_label(line: Line) -> str:
-    gone = {status: sum(point.status == status for point in line.points) for status in ("failed", "left out")}
-    aside = ", ".join(f"{number} {status}" for status, number in gone.items() if number)
-    return f"{line.name} ({aside})" if aside else line.name
 
 
 VERDICT_COLOURS = {"right": style.LOWER, "stopped": style.UPPER, "wrong": style.ALERT}

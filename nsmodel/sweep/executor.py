@@ -29,8 +29,8 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.modeling.time_grid import format_value, is_number
 from nsmodel.simulation.loop import PendingSignals, RunInterrupted, progress_bar
-from nsmodel.sweep.cells import CellTask, StopCheck, never_stop, run_chunk, unrun_facts
-from nsmodel.sweep.request import CELL_BACKENDS, CellResults, SweepRequest
+from nsmodel.sweep.cells import CellTask, StopCheck, failed_cells, never_stop, run_chunk
+from nsmodel.sweep.request import CellResults, SweepRequest
 from nsmodel.sweep.variable import CELL_FAILED
 
 MAX_PROCESSES = 61 if sys.platform == "win32" else 1 << 20  # Processes in a pool: Windows waits for no more at once.
@@ -321,7 +321,5 @@ def _chunk_result(future: Any, chunk: Chunk, again: list[Chunk], signals: Pendin
 
 def _dead_worker_result(error: BaseException) -> CellResults:
     """A cell whose worker died each time."""
-    found = unrun_facts(1)
-    found["status"][:], found["way"][:] = CELL_FAILED, len(CELL_BACKENDS) - 1
     text = f"the process that ran it died {MAX_ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
-    return CellResults(found, {0: text})
+    return failed_cells(1, CELL_FAILED, text)
