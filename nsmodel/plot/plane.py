@@ -96,8 +96,10 @@ def _draw_end_markers(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray, f
     end = "end" if last == len(run.t) - 1 else "now"
     handles: list[Any] = []
     for row, marker, fill, size, word in ((first, "o", "white", 7, "start"), (last, "s", style.INK, 5, end)):
-        look = {"markeredgecolor": style.INK, "markerfacecolor": fill, "markersize": size, "zorder": 5, "clip_on": False}
-        handles += ax.plot(x[row], y[row], marker, label=f"{word} ({style.time_text(run, row)})", **look)
+        handles += ax.plot(
+            x[row], y[row], marker, label=f"{word} ({style.time_text(run, row)})", markeredgecolor=style.INK,
+            markerfacecolor=fill, markersize=size, zorder=5, clip_on=False,
+        )  # fmt: skip
     return handles
 
 
@@ -194,9 +196,10 @@ def draw_discs(ax: Axes, run: Trajectory, scene: dict[str, Any], row: int) -> Ax
     present, pressure = np.isfinite(centres).all(axis=1), body_pressures(run, np.array([row]), len(radii))
     handles = _draw_surroundings(ax, run, scene, row)
     width = 2 * radii[present]
-    look = {"edgecolor": style.INK, "linewidth": 0.7, "facecolor": "#B9CDE0", "zorder": 4}
-    place = {"units": "xy", "offsets": centres[present], "offset_transform": ax.transData}
-    circles = EllipseCollection(width, width, np.zeros(len(width)), **place, **look)
+    circles = EllipseCollection(
+        width, width, np.zeros(len(width)), units="xy", offsets=centres[present], offset_transform=ax.transData,
+        edgecolor=style.INK, linewidth=0.7, facecolor="#B9CDE0", zorder=4,
+    )  # fmt: skip
     if pressure is not None and np.isfinite(pressure).all():
         circles.set(array=pressure[0, present], cmap="YlOrBr", clim=(0, float(pressure.max()) or 1.0))
         label = style.with_unit("sum of reactions on a disc", style.quantity_unit(run, "reactions"))
@@ -234,8 +237,13 @@ def _draw_surroundings(ax: Axes, run: Trajectory, scene: dict[str, Any], row: in
     handles = ax.plot([], [], color=style.FREE, linewidth=0.7, label="paths so far")
     handles += ax.plot(*paths[0].T, ".", color=style.FREE, markersize=3, zorder=2, label="starts")
     for key, colour, width, dash, word in (("walls", style.INK, 3.0, "-", "walls"), ("exits", "#009E73", 2.0, "--", "exit")):
-        look = {"color": colour, "linewidth": width, "zorder": 3, "label": word, "solid_capstyle": "round"}
-        lines = [line for ends in scene.get(key, []) for line in ax.plot(*np.transpose(ends), dash, **look)]
+        lines = [
+            line
+            for ends in scene.get(key, [])
+            for line in ax.plot(
+                *np.transpose(ends), dash, color=colour, linewidth=width, zorder=3, label=word, solid_capstyle="round"
+            )
+        ]
         handles += lines[:1]
     return handles
 

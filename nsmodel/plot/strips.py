@@ -96,8 +96,10 @@ def index_map(run: Trajectory, *, ax: Axes | None = None) -> Axes:
             own = np.array([[code for code, (one, _) in laws[k][1].items() if one == colour][:1] or [NO_CODE] for k in drawn])
             counts[number] = np.add.reduceat(codes == own.T, starts, axis=0, dtype=float)
         edges, places = np.append(run.t[starts - 1], run.t[-1]), np.linspace(-0.5, len(names) - 0.5, len(drawn) + 1)
-        look: dict[str, Any] = {"cmap": ListedColormap(list(colours)), "vmin": -0.5, "vmax": len(colours) - 0.5}
-        ax.pcolormesh(edges, places, counts.argmax(axis=0).T, rasterized=True, **look)
+        ax.pcolormesh(
+            edges, places, counts.argmax(axis=0).T, cmap=ListedColormap(list(colours)), vmin=-0.5, vmax=len(colours) - 0.5,
+            rasterized=True,
+        )  # fmt: skip
     ends = f"rows {style.shorten(names[0], 16)} to {style.shorten(names[-1], 16)}"
     style.dress_over_time(ax, run, "Index set" + style.selection_note(len(drawn), len(names), "evenly spread"), ends, grid=False)
     ax.set_ylim(-0.5, len(names) - 0.5)
@@ -307,9 +309,11 @@ def draw_chain(run: Trajectory, chain: QuantityChain, *, heading: str = "", ax: 
     low, high = style.extent(values)
     signed = low < 0
     far = max(-low, high, 0.0) or 1.0
-    look: dict[str, Any] = {"cmap": SIGNED if signed else POSITIVE_COLOURS, "norm": Normalize(-far if signed else 0, far)}
     places = _number_edges(np.array(chain.numbers)[drawn])
-    mesh = ax.pcolormesh(edges, places, np.ma.masked_invalid(values.T), rasterized=True, **look)
+    mesh = ax.pcolormesh(
+        edges, places, np.ma.masked_invalid(values.T), cmap=SIGNED if signed else POSITIVE_COLOURS,
+        norm=Normalize(-far if signed else 0, far), rasterized=True,
+    )  # fmt: skip
     stuck = _sticking_members(run, chain)
     if stuck is not None:
         _overlay_sticking(ax, edges, places, stuck[:, drawn])

@@ -158,8 +158,10 @@ def missing_result_handles(variable: Variable, *, marker: str = "x") -> list[Lin
 
 def write_note(ax: Axes, note: str) -> None:
     """Write words in the middle of axes on which there is nothing to draw."""
-    box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 4}
-    ax.text(0.5, 0.5, note, transform=ax.transAxes, ha="center", va="center", fontsize=10, color=style.ALERT, bbox=box)
+    ax.text(
+        0.5, 0.5, note, transform=ax.transAxes, ha="center", va="center", fontsize=10, color=style.ALERT,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 4},
+    )  # fmt: skip
 
 
 MAP_COLOURS = "viridis"
@@ -213,8 +215,10 @@ def sweep_map(variable: Any, x: str | None = None, y: str | None = None, *, ax: 
     handles = _hatch(ax, edges, status, values)
     if part.any():
         i, j = np.nonzero(part)
-        look: dict[str, Any] = {"color": style.ALERT, "markeredgecolor": "white", "markersize": 5, "label": PARTIAL_LABEL}
-        handles += ax.plot(axes[0].places[j], axes[1].places[i], "o", **look)
+        handles += ax.plot(
+            axes[0].places[j], axes[1].places[i], "o", color=style.ALERT, markeredgecolor="white", markersize=5,
+            label=PARTIAL_LABEL,
+        )  # fmt: skip
     _map_colour_bar(ax, mesh, found, values)
     if handles:
         style.legend(ax, handles)
@@ -315,13 +319,10 @@ def _draw_map_dots(ax: Axes, variable: Variable, x: str, y: str, where: str) -> 
     place = [_cell_places(variable, name) for name in (x, y)]
     values = variable.values.ravel().astype(float)
     done, rows, note = _shown_cells(variable)
-    look: dict[str, Any] = {
-        "cmap": MAP_COLOURS,
-        "norm": _colour_norm(values[done]),
-        "s": 18 if len(rows) < 1000 else 6,
-        "linewidths": 0,
-    }
-    dots = ax.scatter(place[0][rows], place[1][rows], c=values[rows], rasterized=True, **look)
+    dots = ax.scatter(
+        place[0][rows], place[1][rows], c=values[rows], cmap=MAP_COLOURS, norm=_colour_norm(values[done]),
+        s=18 if len(rows) < 1000 else 6, linewidths=0, rasterized=True,
+    )  # fmt: skip
     gone = np.flatnonzero(~done)
     gone = gone[
         style.evenly_spread(len(gone), -(-len(gone) * len(rows) // max(1, int(done.sum()))) if rows.size else style.MAX_POINTS)
@@ -488,8 +489,9 @@ def _sweep_legend(
     """Name the lines, by a colour bar where they are many; mark where cells failed."""
     if failed is not None and failed.any():
         x = axis.places[failed[axis.order]]
-        look: dict[str, Any] = {"color": style.ALERT, "clip_on": False, "zorder": 5}
-        ax.plot(x, np.zeros(len(x)), "x", transform=ax.get_xaxis_transform(), markersize=5, **look)
+        ax.plot(
+            x, np.zeros(len(x)), "x", transform=ax.get_xaxis_transform(), markersize=5, color=style.ALERT, clip_on=False, zorder=5
+        )
     gone = missing_result_handles(variable, marker="" if failed is None else "x")
     if hue is not None and len(handles) > MAX_LEGEND_LINES and variable.coords[hue].dtype.kind in "biuf":
         _line_colour_bar(ax, variable, hue, [handle.get_color() for handle in handles])
@@ -516,9 +518,8 @@ def _draw_line_dots(ax: Axes, variable: Variable, x: str) -> Axes:
     found, where = last_rows(variable, ())
     places, (done, rows, note) = _cell_places(found, x), _shown_cells(found)
     y = found.values.ravel()[rows]
-    dense = len(rows) > 500
-    look = {"markersize": 2 if dense else 4, "alpha": 0.35 if dense else 0.8, "markeredgewidth": 0}
-    ax.plot(places[rows], y, "o", color=style.LINES[0], rasterized=True, **look)
+    size, alpha = (2, 0.35) if len(rows) > 500 else (4, 0.8)
+    ax.plot(places[rows], y, "o", color=style.LINES[0], markersize=size, alpha=alpha, markeredgewidth=0, rasterized=True)
     title = f"{style.shorten(found.title, 32)}{where}, a dot a cell{note}"
     style.dress(ax, title, coordinate_label(found, x), quantity_label(found))
     if spans_decades(y):

@@ -217,9 +217,9 @@ def escape_text(text: str, width: int = MAX_TEXT_LENGTH) -> Html:
     return Html(re.sub(r"([$\\`])", r"<span>\1</span>", safe))
 
 
-def as_html(content: str, width: int = MAX_TEXT_LENGTH) -> Html:
+def as_html(content: str) -> Html:
     """What is text, escaped; what is an element already, as it is."""
-    return content if isinstance(content, Html) else escape_text(content, width)
+    return content if isinstance(content, Html) else escape_text(content)
 
 
 def element(name: str, *content: str, cls: str = "") -> Html:

@@ -182,17 +182,14 @@ def _output_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
 
 def _law_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
     """Multipliers, reactions and y."""
-    names, found = multiplier_names(run), []
-    if names and run.is_event_driven and "reactions" in run.arrays:
-        given = {name: units.get("reactions", "") for name in names}
-        found += _panels_by_unit("Reactions", "line", names, given, list(run.arrays["reactions"].T), largest=True)
-    elif names:
-        look = "line" if run.is_event_driven else "step"
+    names, found, look = multiplier_names(run), [], "line" if run.is_event_driven else "step"
+    reactions = bool(names) and "reactions" in run.arrays
+    if names and not (reactions and run.is_event_driven):
         found += _panels_by_unit("Multipliers", look, names, units, list(run.multipliers.T), largest=True)
-        if "reactions" in run.arrays:
-            given = {name: units.get("reactions", "") for name in names}
-            title = "Reactions (multipliers / step)"
-            found += _panels_by_unit(title, look, names, given, list(run.arrays["reactions"].T), largest=True, open=False)
+    if reactions:
+        title = "Reactions" if run.is_event_driven else "Reactions (multipliers / step)"
+        given, values = dict.fromkeys(names, units.get("reactions", "")), list(run.arrays["reactions"].T)
+        found += _panels_by_unit(title, look, names, given, values, largest=True, open=run.is_event_driven)
     if "y" in run.arrays and run.y.shape[1]:
         own = names if run.y.shape[1] == len(names) else [str(k) for k in range(run.y.shape[1])]
         y_units = {f"y of {name}": units.get(f"y_{k}", "") for k, name in enumerate(own)}
