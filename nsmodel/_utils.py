@@ -251,7 +251,11 @@ def short_repr(self: Any) -> str:
     >>> short_repr(made)
     "SimpleNamespace(name='wall', at=array 300 x 2)"
     """
-    parts = [f"{name}={describe_shortly(value)}" for name, value in _repr_fields(self) if not _is_empty_value(value)]
+    parts = [
+        f"{name}={describe_shortly(value)}"
+        for name, value in _repr_fields(self)
+        if not (value is None or (isinstance(value, str | tuple | list | Mapping) and not value))
+    ]
     return "\n".join(wrap_lines(f"{type(self).__name__}({', '.join(parts)})"))
 
 
@@ -299,6 +303,21 @@ def join_within_width(items: Iterable[str], width: int = REPR_WIDTH) -> str:
     return (
         ", ".join([*items[:kept], f"... {len(items) - kept} more"]) if kept or len(items) > 1 else truncate_text(items[0], width)
     )
+
+
+def align_columns(rows: Sequence[Sequence[str]], side: Callable[[str, int], str] = str.rjust) -> list[str]:
+    """Rows of words as lines, each column as wide as its longest word; ``side``: ``str.rjust`` or ``str.ljust``.
+
+    >>> align_columns([("x", "name"), ("10", "y")])
+    [' x  name', '10     y']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(side, row, widths)).rstrip() for row in rows]
+
+
+def labelled_lines(label: str, text: str, width: int = 16) -> list[str]:
+    """A text in lines of 100 columns behind a label, which has a column of so many letters."""
+    return textwrap.wrap(text, REPR_WIDTH, initial_indent=f"  {label:{width}}", subsequent_indent=" " * (width + 2))
 
 
 def wrap_lines(text: str) -> list[str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel._utils import print_escaped as print
-from nsmodel.cli.common import EXIT_DONE, Commands, print_json
+from nsmodel.cli.common import EXIT_DONE, Commands, add_command, add_outputs, print_json
 from nsmodel.errors import UsageError
 from nsmodel.files.storage import write_text
 from nsmodel.modeling import model_files
@@ -23,10 +23,9 @@ from nsmodel.modeling.model_files import TOPICS, Case
 def add_cases_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "List the cases that come with nsmodel, by topic; of one, say what it shows and where it lies."
-    parser = commands.add_parser("cases", help="list the cases that come with nsmodel", description=about)
+    parser = add_command(commands, "cases", _print_cases, help="list the cases that come with nsmodel", about=about)
     parser.add_argument("name", metavar="CASE", nargs="?", help="the case to describe, or a topic to list (default: list all)")
-    parser.add_argument("--json", action="store_true", help="print as JSON")
-    parser.set_defaults(command=_print_cases)
+    add_outputs(parser, json="print as JSON")
 
 
 def _print_cases(arguments: argparse.Namespace) -> int:
@@ -119,11 +118,10 @@ FORBIDDEN_NAMES = sys.stdlib_module_names | {"nsmodel", "casadi", "numpy", "scip
 def add_new_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Write NAME.py: a model that runs, to start from; with --like a copy of a case."
-    parser = commands.add_parser("new", help="write a model file to start from", description=about)
+    parser = add_command(commands, "new", _write_new_model, help="write a model file to start from", about=about)
     parser.add_argument("name", metavar="NAME", help="name of the file, which is NAME.py in this folder")
     parser.add_argument("--like", metavar="CASE", help="the case to copy (see nsmodel cases)")
-    parser.add_argument("--force", action="store_true", help="replace NAME.py if it exists already")
-    parser.set_defaults(command=_write_new_model)
+    add_outputs(parser, force="replace NAME.py if it exists already")
 
 
 def _write_new_model(arguments: argparse.Namespace) -> int:

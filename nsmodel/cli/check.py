@@ -10,13 +10,15 @@ from nsmodel.cli.common import (
     EXIT_AT_FAULT,
     EXIT_DONE,
     Commands,
-    add_files,
+    add_command,
+    add_file,
     add_options,
+    add_outputs,
     load_model,
-    output_path,
     parse_setting,
     print_json,
     report_refusal,
+    split_name,
     unique_by_name,
 )
 from nsmodel.errors import NsmodelError, UsageError
@@ -31,8 +33,8 @@ BOUND_OPTIONS = ("rate", "start")
 def add_check_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Decide the hypotheses that the theory of the model's class rests on, and say what follows from them."
-    parser = commands.add_parser("check", help="check the hypotheses behind a model file", description=about)
-    add_files(parser)
+    parser = add_command(commands, "check", _run_check, help="check the hypotheses behind a model file", about=about)
+    add_file(parser, nargs="+")
     add_options(parser, "check")
     parser.add_argument(
         "--parameters",
@@ -52,18 +54,11 @@ def add_check_command(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="skip runs and global searches")
     parser.add_argument("--strict", action="store_true", help="exit with status 1 if a hypothesis is violated")
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    parser.add_argument(
-        "--markdown", type=output_path, metavar="PATH", help="also write the report as Markdown, with the equations"
-    )
-    parser.add_argument("--html", type=output_path, metavar="PAGE", help="also write the report as a page for a browser")
-    parser.add_argument(
-        "--certificate",
-        type=output_path,
-        metavar="DIR",
-        help="also write what proves each hypothesis that holds, and a program that verifies it",
-    )
-    parser.set_defaults(command=_run_check)
+    add_outputs(
+        parser, json="print the report as JSON", markdown="also write the report as Markdown, with the equations",
+        html="also write the report as a page for a browser",
+        certificate="also write what proves each hypothesis that holds, and a program that verifies it",
+    )  # fmt: skip
 
 
 def _run_check(arguments: argparse.Namespace) -> int:
@@ -120,14 +115,12 @@ def _write_report(report: Report, arguments: argparse.Namespace) -> None:
 
 
 def _parse_interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:
-    name, equals, text = setting.partition("=")
-    low, colon, high = text.partition(":")
+    name, text = split_name(option, setting, "NAME=LOW:HIGH", example)
     try:
-        if not (equals and colon and name.strip()):
-            raise ValueError
-        return name.strip(), (float(low), float(high))
+        low, high = map(float, text.split(":"))
     except ValueError:
         raise UsageError(f"{option} {setting}: expected NAME=LOW:HIGH, for example {option} {example}") from None
+    return name, (low, high)
 
 
 def _parse_bound(setting: str) -> tuple[str, Within]:

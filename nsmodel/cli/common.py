@@ -12,7 +12,7 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias, TypeVar
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from nsmodel._utils import print_escaped as print
 from nsmodel.errors import CodegenError, ModelError, NsmodelError, StorageError, UsageError
-from nsmodel.files.storage import dumps
+from nsmodel.files.storage import dumps, write_json, write_text
 from nsmodel.modeling import model_files
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.model_files import load_with_values
@@ -64,12 +64,21 @@ def _suggestion(tokens: Sequence[str], known: Any) -> str:
     return f"; did you mean {' '.join(found)}?" if found else ""
 
 
+def add_command(
+    commands: Commands, name: str, run: Callable[[argparse.Namespace], int], *, help: str, about: str
+) -> CommandParser:
+    """Add a command, and return its parser; ``help``: in the list of commands, ``about``: in its own help."""
+    parser = commands.add_parser(name, help=help, description=about)
+    parser.set_defaults(command=run)
+    return parser
+
+
 # -- arguments ---------------------------------------------------------------------------------------------------------
 
 
-def add_file(parser: argparse.ArgumentParser) -> None:
-    """Add the model file."""
-    parser.add_argument("file", metavar="FILE", type=_model_file, help=FILE_HELP)
+def add_file(parser: argparse.ArgumentParser, **several: Any) -> None:
+    """Add the model file; with ``nargs="+"`` the files, one at least."""
+    parser.add_argument("files" if several else "file", metavar="FILE", type=_model_file, help=FILE_HELP, **several)
 
 
 def output_path(text: str) -> str:
@@ -79,9 +88,23 @@ def output_path(text: str) -> str:
     return text
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
-    """Add the flag without which nothing that is finished is replaced."""
-    parser.add_argument("--force", action="store_true", help="replace the result that --out holds")
+PATH_FLAG: dict[str, Any] = {"type": output_path, "metavar": "PATH"}
+OUTPUT_FLAGS: dict[str, dict[str, Any]] = {  # What several commands write and print, as argparse is told of it.
+    **{name: {"action": "store_true"} for name in ("plot", "json", "quiet", "force")},
+    "csv": PATH_FLAG,
+    "film": PATH_FLAG,
+    "markdown": PATH_FLAG,
+    "html": PATH_FLAG | {"metavar": "PAGE"},
+    "out": PATH_FLAG | {"metavar": "DIR"},
+    "certificate": PATH_FLAG | {"metavar": "DIR"},
+}
+FORCE_HELP = "replace the result that --out holds"
+
+
+def add_outputs(parser: argparse.ArgumentParser, **help: str) -> None:
+    """Add some of OUTPUT_FLAGS, each with what the help says of it."""
+    for name, text in help.items():
+        parser.add_argument(f"--{name}", help=text, **OUTPUT_FLAGS[name])
 
 
 def check_free(folder: str | Path | None, result: str, arguments: argparse.Namespace) -> None:
@@ -90,11 +113,6 @@ def check_free(folder: str | Path | None, result: str, arguments: argparse.Names
         raise UsageError(f"--out {folder} is a file; give a folder")
     if folder is not None and not arguments.force and (Path(folder) / result).is_file():
         raise UsageError(f"{folder} holds a result ({result}); give --force to replace it, or another folder")
-
-
-def add_files(parser: argparse.ArgumentParser) -> None:
-    """Add the model files, one at least."""
-    parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE_HELP)
 
 
 def _model_file(text: str) -> str:
@@ -139,19 +157,39 @@ def unique_by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
 
 def parse_setting(setting: str) -> tuple[str, Any]:
     """The name and its number, list of numbers or list of rows."""
-    name, equals, text = setting.partition("=")
-    if not equals or not name.strip():
-        raise UsageError(f"--set {setting}: expected NAME=VALUE, for example --set mu=0.3")
+    name, text = split_name("--set", setting, "NAME=VALUE", "mu=0.3")
     try:
         rows = [[parse_number(one) for one in row.split(",")] for row in text.split(";")]
     except ValueError:
         raise UsageError(f"--set {setting}: '{text}' is not a number, nor numbers with commas between") from None
-    return name.strip(), rows if len(rows) > 1 else rows[0] if len(rows[0]) > 1 else rows[0][0]
+    return name, rows if len(rows) > 1 else rows[0] if len(rows[0]) > 1 else rows[0][0]
+
+
+def split_name(option: str, text: str, form: str, example: str) -> tuple[str, str]:
+    """The name and what is given for it, of NAME=...; ``form``: what is expected, in messages."""
+    name, equals, rest = text.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"{option} {text}: expected {form}, for example {option} {example}")
+    return name.strip(), rest
 
 
 def parse_number(text: str) -> int | float:
     """The number that a text spells."""
     return int(text) if text.strip().lstrip("+-").isdigit() else float(text)
+
+
+def parse_numbers(text: str, label: str, example: str) -> list[int | float]:
+    """The numbers of a list with commas; ``label`` and ``example`` are for messages."""
+    try:
+        return [parse_number(one) for one in text.split(",")]
+    except ValueError:
+        raise UsageError(f"{label}: expected numbers with commas between, for example {example}") from None
+
+
+def read_csv_rows(path: Path) -> list[list[str]]:
+    """The rows of a file that are not empty."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        return [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
 
 
 # -- inputs: --input NAME=FILE.csv[,kind=...][,after=...][,period=...], or NAME=NUMBER ---------------------------------
@@ -163,15 +201,10 @@ def parse_inputs(texts: Sequence[str], groups: Any) -> dict[str, float | Signal]
 
 
 def _parse_input(text: str, groups: Any) -> tuple[str, float | Signal]:
-    name, equals, rest = text.partition("=")
-    if not equals or not name.strip():
-        raise UsageError(f"--input {text}: expected NAME=FILE.csv or NAME=NUMBER, for example --input u=cycle.csv,kind=linear")
-    name = name.strip()
+    name, rest = split_name("--input", text, "NAME=FILE.csv or NAME=NUMBER", "u=cycle.csv,kind=linear")
     path, *options = rest.split(",")
-    try:
+    if _is_number_text(path):
         return name, float(path)
-    except ValueError:
-        pass
     given: dict[str, Any] = {}
     for option in options:
         key, equals, value = option.partition("=")
@@ -188,8 +221,7 @@ def _parse_input(text: str, groups: Any) -> tuple[str, float | Signal]:
 def _read_input_columns(path: Path, names: list[str], text: str) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of a file: under the names t and those of the input where it has them, else the first columns."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+        rows = read_csv_rows(path)
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"--input {text}: {path} cannot be read ({error})") from None
     if not rows:
@@ -234,6 +266,31 @@ def reserve_stdout(arguments: argparse.Namespace) -> Iterator[None]:
 def print_json(arguments: argparse.Namespace, document: Any) -> None:
     """Print what --json asks for."""
     print(dumps(document, indent=2), file=arguments.stdout)
+
+
+def report_result(
+    arguments: argparse.Namespace, name: str, text: str, document: Any, more: Mapping[str, Callable[[Path], Any]]
+) -> None:
+    """Print a result, its document with --json, and write it into --out: NAME.txt, NAME.json, ``more`` files by their endings."""
+    if arguments.json:
+        print_json(arguments, document)
+    else:
+        print(text)
+    if arguments.out:
+        folder = Path(arguments.out)
+        write_text(folder / f"{name}.txt", text)
+        write_json(folder / f"{name}.json", document)
+        for ending, write in more.items():
+            write(folder / f"{name}.{ending}")
+        if not arguments.json:
+            print(f"\nsaved in {folder}: {', '.join(f'{name}.{ending}' for ending in ('txt', 'json', *more))}")
+
+
+def save_picture(ax: Any, path: Path) -> None:
+    """Write the figure of axes."""
+    from nsmodel.plot import save
+
+    save(ax.figure, path)
 
 
 # -- what a command returns to the shell -------------------------------------------------------------------------------

@@ -17,7 +17,17 @@ from pathlib import Path
 
 from nsmodel._utils import escape_invisible
 from nsmodel._utils import print_escaped as print
-from nsmodel.cli.common import EXIT_DONE, Commands, add_file, add_options, load_model, output_path
+from nsmodel.cli.common import (
+    EXIT_DONE,
+    Commands,
+    add_command,
+    add_file,
+    add_options,
+    add_outputs,
+    load_model,
+    output_path,
+    parse_numbers,
+)
 from nsmodel.codegen.library import compiler
 from nsmodel.errors import StorageError, UnverifiedWarning, UsageError
 from nsmodel.files.storage import read_json, write_text
@@ -29,15 +39,12 @@ from nsmodel.version import VERSION
 def add_codegen_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Write the model's verified step as a C99 library: header, source, Makefile, example, description, README."
-    parser = commands.add_parser("codegen", help="write a model's step as a C library", description=about)
+    parser = add_command(commands, "codegen", _write_library, help="write a model's step as a C library", about=about)
     add_file(parser)
-    parser.add_argument("--out", type=output_path, metavar="DIR", help="folder of the library (default: FILE-c)")
+    add_outputs(parser, out="folder of the library (default: FILE-c)")
     parser.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
     parser.add_argument(
-        "--step",
-        type=_parse_step_sizes,
-        metavar="H,...",
-        help="time step of the code, or up to 8 lengths of steps (default: the model's)",
+        "--step", metavar="H,...", help="time step of the code, or up to 8 lengths of steps (default: the model's)"
     )
     parser.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not only this one")
     add_options(parser, "codegen")
@@ -48,22 +55,20 @@ def add_codegen_command(commands: Commands) -> None:
     parser.add_argument(
         "--event-driven", action="store_true", help="write NAME_pieces too: NAME_advance goes from switch to switch"
     )
-    parser.set_defaults(command=_write_library)
-
-
-def _parse_step_sizes(text: str) -> list[float]:
-    return [float(part) for part in text.split(",")]
 
 
 def _write_library(arguments: argparse.Namespace) -> int:
     """Write the C library of a file; a parameter given with --set becomes a number in the code."""
     from nsmodel import codegen
 
+    step = arguments.step and [
+        float(one) for one in parse_numbers(arguments.step, f"--step {arguments.step}", "--step 1e-3,2e-3")
+    ]
     model, values = load_model(arguments.file, arguments.set)
     stem = Path(arguments.file).stem
     name = codegen.identifier(stem) if arguments.name is None else arguments.name
     written = codegen.write(
-        model, arguments.out or f"{stem}-c", name=name, step=arguments.step, any_step=arguments.any_step, parameters=values,
+        model, arguments.out or f"{stem}-c", name=name, step=step, any_step=arguments.any_step, parameters=values,
         tolerance=arguments.tolerance, max_work=arguments.max_work, worst_case=arguments.worst_case,
         event_driven=arguments.event_driven,
     )  # fmt: skip
@@ -77,13 +82,12 @@ RUN_FILE = "trajectory.npz"  # In the folder of a run.
 def add_view_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Write one HTML file in which a saved run can be looked at: zoomed, played, column by column; no network, no server."
-    parser = commands.add_parser("view", help="show a saved run in a browser", description=about)
+    parser = add_command(commands, "view", _write_view, help="show a saved run in a browser", about=about)
     parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {RUN_FILE} in it")
     parser.add_argument(
         "--out", type=output_path, metavar="PAGE", help="the HTML file (default: view.html next to the run's file)"
     )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
-    parser.set_defaults(command=_write_view)
 
 
 def _no_run_hint(given: Path) -> str:
@@ -141,13 +145,14 @@ def add_report_command(commands: Commands) -> None:
         "Write one text file about a saved run, to attach to a report of a bug: versions, system, model, parameters, summary, "
         "message. Names of the user and of the machine, and paths, are left out; read it before you send it."
     )
-    parser = commands.add_parser("report", help="write a run's model, versions and summary in one file", description=about)
+    parser = add_command(
+        commands, "report", _write_report, help="write a run's model, versions and summary in one file", about=about
+    )
     parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {RUN_FILE} in it")
     parser.add_argument("--model", metavar="FILE", help="the model file (default: the one that the folder's summary.json names)")
     parser.add_argument(
         "--out", type=output_path, metavar="PATH", help=f"the text file (default: {REPORT_FILE} next to the run's file)"
     )
-    parser.set_defaults(command=_write_report)
 
 
 def _write_report(arguments: argparse.Namespace) -> int:

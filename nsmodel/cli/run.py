@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import textwrap
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
+from nsmodel._utils import align_columns, labelled_lines
 from nsmodel._utils import print_escaped as print
 from nsmodel.cli.common import (
     EXIT_DONE,
@@ -18,16 +18,17 @@ from nsmodel.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_STORAGE,
     EXIT_TERMINATED,
+    FORCE_HELP,
     Commands,
-    add_files,
-    add_force,
+    add_command,
+    add_file,
     add_options,
+    add_outputs,
     check_free,
     close_stdout,
     given_options,
     ignore_signals,
     load_model,
-    output_path,
     parse_inputs,
     print_json,
     report_refusal,
@@ -44,23 +45,29 @@ from nsmodel.simulation.trajectory import Trajectory
 
 def add_run_command(commands: Commands) -> None:
     """Add the command and its options."""
-    parser = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
-    add_files(parser)
+    about = "Simulate a model file and print a summary."
+    parser = add_command(commands, "run", _run_files, help="simulate a model file", about=about)
+    add_file(parser, nargs="+")
     add_options(parser, "run")
-    add_force(parser)
-    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write the trajectory as CSV")
-    parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
+    add_outputs(
+        parser, force=FORCE_HELP, csv="also write the trajectory as CSV", plot="write pictures into --out (default: FILE-run)"
+    )
     parser.add_argument(
         "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 only; either may be left out, as in 0.9:"
     )
-    parser.add_argument("--html", type=output_path, metavar="PAGE", help="also write a page that shows the run in a browser")
-    parser.add_argument(
-        "--film", type=output_path, metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg"
-    )
+    add_outputs(
+        parser, html="also write a page that shows the run in a browser",
+        film="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg",
+    )  # fmt: skip
     parser.add_argument("--explain", action="store_true", help="say which methods are used, which are not, and why; then run")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
-    parser.set_defaults(command=_run_files)
+    add_outputs(parser, json="print the summary as JSON", quiet="print warnings and errors only")
+
+
+ONE_FILE_OPTIONS = {  # And what serves for several.
+    "csv": "for several give --out DIR and read the trajectory.npz in it",
+    "html": "for several give --out DIR and look at each with 'nsmodel view'",
+    "film": "run them one by one",
+}
 
 
 def _run_files(arguments: argparse.Namespace) -> int:
@@ -72,15 +79,12 @@ def _run_files(arguments: argparse.Namespace) -> int:
     if (arguments.out or arguments.plot) and len(set(stems)) < len(stems):
         twice = next(stem for stem in stems if stems.count(stem) > 1)
         raise UsageError(f"two files are called '{twice}': their results would go to one folder; run them one by one")
-    if several and arguments.csv:
-        raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
-    if several and arguments.html:
-        raise UsageError("--html takes one model file; for several give --out DIR and look at each with 'nsmodel view'")
-    if several and arguments.film:
-        raise UsageError("--film takes one model file; run them one by one")
+    for option, instead in ONE_FILE_OPTIONS.items():
+        if several and getattr(arguments, option):
+            raise UsageError(f"--{option} takes one model file; {instead}")
     if arguments.window is not None and not arguments.plot:
         raise UsageError("--window is a window of pictures: give --plot as well")
-    _parse_window(arguments.window)
+    arguments.window = _parse_window(arguments.window)
     if arguments.film:
         from nsmodel.plot.film import check_film
 
@@ -197,7 +201,7 @@ def _report_run(
         print(f"nsmodel: {where}warning: {warning}", file=sys.stderr)
     if printed:
         _print_summary(run, seconds)
-        print(textwrap.fill(document["hypotheses"], 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
+        print("\n".join(labelled_lines("hypotheses", document["hypotheses"])))
         if folder is not None:
             print(f"  saved           {folder / 'trajectory.npz'}")
         _print_paths(arguments, pictures)
@@ -271,7 +275,7 @@ def _print_summary(run: Trajectory, seconds: float) -> None:
 def _results_table(results: Sequence[FileResult]) -> str:
     """One line a file: steps, time simulated and used, worst residual, index-set changes, the overview picture."""
     head = ("model", "status", "steps", "t", "worst residual", "index set changes", "run time", "picture")
-    lines: list[tuple[str, ...]] = [head]
+    lines: list[Sequence[str]] = [head]
     for result in results:
         name, run, folder = Path(result.file).stem, result.run, result.folder
         if run is None:
@@ -282,14 +286,16 @@ def _results_table(results: Sequence[FileResult]) -> str:
             name, run.status, str(totals["steps"]), f"{run.t[-1]:g}", f"{totals['worst_residual']:.2g}",
             str(totals["index_set_changes"]), f"{result.seconds:.2f} s", str(picture) if picture and picture.exists() else "",
         ))  # fmt: skip
-    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
+    return "\n".join(align_columns(lines, str.ljust))
 
 
 # -- the files that are asked for: pictures, a film, a page, a table ---------------------------------------------------
 
 
-def _parse_window(text: str | None) -> tuple[float | None, float | None] | None:
+Window: TypeAlias = tuple[float | None, float | None]
+
+
+def _parse_window(text: str | None) -> Window | None:
     """What --window says."""
     if text is None:
         return None
@@ -303,11 +309,10 @@ def _parse_window(text: str | None) -> tuple[float | None, float | None] | None:
     return begin, end
 
 
-def _check_window_start(text: str | None, t_end: float | None) -> None:
+def _check_window_start(window: Window | None, t_end: float | None) -> None:
     """Refuse a window that begins where the run is over, before it is run."""
-    window = _parse_window(text)
     if window is not None and window[0] is not None and t_end is not None and window[0] >= t_end:
-        raise UsageError(f"--window {text} begins after the run, which ends at t = {t_end:g}")
+        raise UsageError(f"--window begins at t = {window[0]:g}, after the run, which ends at t = {t_end:g}")
 
 
 def _check_film_possible(path: str | None, model: Model) -> None:
@@ -332,7 +337,7 @@ def _write_requested_files(arguments: argparse.Namespace, run: Trajectory, model
     if arguments.plot and folder is not None:
         from nsmodel.plot import save_all
 
-        pictures = [str(path) for path in save_all(run, model, folder, t=_parse_window(arguments.window))]
+        pictures = [str(path) for path in save_all(run, model, folder, t=arguments.window)]
     if arguments.film:
         from nsmodel.plot import animate
 

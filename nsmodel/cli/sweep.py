@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,20 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel._utils import align_columns
 from nsmodel._utils import print_escaped as print
 from nsmodel.cli.common import (
     EXIT_DONE,
     EXIT_FAILED_STEP,
     Commands,
+    add_command,
     add_file,
     add_options,
+    add_outputs,
     given_options,
     ignore_signals,
-    output_path,
     parse_inputs,
     parse_number,
     parse_setting,
     print_json,
+    read_csv_rows,
+    save_picture,
+    split_name,
     unique_by_name,
 )
 from nsmodel.errors import UsageError
@@ -55,7 +59,7 @@ VALUES_FORMAT = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
 def add_sweep_command(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Run a model for many values of its parameters, starts, seeds or steps, on all cores."
-    parser = commands.add_parser("sweep", help="run a model file many times", description=about)
+    parser = add_command(commands, "sweep", _run_sweep, help="run a model file many times", about=about)
     add_file(parser)
     parser.add_argument(
         "--grid", action="append", default=[], metavar=VALUES_FORMAT, help="values of a parameter, a dimension; repeatable"
@@ -80,19 +84,14 @@ def add_sweep_command(commands: Commands) -> None:
     )
     parser.add_argument("--workers", type=int, metavar="N", help="how many cells run at once (default: the number of cores)")
     parser.add_argument("--entropy", type=int, metavar="E", help="of random starts (default 0)")
-    parser.add_argument(
-        "--out",
-        type=output_path,
-        metavar="DIR",
-        help="folder of the sweep; NAME.nc or NAME.zarr: written in that format when it is done",
-    )
+    add_outputs(parser, out="folder of the sweep; NAME.nc or NAME.zarr: written in that format when it is done")
     parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
     parser.add_argument("--retry", action="store_true", help="with --resume: run failed cells again")
-    parser.add_argument("--csv", type=output_path, metavar="PATH", help="also write one row for each cell as CSV")
-    parser.add_argument("--plot", action="store_true", help="write a picture of each quantity into --out (default: FILE-sweep)")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(command=_run_sweep)
+    add_outputs(
+        parser, csv="also write one row for each cell as CSV",
+        plot="write a picture of each quantity into --out (default: FILE-sweep)", json="print the summary as JSON",
+        quiet="print errors only",
+    )  # fmt: skip
 
 
 def _run_sweep(arguments: argparse.Namespace) -> int:
@@ -109,13 +108,15 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
     nothing_kept = not (arguments.keep or arguments.output) and arguments.seeds is None
     model = load_with_values(arguments.file, first)[0] if arguments.input or nothing_kept else None  # A wrong name is told first.
     inputs = parse_inputs(arguments.input, model.input_groups) if arguments.input and model else None
-    steps: Any = [None] if arguments.step is None else _parse_numbers(arguments.step, f"--step {arguments.step}").tolist()
+    steps: Any = [None] if arguments.step is None else _parse_values(arguments.step, f"--step {arguments.step}").tolist()
     try:
         found = sweep(
             arguments.file, grid=grid, samples=samples, start=_parse_grid(arguments.start, "--start"), seeds=arguments.seeds,
             step=steps[0] if len(steps) == 1 else steps, inputs=inputs, parameters=fixed,
             keep=[name for name in map(str.strip, arguments.keep.split(",")) if name], every=arguments.every,
-            outputs=unique_by_name((_split_name(text, "--output", "rest=x[-1]") for text in arguments.output), "--output"),
+            outputs=unique_by_name(
+                (split_name("--output", text, "NAME=...", "rest=x[-1]") for text in arguments.output), "--output"
+            ),
             workers=arguments.workers,
             out=arguments.out, resume=arguments.resume, retry=arguments.retry, entropy=arguments.entropy,
             progress=not (arguments.quiet or arguments.json), **given_options(arguments, "sweep"),
@@ -172,10 +173,8 @@ def _cell_rows(found: Sweep) -> str:
         return ""
     hidden = {"cell", "message", "way", *CELL_FACTS, *EVENT_DRIVEN_FACTS} - ({"status"} if found.failures else set())
     table = result.cell_table(found).items()
-    columns = {name: [_format_entry(one) for one in values[:MAX_PRINTED_CELLS]] for name, values in table if name not in hidden}
-    widths = {name: max(len(name), *map(len, texts)) for name, texts in columns.items()}
-    rows = zip(*([name, *texts] for name, texts in columns.items()), strict=True)
-    lines = ["  ".join(word.rjust(width) for word, width in zip(row, widths.values(), strict=True)) for row in rows]
+    columns = [[name, *map(_format_entry, values[:MAX_PRINTED_CELLS])] for name, values in table if name not in hidden]
+    lines = align_columns([*zip(*columns, strict=True)])
     if (more := found.size - MAX_PRINTED_CELLS) > 0:
         lines.append(f"... {more} more; --out DIR or --csv FILE keeps them all")
     return "\n" + "\n".join(lines) + "\n"
@@ -186,13 +185,10 @@ def _format_entry(value: Any) -> str:
 
 
 def _save_pictures(arguments: argparse.Namespace, found: Sweep) -> list[str]:
-    from nsmodel.plot import save
-
     paths = []
     for name in (*found.metadata["keep"], *found.metadata["outputs"]):
-        path = _pictures_folder(arguments) / f"{name}.png"
-        save(found.plot(name).figure, path)
-        paths.append(str(path))
+        paths.append(str(_pictures_folder(arguments) / f"{name}.png"))
+        save_picture(found.plot(name), Path(paths[-1]))
     return paths
 
 
@@ -204,20 +200,13 @@ def _pictures_folder(arguments: argparse.Namespace) -> Path:
     return out.with_name(f"{out.name}.parts") if out.suffix in (".nc", ".zarr") else out
 
 
-def _split_name(text: str, option: str, example: str) -> tuple[str, str]:
-    name, equals, rest = text.partition("=")
-    if not equals or not name.strip() or not rest.strip():
-        raise UsageError(f"{option} {text}: expected NAME=..., for example {option} {example}")
-    return name.strip(), rest.strip()
-
-
 def _parse_grid(texts: Sequence[str], option: str) -> dict[str, Any] | None:
     """{name: values} of LOW:HIGH:COUNT or numbers with commas between."""
-    pairs = (_split_name(text, option, "mu=0:1:11") for text in texts)
-    return unique_by_name(((name, _parse_numbers(values, f"{option} {name}={values}")) for name, values in pairs), option) or None
+    pairs = (split_name(option, text, "NAME=...", "mu=0:1:11") for text in texts)
+    return unique_by_name(((name, _parse_values(values, f"{option} {name}={values}")) for name, values in pairs), option) or None
 
 
-def _parse_numbers(text: str, label: str) -> np.ndarray:
+def _parse_values(text: str, label: str) -> np.ndarray:
     """The numbers that a text lists, or spaces evenly."""
     try:
         if ":" not in text:
@@ -237,8 +226,7 @@ def _read_samples(path: str | None) -> dict[str, np.ndarray] | None:
     if path is None:
         return None
     try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+        rows = read_csv_rows(Path(path))
         names = [cell.strip() for cell in rows[0]]
         values = np.array([[float(cell) for cell in row] for row in rows[1:]], float)
         if len(values) == 0 or values.shape[1] != len(names) or len(set(names)) < len(names):

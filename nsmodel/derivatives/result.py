@@ -142,7 +142,7 @@ class Sensitivity:
 
     def plot(self, ax: Any = None, points: int = 400) -> Any:
         """Draw the derivatives at ``points`` of time on ``ax``, each divided by its largest, with the switches marked."""
-        return display("plot_sensitivity", self.over_time(points), ax)
+        return display("sensitivity", self.over_time(points), ax=ax)
 
     def to_csv(self, path: str | Path) -> None:
         """Write to ``path`` t, the outputs, and ``d OUTPUT/d NAME`` a column each."""

@@ -74,7 +74,7 @@ class Report(Picklable):
 
         StorageError where it cannot be written.
         """
-        return display("view_report", self, path)
+        return display("write_report_page", self, path)
 
     def __getitem__(self, id: str) -> Finding:
         """Return the finding of a hypothesis: ``report["A5"]``."""

@@ -74,12 +74,10 @@ class CrowdArtists:
             size, size, np.zeros(size.size), units="xy", offsets=self.q[0], offset_transform=ax.transData, **look
         )
         self.lines = LineCollection([], colors=style.INK, zorder=5, capstyle="round")
-        self.scale = pressure_scale(run) if scale is None else scale
+        self.scale = pressure_scale(self.pressure) if scale is None else scale
         if self.pressure is not None:
             self.discs.set(cmap=PRESSURE_COLOURS, clim=(0, self.scale))
-            bar = ax.figure.colorbar(self.discs, ax=ax, shrink=0.75, pad=0.02, extend="max")
-            bar.set_label(style.with_unit("pressure", _pressure_unit(run)), fontsize=9)
-            bar.ax.tick_params(labelsize=8)
+            style.colour_bar(ax, self.discs, style.with_unit("pressure", _pressure_unit(run)), shrink=0.75, extend="max")
         ax.add_collection(self.discs)
         ax.add_collection(self.lines)
 
@@ -118,9 +116,8 @@ def row_of_most_pressure(run: Trajectory) -> int:
     return 0 if pressure is None else int(np.nansum(pressure, axis=1).argmax())
 
 
-def pressure_scale(run: Trajectory) -> float:
-    """The pressure that 99.5 % of those pressed are below, over the whole run; 1 where nobody ever is."""
-    pressure = run.arrays.get("pressure")
+def pressure_scale(pressure: np.ndarray | None) -> float:
+    """The pressure that 99.5 % of those pressed are below, over all rows; 1 where nobody ever is."""
     pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
     return float(np.percentile(pressed, PRESSURE_PERCENTILE)) if pressed.size else 1.0
 
@@ -163,12 +160,16 @@ def evacuation(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def pressure_over_time(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """The largest pressure on anybody, and the mean over all who are there, (N+1,) each."""
+    pressure = style.required_array(run, "pressure")
+    count = np.isfinite(pressure).sum(axis=1)
+    return np.fmax.reduce(pressure, axis=1), np.nansum(pressure, axis=1) / np.where(count, count, np.nan)
+
+
 def pressures(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the largest pressure on anybody, and the mean over all who are there, over time."""
-    ax, pressure = style.get_axes(ax), style.required_array(run, "pressure")
-    largest = np.fmax.reduce(pressure, axis=1)
-    present_count = np.isfinite(pressure).sum(axis=1)
-    mean = np.nansum(pressure, axis=1) / np.where(present_count, present_count, np.nan)
+    ax, (largest, mean) = style.get_axes(ax), pressure_over_time(run)
     kept = style.thin(run.t, np.nan_to_num(largest))
     lines = ax.plot(run.t[kept], largest[kept], color=style.LINES[1], linewidth=0.8, label="largest")
     lines += ax.plot(run.t[kept], mean[kept], color=style.INK, linewidth=1.4, label="mean of all")
@@ -206,9 +207,7 @@ def paths(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     lines = LineCollection([q[rows, k] for k in range(q.shape[1])], cmap="viridis_r", linewidths=0.7, zorder=2)
     lines.set_array(length)
     ax.add_collection(lines)
-    bar = ax.figure.colorbar(lines, ax=ax, shrink=0.75, pad=0.02)
-    bar.set_label("length of the way [m]", fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    style.colour_bar(ax, lines, "length of the way [m]", shrink=0.75)
     draw_room(ax, run)
     _fit_limits(ax, run)
     ax.set(aspect="equal")
@@ -249,9 +248,7 @@ def _draw_map(found: Maps, values: np.ndarray, title: str, label: str, colours: 
     known = values[np.isfinite(values)]
     top = float(np.percentile(known, PRESSURE_PERCENTILE)) if known.size and known.max() > 0 else 1.0
     image = ax.pcolormesh(found.x, found.y, values, cmap=colours, vmin=0, vmax=top or float(known.max()), rasterized=True)
-    bar = ax.figure.colorbar(image, ax=ax, shrink=0.85, pad=0.02, extend="max")
-    bar.set_label(label, fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    style.colour_bar(ax, image, label, shrink=0.85, extend="max")
     ax.set(aspect="equal")
     if run is not None:
         draw_room(ax, run)
@@ -275,14 +272,20 @@ def check_disc_scene(scene: Mapping[str, Any] | None, states: int) -> dict[str, 
 
 
 def _fit_limits(ax: Axes, run: Trajectory) -> None:
-    """Limits that hold walls, exits and starts, and a margin."""
-    scene, q = _run_disc_scene(run), positions(run)
-    fixed = [np.reshape(scene.get(key, []), (-1, 2)) for key in ("walls", "exits")]
-    points = np.concatenate([*fixed, q[np.isfinite(q[..., 0]).argmax(axis=0), np.arange(q.shape[1])]])
-    points = points[np.isfinite(points[:, 0])]  # Who never came has no start.
-    margin = 0.03 * float(np.ptp(points, axis=0).max(initial=0.0)) + 2 * max(scene["radii"])
-    low, high = (points.min(axis=0) - margin, points.max(axis=0) + margin) if len(points) else (np.zeros(2), np.ones(2))
+    low, high = scene_corners(run)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def scene_corners(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of what holds walls, exits and starts, and a margin; without walls wherever bodies are."""
+    scene, q, here = _run_disc_scene(run), positions(run), present(run)
+    fixed = [np.reshape(scene.get(key) or [], (-1, 2)) for key in ("walls", "exits")]
+    own = q[here.argmax(axis=0), np.arange(q.shape[1])] if any(map(len, fixed)) else q.reshape(-1, 2)
+    points = np.concatenate([*fixed, own])
+    points = points[np.isfinite(points).all(axis=1)]  # Who never came has no start.
+    points = points if len(points) else np.array([[0.0, 0.0], [1.0, 1.0]])
+    margin = 0.03 * float(np.ptp(points, axis=0).max()) + 2 * max(scene["radii"])
+    return points.min(axis=0) - margin, points.max(axis=0) + margin
 
 
 def plane_axis_labels(run: Trajectory) -> list[str]:

@@ -96,8 +96,10 @@ def _draw_end_markers(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray, f
     end = "end" if last == len(run.t) - 1 else "now"
     handles: list[Any] = []
     for row, marker, fill, size, word in ((first, "o", "white", 7, "start"), (last, "s", style.INK, 5, end)):
-        look = {"markeredgecolor": style.INK, "markerfacecolor": fill, "markersize": size, "zorder": 5, "clip_on": False}
-        handles += ax.plot(x[row], y[row], marker, label=f"{word} ({style.time_text(run, row)})", **look)
+        handles += ax.plot(
+            x[row], y[row], marker, label=f"{word} ({style.time_text(run, row)})", markeredgecolor=style.INK,
+            markerfacecolor=fill, markersize=size, zorder=5, clip_on=False,
+        )  # fmt: skip
     return handles
 
 
@@ -106,7 +108,7 @@ def _draw_end_markers(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray, f
 
 def draw_time_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int) -> Axes:
     """One state: the plane (t, q)."""
-    ((low, high),) = _margin_limits(run.x[:, 0], margin=0.25)
+    ((low, high),) = margin_limits(run.x[:, 0], margin=0.25)
     times, values = np.meshgrid(np.linspace(run.t[0], run.t[-1], PLANE_GRID), np.linspace(low, high, PLANE_GRID))
     shade = _shade_forbidden(ax, times, values, gap(times, values), "forbidden (g < 0)")
     path = _draw_path(ax, run, run.t[: row + 1], run.x[: row + 1, 0])
@@ -119,7 +121,7 @@ def draw_time_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int) -> Ax
 def draw_state_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int, *, moving: bool) -> Axes:
     """Two states: the plane."""
     for margin in (0.25, 0.5, 1.0):  # far enough to see some of the forbidden set
-        limits = style.fill_panel(ax, *_margin_limits(*run.x.T, margin=margin))
+        limits = style.fill_panel(ax, *margin_limits(*run.x.T, margin=margin))
         if (gap(run.t[row], *np.meshgrid(*(np.linspace(*limit, 40) for limit in limits))) < 0).mean() > 0.05:
             break
     across, up = np.meshgrid(*(np.linspace(*limit, PLANE_GRID) for limit in limits))
@@ -143,7 +145,7 @@ def draw_state_plane(ax: Axes, run: Trajectory, gap: GapFunction, row: int, *, m
     return ax
 
 
-def _margin_limits(*columns: np.ndarray, margin: float) -> list[tuple[float, float]]:
+def margin_limits(*columns: np.ndarray, margin: float) -> list[tuple[float, float]]:
     """Limits around each column with a margin on both sides, none far narrower than the widest."""
     low, high = np.nanmin(columns, axis=1), np.nanmax(columns, axis=1)
     widest = (high - low).max() or 1.0
@@ -191,17 +193,17 @@ def draw_discs(ax: Axes, run: Trajectory, scene: dict[str, Any], row: int) -> Ax
             f"the scene has {len(radii)} discs and the run {run.x.shape[1]} states; expected two states for each disc"
         )
     centres = run.x[row].reshape(-1, 2)
-    present, pressure = np.isfinite(centres).all(axis=1), _body_pressures(run, len(radii), row)
+    present, pressure = np.isfinite(centres).all(axis=1), body_pressures(run, np.array([row]), len(radii))
     handles = _draw_surroundings(ax, run, scene, row)
     width = 2 * radii[present]
-    look: dict[str, Any] = {"edgecolor": style.INK, "linewidth": 0.7, "facecolor": "#B9CDE0", "zorder": 4}
-    place: dict[str, Any] = {"units": "xy", "offsets": centres[present], "offset_transform": ax.transData}
-    circles = EllipseCollection(width, width, np.zeros(len(width)), **place, **look)
-    if pressure is not None:
-        circles.set(array=pressure[present], cmap="YlOrBr", clim=(0, float(pressure.max()) or 1.0))
-        bar = ax.figure.colorbar(circles, ax=ax, shrink=0.75, pad=0.02)
-        bar.set_label(style.with_unit("sum of reactions on a disc", style.quantity_unit(run, "reactions")), fontsize=9)
-        bar.ax.tick_params(labelsize=8)
+    circles = EllipseCollection(
+        width, width, np.zeros(len(width)), units="xy", offsets=centres[present], offset_transform=ax.transData,
+        edgecolor=style.INK, linewidth=0.7, facecolor="#B9CDE0", zorder=4,
+    )  # fmt: skip
+    if pressure is not None and np.isfinite(pressure).all():
+        circles.set(array=pressure[0, present], cmap="YlOrBr", clim=(0, float(pressure.max()) or 1.0))
+        label = style.with_unit("sum of reactions on a disc", style.quantity_unit(run, "reactions"))
+        style.colour_bar(ax, circles, label, shrink=0.75)
     ax.add_collection(circles)
     outside = _fit_window(ax, run, scene, centres)
     gone = f" ({outside} of {len(radii)} discs outside the picture)" if outside else ""
@@ -212,14 +214,16 @@ def draw_discs(ax: Axes, run: Trajectory, scene: dict[str, Any], row: int) -> Ax
     return ax
 
 
-def _body_pressures(run: Trajectory, bodies: int, row: int) -> np.ndarray | None:
-    """Sum of the reactions on each body; None where the run cannot tell."""
+def body_pressures(run: Trajectory, rows: np.ndarray, bodies: int) -> np.ndarray | None:
+    """The sum of the reactions on each body (rows, bodies); None where the run cannot tell."""
+    if "pressure" in run.arrays:
+        return run.arrays["pressure"][rows]
     owners, reactions = run.metadata.get("constraint_bodies"), run.arrays.get("reactions")
-    if not owners or reactions is None or np.isnan(reactions[row]).any():
+    if not owners or reactions is None:
         return None
-    total = np.zeros(bodies)
-    for value, members in zip(reactions[row], owners, strict=True):
-        total[members] += value
+    total = np.zeros((len(rows), bodies))
+    for column, members in zip(reactions.T, owners, strict=True):
+        total[:, members] += column[rows, None]
     return total
 
 
@@ -233,8 +237,13 @@ def _draw_surroundings(ax: Axes, run: Trajectory, scene: dict[str, Any], row: in
     handles = ax.plot([], [], color=style.FREE, linewidth=0.7, label="paths so far")
     handles += ax.plot(*paths[0].T, ".", color=style.FREE, markersize=3, zorder=2, label="starts")
     for key, colour, width, dash, word in (("walls", style.INK, 3.0, "-", "walls"), ("exits", "#009E73", 2.0, "--", "exit")):
-        look = {"color": colour, "linewidth": width, "zorder": 3, "label": word, "solid_capstyle": "round"}
-        lines = [line for ends in scene.get(key, []) for line in ax.plot(*np.transpose(ends), dash, **look)]
+        lines = [
+            line
+            for ends in scene.get(key, [])
+            for line in ax.plot(
+                *np.transpose(ends), dash, color=colour, linewidth=width, zorder=3, label=word, solid_capstyle="round"
+            )
+        ]
         handles += lines[:1]
     return handles
 

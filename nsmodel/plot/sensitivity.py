@@ -28,6 +28,7 @@ def sensitivity(found: Sensitivity, *, ax: Axes | None = None) -> Axes:
     for one in found.switches:
         known = not np.isfinite(one.transversality)
         ax.axvline(one.t, color=SWITCH_COLOUR, linewidth=0.7, linestyle=":" if known else "-", zorder=1)
+    handles = []
     pairs = [(i, j) for i in range(len(found.outputs)) for j in range(len(found.by))]
     for k, (i, j) in enumerate(pairs):
         own = found.jacobian[:, i, j]
@@ -36,10 +37,8 @@ def sensitivity(found: Sensitivity, *, ax: Axes | None = None) -> Axes:
             continue
         column = np.insert(own / largest, np.searchsorted(found.t, jumps, side="left"), np.nan)
         label = style.safe_text(f"d {found.outputs[i]}/d {found.by[j]}, at most {largest:.3g}")
-        ax.plot(t, column, color=style.LINES[k % len(style.LINES)], linewidth=1.4, label=label, zorder=3)
-    ax.set_xlabel("t")
-    ax.set_ylabel("derivative / its largest")
-    ax.set_title(style.safe_text(found.run.title))
-    if ax.lines:
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+        handles += ax.plot(t, column, color=style.LINES[k % len(style.LINES)], linewidth=1.4, label=label, zorder=3)
+    style.dress_over_time(ax, found.run, found.run.title, "derivative / its largest")
+    if handles:
+        style.legend(ax, handles, column=True)
     return ax

@@ -14,7 +14,6 @@ from nsmodel.errors import PlotError
 from nsmodel.modeling import laws
 from nsmodel.plot import style
 from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
-from nsmodel.proof.verdict import not_none
 from nsmodel.simulation.run_data import model_type, multiplier_names, state_names
 
 if TYPE_CHECKING:
@@ -36,9 +35,7 @@ def _coloured_labels(labels: laws.StateNames) -> StateLabels:
     return {code: (ROLE_COLOURS[role], text) for code, (role, text) in labels.items()}
 
 
-STATE_LABELS: dict[str, StateLabels] = {
-    label.removeprefix("second-order "): _coloured_labels(state_labels) for label, state_labels in laws.STATE_NAMES.items()
-}
+STATE_LABELS = {label.removeprefix("second-order "): labels for label, labels in laws.STATE_NAMES.items()}
 
 
 def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = None) -> Axes:
@@ -99,8 +96,10 @@ def index_map(run: Trajectory, *, ax: Axes | None = None) -> Axes:
             own = np.array([[code for code, (one, _) in laws[k][1].items() if one == colour][:1] or [NO_CODE] for k in drawn])
             counts[number] = np.add.reduceat(codes == own.T, starts, axis=0, dtype=float)
         edges, places = np.append(run.t[starts - 1], run.t[-1]), np.linspace(-0.5, len(names) - 0.5, len(drawn) + 1)
-        look: dict[str, Any] = {"cmap": ListedColormap(list(colours)), "vmin": -0.5, "vmax": len(colours) - 0.5}
-        ax.pcolormesh(edges, places, counts.argmax(axis=0).T, rasterized=True, **look)
+        ax.pcolormesh(
+            edges, places, counts.argmax(axis=0).T, cmap=ListedColormap(list(colours)), vmin=-0.5, vmax=len(colours) - 0.5,
+            rasterized=True,
+        )  # fmt: skip
     ends = f"rows {style.shorten(names[0], 16)} to {style.shorten(names[-1], 16)}"
     style.dress_over_time(ax, run, "Index set" + style.selection_note(len(drawn), len(names), "evenly spread"), ends, grid=False)
     ax.set_ylim(-0.5, len(names) - 0.5)
@@ -119,15 +118,15 @@ def _index_set_rows(run: Trajectory) -> tuple[list[str], list[tuple[str, StateLa
     if not codes.shape[1]:
         raise PlotError("this run has no index set: its model has no multipliers")
     names: list[str] = run.metadata.get("index_names") or [f"row {k}" for k in range(codes.shape[1])]
-    return names, _row_laws(run, names), codes
+    return names, [(kind, _coloured_labels(labels)) for kind, labels in row_laws(run, names)], codes
 
 
-def _row_laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, StateLabels]]:
-    """Kind and words of each row."""
+def row_laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.StateNames]]:
+    """Kind and words of each row of the index set, see `laws.StateNames`."""
     kinds = [kind.removeprefix("second-order ") for kind in run.metadata.get("law_kinds") or ["complementarity"] * len(names)]
     if len(kinds) != len(names) or set(kinds) - set(STATE_LABELS):
         raise PlotError(f"law_kinds must name one of {', '.join(STATE_LABELS)} for each of {len(names)} rows, and is {kinds[:8]}")
-    own = {label: (name, _coloured_labels(labels)) for label, (name, labels) in model_type(run).law_descriptions.items()}
+    own = model_type(run).law_descriptions
     return [
         own[kind] if kind in own and not name.startswith("potential ") else (kind, STATE_LABELS[kind])
         for kind, name in zip(kinds, names, strict=True)
@@ -310,18 +309,18 @@ def draw_chain(run: Trajectory, chain: QuantityChain, *, heading: str = "", ax: 
     low, high = style.extent(values)
     signed = low < 0
     far = max(-low, high, 0.0) or 1.0
-    look: dict[str, Any] = {"cmap": SIGNED if signed else POSITIVE_COLOURS, "norm": Normalize(-far if signed else 0, far)}
     places = _number_edges(np.array(chain.numbers)[drawn])
-    mesh = ax.pcolormesh(edges, places, np.ma.masked_invalid(values.T), rasterized=True, **look)
+    mesh = ax.pcolormesh(
+        edges, places, np.ma.masked_invalid(values.T), cmap=SIGNED if signed else POSITIVE_COLOURS,
+        norm=Normalize(-far if signed else 0, far), rasterized=True,
+    )  # fmt: skip
     stuck = _sticking_members(run, chain)
     if stuck is not None:
         _overlay_sticking(ax, edges, places, stuck[:, drawn])
     title = (heading or f"{chain.stem} along the chain") + style.selection_note(len(drawn), len(chain.numbers), "evenly spread")
     style.dress_over_time(ax, run, title, "number in the chain", grid=False)
     ax.set_ylim(places[0], places[-1])
-    bar = not_none(ax.get_figure()).colorbar(mesh, ax=ax, pad=0.02)
-    bar.set_label(style.safe_text(chain.label), fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    style.colour_bar(ax, mesh, chain.label)
     if stuck is not None:
         style.legend(ax, [Patch(color=STICK_COLOUR, label="stick (y = 0)")])
     return ax

@@ -15,7 +15,7 @@ from nsmodel.study.result import short_number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from nsmodel.study.lines import Line, Point
+    from nsmodel.study.lines import Point
     from nsmodel.study.result import Study
     from nsmodel.study.stress_result import Stress
 
@@ -43,9 +43,8 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
     colours = {line.name: METHOD_COLOURS[k % len(METHOD_COLOURS)] for k, line in enumerate(coloured)}
     handles, failures, labelled = [], 0, []
     for k, line in enumerate(study.lines):
-        look: dict[str, Any]
         points, solver = [point for point in line.points if point.drawn], line.kind == "solver"
-        look = {"color": colours.get(line.name, SOLVER_COLOUR), "linestyle": "--" if line.kind == "peer" else "-"}
+        look: dict[str, Any] = {"color": colours.get(line.name, SOLVER_COLOUR), "linestyle": "--" if line.kind == "peer" else "-"}
         look |= {"linewidth": 0.7 if solver else 1.4, "zorder": 2 if solver else 3}
         mark = {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.5 if solver else 5}
         ax.plot([point.error for point in points], [not_none(point.seconds) for point in points], **look)
@@ -59,12 +58,12 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
             note, place = f"{line.name}: {count} failed ×", (0.995, 0.985 - 0.045 * failures)
             ax.text(*place, style.safe_text(note), color=look["color"], fontsize=8, ha="right", va="top", transform=ax.transAxes)
             failures += 1
-        if any(point.drawn for point in line.points):
-            handles.append(Line2D([], [], **look, **mark, label=style.safe_text(_line_label(line))))
+        if points:
+            label = f"{line.name} ({line.missing_text})" if line.missing_text else line.name
+            handles.append(Line2D([], [], **look, **mark, label=style.safe_text(label)))
     if missing := len(study.lines) - len(handles):
         handles.append(Line2D([], [], linestyle="", label=f"{missing} more without a point: left out or failed"))
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    ax.set(xscale="log", yscale="log")
     ax.margins(0.08)
     style.dress(
         ax, study.title, "largest relative error over the grid (at the markers: step, or rtol)", "CPU time of the steps [s]"
@@ -83,15 +82,8 @@ def _annotate_steps(ax: Axes, points: Sequence[tuple[Point, str]]) -> None:
         y = height * (np.log(not_none(point.seconds)) - low) / (high - low)
         if all(abs(x - u) > 0.35 or abs(y - v) > 0.13 for u, v in taken):
             step_text = short_number(point.step) if point.step else point.label.removeprefix("rtol = ")
-            look = {"fontsize": 6.5, "color": colour}
-            ax.annotate(step_text, (point.error, point.seconds), (4, 3), textcoords="offset points", **look)
+            ax.annotate(step_text, (point.error, point.seconds), (4, 3), textcoords="offset points", fontsize=6.5, color=colour)
             taken.append((x, y))
-
-
-def _line_label(line: Line) -> str:
-    gone = {status: sum(point.status == status for point in line.points) for status in ("failed", "left out")}
-    aside = ", ".join(f"{number} {status}" for status, number in gone.items() if number)
-    return f"{line.name} ({aside})" if aside else line.name
 
 
 VERDICT_COLOURS = {"right": style.LOWER, "stopped": style.UPPER, "wrong": style.ALERT}
@@ -138,10 +130,9 @@ def heat_map(
     style.dress(ax, title, xlabel, "", grid=False)
     ax.set_xticks(range(len(columns)), columns)
     ax.set_yticks(range(len(rows)), [style.safe_text(style.shorten(row, 40)) for row in rows])
-    edges: dict[str, Any] = {"which": "minor", "color": "white", "linewidth": 1.5}
     ax.set_xticks(np.arange(-0.5, len(columns)), minor=True)
     ax.set_yticks(np.arange(-0.5, len(rows)), minor=True)
-    ax.grid(True, **edges)
+    ax.grid(True, which="minor", color="white", linewidth=1.5)
     ax.tick_params(which="both", length=0)
     ax.spines[:].set_visible(False)
     style.legend(ax, [Patch(color=VERDICT_COLOURS[verdict], label=labels[verdict]) for verdict in VERDICT_COLOURS])

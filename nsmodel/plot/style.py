@@ -211,6 +211,15 @@ def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
         ax.legend(loc="lower left", bbox_to_anchor=(offset, 1), **style).set_in_layout(False)
 
 
+def colour_bar(ax: Axes, drawn: Any, label: str, **look: Any) -> Any:
+    """Put the scale of the colours of what was drawn beside the axes."""
+    given: dict[str, Any] = {"pad": 0.02, **look}
+    bar = not_none(ax.get_figure()).colorbar(drawn, ax=ax, **given)
+    bar.set_label(safe_text(label), fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    return bar
+
+
 def _has_exponent(ax: Axes) -> bool:
     """Whether ticks upwards have a factor of their own, such as 1e-9."""
     low, high = ax.get_ylim()

@@ -158,8 +158,10 @@ def missing_result_handles(variable: Variable, *, marker: str = "x") -> list[Lin
 
 def write_note(ax: Axes, note: str) -> None:
     """Write words in the middle of axes on which there is nothing to draw."""
-    box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 4}
-    ax.text(0.5, 0.5, note, transform=ax.transAxes, ha="center", va="center", fontsize=10, color=style.ALERT, bbox=box)
+    ax.text(
+        0.5, 0.5, note, transform=ax.transAxes, ha="center", va="center", fontsize=10, color=style.ALERT,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 4},
+    )  # fmt: skip
 
 
 MAP_COLOURS = "viridis"
@@ -213,8 +215,10 @@ def sweep_map(variable: Any, x: str | None = None, y: str | None = None, *, ax: 
     handles = _hatch(ax, edges, status, values)
     if part.any():
         i, j = np.nonzero(part)
-        look: dict[str, Any] = {"color": style.ALERT, "markeredgecolor": "white", "markersize": 5, "label": PARTIAL_LABEL}
-        handles += ax.plot(axes[0].places[j], axes[1].places[i], "o", **look)
+        handles += ax.plot(
+            axes[0].places[j], axes[1].places[i], "o", color=style.ALERT, markeredgecolor="white", markersize=5,
+            label=PARTIAL_LABEL,
+        )  # fmt: skip
     _map_colour_bar(ax, mesh, found, values)
     if handles:
         style.legend(ax, handles)
@@ -291,35 +295,40 @@ def _hatch(ax: Axes, edges: list[np.ndarray], status: np.ndarray, values: np.nda
 def _map_colour_bar(ax: Axes, mesh: Any, variable: Variable, values: np.ndarray) -> None:
     """The scale of colours; none where there is nothing to read on it."""
     if np.isfinite(values).any():
-        bar = not_none(ax.get_figure()).colorbar(mesh, ax=ax, pad=0.02)
-        bar.set_label(style.safe_text(quantity_label(variable)), fontsize=9)
-        bar.ax.tick_params(labelsize=8)
+        style.colour_bar(ax, mesh, quantity_label(variable))
     else:
         write_note(ax, "no cell has a result" if not variable.done.any() else "no value is finite")
 
 
+def _cell_places(variable: Variable, name: str) -> np.ndarray:
+    """The coordinate of each of the values, one after the other."""
+    along = variable.along.get(name, name)
+    at = [variable.sizes[dim] if dim == along else 1 for dim in variable.dims]
+    return np.broadcast_to(variable.coords[name].astype(float).reshape(at), variable.values.shape).ravel()
+
+
+def _shown_cells(variable: Variable) -> tuple[np.ndarray, np.ndarray, str]:
+    """Which of the values are there, the numbers of those that are drawn, and a note where these are not all."""
+    done = variable.done.ravel()
+    rows = np.flatnonzero(done)
+    shown = rows[style.evenly_spread(len(rows), style.MAX_POINTS)]
+    return done, shown, style.selection_note(len(shown), len(rows), "evenly spread")
+
+
 def _draw_map_dots(ax: Axes, variable: Variable, x: str, y: str, where: str) -> Axes:
     """A dot a sample, over two coordinates of samples; crosses where there is no result."""
-    along = variable.along.get(x, x)
-    at = [variable.sizes[dim] if dim == along else 1 for dim in variable.dims]
-    shape = variable.values.shape
-    place = [np.broadcast_to(variable.coords[name].astype(float).reshape(at), shape).ravel() for name in (x, y)]
-    done, values = variable.done.ravel(), variable.values.ravel().astype(float)
-    rows = np.flatnonzero(done)
-    rows = rows[style.evenly_spread(len(rows), style.MAX_POINTS)]
-    look: dict[str, Any] = {
-        "cmap": MAP_COLOURS,
-        "norm": _colour_norm(values[done]),
-        "s": 18 if len(rows) < 1000 else 6,
-        "linewidths": 0,
-    }
-    dots = ax.scatter(place[0][rows], place[1][rows], c=values[rows], rasterized=True, **look)
+    place = [_cell_places(variable, name) for name in (x, y)]
+    values = variable.values.ravel().astype(float)
+    done, rows, note = _shown_cells(variable)
+    dots = ax.scatter(
+        place[0][rows], place[1][rows], c=values[rows], cmap=MAP_COLOURS, norm=_colour_norm(values[done]),
+        s=18 if len(rows) < 1000 else 6, linewidths=0, rasterized=True,
+    )  # fmt: skip
     gone = np.flatnonzero(~done)
     gone = gone[
         style.evenly_spread(len(gone), -(-len(gone) * len(rows) // max(1, int(done.sum()))) if rows.size else style.MAX_POINTS)
     ]
     ax.plot(place[0][gone], place[1][gone], "x", color=style.ALERT, markersize=4 if len(gone) < 500 else 1.5, rasterized=True)
-    note = style.selection_note(len(rows), int(done.sum()), "evenly spread")
     names = [coordinate_label(variable, name) for name in (x, y)]
     style.dress(ax, f"{style.shorten(variable.title, 32)}{where}, a dot a cell{note}", *names)
     for axis, places in ((ax.set_xscale, place[0]), (ax.set_yscale, place[1])):
@@ -390,7 +399,7 @@ def sweep_line(
         raise PlotError(f"hue={hue!r} beside x={x!r}: expected {' or '.join(others) if x in whole.dims else 'none'}")
     ax = style.get_axes(ax)
     if x in whole.along:
-        return _draw_line_dots(ax, whole, x, along)
+        return _draw_line_dots(ax, whole, x)
     found, where = last_rows(whole, (x, hue or x))
     lines, axis = _sweep_lines(found, x, hue, over, show, level), coordinate(found, x)
     many = style.evenly_spread(1 if hue is None else found.sizes[hue], MAX_SWEEP_LINES)
@@ -399,7 +408,9 @@ def sweep_line(
         [lines.description] if hue is None else [coordinate_value_text(found, hue, k) for k in many],
     )
     handles = [_draw_line(ax, axis, lines, k, colour, name) for k, colour, name in zip(many, colours, names, strict=True)]
-    style.dress(ax, _line_title(found, where, lines, hue, len(many)), axis.name, quantity_label(found))
+    note = style.selection_note(len(many), found.sizes[hue], "evenly spread") if hue else ""
+    description = f": {lines.description}" if hue and lines.description else ""
+    style.dress(ax, f"{style.shorten(found.title, 32)}{where}{description}{note}", axis.name, quantity_label(found))
     axis.on(ax.xaxis)
     if spans_decades(lines.centre):
         ax.set_yscale("log", nonpositive="clip")
@@ -415,14 +426,6 @@ def _default_x(variable: Variable, hue: str | None) -> str:
     if not dims:
         raise PlotError(f"{variable.name} has no dim to draw it over; its dims are {', '.join(variable.dims) or 'none'}")
     return dims[0]
-
-
-def _line_title(variable: Variable, where: str, lines: _SweepLines, hue: str | None, drawn: int) -> str:
-    description = f": {lines.description}" if hue and lines.description else ""
-    return (
-        f"{style.shorten(variable.title, 32)}{where}{description}"
-        f"{style.selection_note(drawn, variable.sizes[hue], 'evenly spread') if hue else ''}"
-    )
 
 
 def _sweep_lines(variable: Variable, x: str, hue: str | None, over: Over, show: str, level: float) -> _SweepLines:
@@ -487,8 +490,9 @@ def _sweep_legend(
     """Name the lines, by a colour bar where they are many; mark where cells failed."""
     if failed is not None and failed.any():
         x = axis.places[failed[axis.order]]
-        look: dict[str, Any] = {"color": style.ALERT, "clip_on": False, "zorder": 5}
-        ax.plot(x, np.zeros(len(x)), "x", transform=ax.get_xaxis_transform(), markersize=5, **look)
+        ax.plot(
+            x, np.zeros(len(x)), "x", transform=ax.get_xaxis_transform(), markersize=5, color=style.ALERT, clip_on=False, zorder=5
+        )
     gone = missing_result_handles(variable, marker="" if failed is None else "x")
     if hue is not None and len(handles) > MAX_LEGEND_LINES and variable.coords[hue].dtype.kind in "biuf":
         _line_colour_bar(ax, variable, hue, [handle.get_color() for handle in handles])
@@ -505,32 +509,20 @@ def _line_colour_bar(ax: Axes, variable: Variable, hue: str, colours: Sequence[A
 
     count, values = len(colours), variable.coords[hue][style.evenly_spread(variable.sizes[hue], MAX_SWEEP_LINES)]
     scale = ScalarMappable(Normalize(-0.5, count - 0.5), ListedColormap(colours))
-    bar = not_none(ax.get_figure()).colorbar(scale, ax=ax, pad=0.02)
-    ticks = style.evenly_spread(count, 7)
+    bar, ticks = style.colour_bar(ax, scale, coordinate_label(variable, hue)), style.evenly_spread(count, 7)
     bar.set_ticks(list(ticks), labels=[f"{values[k]:.4g}" for k in ticks])
-    bar.set_label(style.safe_text(coordinate_label(variable, hue)), fontsize=9)
-    bar.ax.tick_params(labelsize=8, length=0)
+    bar.ax.tick_params(length=0)
 
 
-def _draw_line_dots(ax: Axes, variable: Variable, x: str, along: str) -> Axes:
+def _draw_line_dots(ax: Axes, variable: Variable, x: str) -> Axes:
     """A dot a cell, over a coordinate of samples."""
     found, where = last_rows(variable, ())
-    at = [found.sizes[dim] if dim == along else 1 for dim in found.dims]
-    places = np.broadcast_to(found.coords[x].astype(float).reshape(at), found.values.shape).ravel()
-    done = found.done.ravel()
-    rows = np.flatnonzero(done)
-    rows = rows[style.evenly_spread(len(rows), style.MAX_POINTS)]
+    places, (done, rows, note) = _cell_places(found, x), _shown_cells(found)
     y = found.values.ravel()[rows]
-    dense = len(rows) > 500
-    look = {"markersize": 2 if dense else 4, "alpha": 0.35 if dense else 0.8, "markeredgewidth": 0}
-    ax.plot(places[rows], y, "o", color=style.LINES[0], rasterized=True, **look)
-    note = style.selection_note(len(rows), int(done.sum()), "evenly spread")
-    style.dress(
-        ax,
-        f"{style.shorten(found.title, 32)}{where}, a dot a cell{note}",
-        coordinate_label(found, x),
-        quantity_label(found),
-    )
+    size, alpha = (2, 0.35) if len(rows) > 500 else (4, 0.8)
+    ax.plot(places[rows], y, "o", color=style.LINES[0], markersize=size, alpha=alpha, markeredgewidth=0, rasterized=True)
+    title = f"{style.shorten(found.title, 32)}{where}, a dot a cell{note}"
+    style.dress(ax, title, coordinate_label(found, x), quantity_label(found))
     if spans_decades(y):
         ax.set_yscale("log")
     if spans_decades(places):
@@ -555,12 +547,14 @@ def sweep_histogram(variable: Any, *, ax: Axes | None = None) -> Axes:
         variable: of a sweep, or an xarray.DataArray.
         ax: where to draw; a new figure by default.
     """
+    from matplotlib.lines import Line2D
+
     found, where = last_rows(as_variable(variable, "sweep_histogram"), ())
     ax = style.get_axes(ax)
     done = found.values[found.done].astype(float)
     values = np.sort(done[np.isfinite(done)])
-    count = f"{done.size} cell{'s' if done.size != 1 else ''}"
-    style.dress(ax, f"{style.shorten(found.title, 40)}{where}: {count}", quantity_label(found), "share of the cells done")
+    cells = f"{done.size} cell{'s' if done.size != 1 else ''}"
+    style.dress(ax, f"{style.shorten(found.title, 40)}{where}: {cells}", quantity_label(found), "share of the cells done")
     handles = []
     if values.size:
         log = spans_decades(values)
@@ -578,7 +572,8 @@ def sweep_histogram(variable: Any, *, ax: Axes | None = None) -> Axes:
         ax.set_ylim(0, top if any(size > top * done.size for _, size in atoms) else None)
     else:
         write_note(ax, "no cell has a result" if not done.size else "no value is finite")
-    handles += missing_result_handles(found, marker="") + _not_finite_handle(done.size - values.size)
+    handles += missing_result_handles(found, marker="")
+    handles += [Line2D([], [], linestyle="", label=f"{count} not finite")] if (count := done.size - values.size) else []
     if handles:
         style.legend(ax, handles)
     return ax
@@ -629,13 +624,13 @@ def _draw_averages(ax: Axes, values: np.ndarray, unit: str) -> list[Any]:
     ]  # fmt: skip
 
 
-def _not_finite_handle(count: int) -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    return [Line2D([], [], linestyle="", label=f"{count} not finite")] if count else []
-
-
 # -- the picture that fits ---------------------------------------------------------------------------------------------
+
+
+def draw_variable(variable: Any, **options: Any) -> Axes:
+    """Draw what `Variable.plot` draws: a map, lines, or the picture that fits, as the options ask."""
+    draw = sweep_map if "y" in options else sweep_line if options.keys() - {"ax"} else sweep_overview
+    return draw(variable, **options)
 
 
 def sweep_overview(variable: Any, *, ax: Axes | None = None) -> Axes:

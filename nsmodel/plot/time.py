@@ -152,12 +152,11 @@ def states(
         note = style.selection_note(len(picks), len(known), "evenly spread")
     paint = [colour for colour in style.colours(len(picks) // 2) for _ in "xy"] if discs else style.colours(len(picks))
     looks = [{"color": c, "linewidth": 1.5, "linestyle": "--" if discs and k % 2 else "-"} for k, c in enumerate(paint)]
-    ax, chosen = style.get_axes(ax), [known[k] for k in picks]
+    chosen = [known[k] for k in picks]
     units, still, off = [style.quantity_unit(run, name) for name in chosen], is_rounding(run, "x", model)[picks], None
     if "halving" in run.arrays:
         off, note = np.abs(run.arrays["halving"][:, picks]), f"{note}, bands: the difference from halved steps"
-    _draw_series(ax, run, f"States{note}", "state", _PlotColumns(run.x[:, picks], chosen, units, still, off), looks)
-    return ax
+    return _draw_series(ax, run, f"States{note}", "state", _PlotColumns(run.x[:, picks], chosen, units, still, off), looks)
 
 
 def _state_columns(run: Trajectory, wanted: Sequence[str]) -> list[int]:
@@ -203,11 +202,10 @@ def multipliers(
     ]
     title = "Multipliers" if which == "multipliers" else "Reactions" if run.is_event_driven else "Reactions (multipliers / step)"
     title += style.selection_note(len(picks), values.shape[1], "the largest")
-    ax, names = style.get_axes(ax), [multiplier_names(run)[k] for k in picks]
+    names = [multiplier_names(run)[k] for k in picks]
     units = [style.quantity_unit(run, which if which == "reactions" else name) for name in names]
     drawn = _PlotColumns(values[:, picks], names, units, is_rounding(run, which, model)[picks])
-    _draw_series(ax, run, title, which[:-1], drawn, looks)
-    return ax
+    return _draw_series(ax, run, title, which[:-1], drawn, looks)
 
 
 def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
@@ -224,11 +222,10 @@ def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -
     values = np.stack([begin[1:], end[1:]], axis=1).reshape(t.size, -1)[:, picks]
     looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
     drawn = replace(run, arrays={**run.arrays, "t": t})
-    ax, names = style.get_axes(ax), [known[k] for k in picks]
+    names = [known[k] for k in picks]
     title = f"Inputs{style.selection_note(len(picks), len(known), 'evenly spread')}"
     units = [style.quantity_unit(run, name) for name in names]
-    _draw_series(ax, drawn, title, "input", _PlotColumns(values, names, units, np.zeros(len(names), bool)), looks)
-    return ax
+    return _draw_series(ax, drawn, title, "input", _PlotColumns(values, names, units, np.zeros(len(names), bool)), looks)
 
 
 def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
@@ -261,13 +258,10 @@ def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int =
     looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
     units = [style.quantity_unit(run, entries[k][0]) for k in picks]
     title = f"Outputs{style.selection_note(len(picks), len(entries), 'the largest')}"
-    ax = style.get_axes(ax)
     tables = [(name, whole.arrays[name].reshape(len(whole.t), -1)) for name in wanted]
     still = np.concatenate([output_is_rounding(whole, name, table) for name, table in tables])
-    _draw_series(
-        ax, run, title, "output", _PlotColumns(values[:, picks], [entries[k][1] for k in picks], units, still[picks]), looks
-    )
-    return ax
+    drawn = _PlotColumns(values[:, picks], [entries[k][1] for k in picks], units, still[picks])
+    return _draw_series(ax, run, title, "output", drawn, looks)
 
 
 def _largest_positions(size: np.ndarray, limit: int) -> np.ndarray:
@@ -288,9 +282,10 @@ class _PlotColumns(NamedTuple):
 
 
 def _draw_series(
-    ax: Axes, run: Trajectory, title: str, word: str, columns: _PlotColumns, looks: Sequence[dict[str, Any]]
-) -> None:
+    ax: Axes | None, run: Trajectory, title: str, word: str, columns: _PlotColumns, looks: Sequence[dict[str, Any]]
+) -> Axes:
     """Draw columns over time, with units, with a second axis on the right where two units or sizes are mixed."""
+    ax = style.get_axes(ax)
     names, units, values = columns.names, columns.units, columns.values
     values = np.where(columns.still, 0 * values, values) if columns.still.any() else values
     labels = [style.mark_rounding(style.shorten(name), own) for name, own in zip(names, columns.still, strict=True)]
@@ -320,6 +315,7 @@ def _draw_series(
         right.spines["right"].set_visible(True)
     if len(names) > 1:
         style.legend(ax, lines, column=len(names) > 6)
+    return ax
 
 
 def _second_axis_columns(values: np.ndarray, units: Sequence[str], still: np.ndarray) -> list[int]:

@@ -130,7 +130,7 @@ class _EventDrivenRows(NamedTuple):
 
 
 class PieceRows:
-    """Rows in memory: every n-th of those that ``take`` is given, of pieces that are all kept; see `walk.RowBuffer`."""
+    """Rows in memory: every n-th of those that ``take`` is given, of pieces that are all kept."""
 
     def __init__(
         self, problem: ContinuousProblem, orders: int, every: int, until: float, times: list[float] | None,

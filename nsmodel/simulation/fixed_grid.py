@@ -176,14 +176,13 @@ class SchemePropagator:
         if cache_folder.is_cache_empty():
             return False
         from nsmodel.codegen import library
-        from nsmodel.codegen import library as cache
 
         name = library.compiler()
         if name is None:
             return False
         if self.whole is not None:
-            return cache.is_cached_for_all(self.whole, self.in_c, self.stepper.tolerance, name)
-        return cache.is_cached(self.model, self.in_c, self.stepper.tolerance, name)
+            return library.is_cached_for_all(self.whole, self.in_c, self.stepper.tolerance, name)
+        return library.is_cached(self.model, self.in_c, self.stepper.tolerance, name)
 
     @property
     def runaway(self) -> tuple[str, float] | None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -184,46 +184,13 @@ PIECES_PER_REQUEST, MAX_PIECES_PER_CALL, MAX_CALL_BYTES = (
 )  # Pieces of a call, for each asked for and at most, and the memory that they may take.
 
 
-class PieceSource(Protocol):
-    """Pieces one after the other.
+class InterpretedPieces:
+    """Pieces one after the other, by the course itself: the integrator, and stretches of steps where these are let.
 
     Attributes:
-        t: where the next one starts; tau: its unit of time; x: its state; order: of the series.
-        integrator: the interpreted one, at the same place; behind: of how many pieces "before" is, see ``standing``.
+        t: where the next piece starts; tau: its unit of time; x: its state; order: of the series.
+        integrator: the interpreted one, at the same place; behind: of how many pieces "before" is, see ``checkpoint``.
     """
-
-    behind: int
-
-    @property
-    def t(self) -> float: ...  # noqa: D102
-    @property
-    def tau(self) -> float: ...  # noqa: D102
-    @property
-    def x(self) -> np.ndarray: ...  # noqa: D102
-    @property
-    def order(self) -> int: ...  # noqa: D102
-    @property
-    def integrator(self) -> Integrator: ...  # noqa: D102
-
-    def make_pieces(self, until: float, room: int) -> PieceBuffer:
-        """The next pieces, about so many, up to a time; none that has no length."""
-        ...
-
-    def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """What was counted so far; ``before``: before the last pieces, ``behind`` of them."""
-        ...
-
-    def checkpoint(self, *, before: bool = False) -> dict[str, Any]:
-        """What the next pieces depend on; ``before``: the last ones, ``behind`` of them, and those after."""
-        ...
-
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Take up what ``standing`` gave."""
-        ...
-
-
-class InterpretedPieces:
-    """The course itself: the integrator, and stretches of steps where these are let."""
 
     behind: int = 1
 
@@ -292,7 +259,9 @@ class InterpretedPieces:
         return after if along is None else RowScales(*([*map(max, *both)] for both in zip(along, after, strict=True)))
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""
+        """What was counted so far, or before the last pieces: touches, verdicts about modes, pieces with redundant rows or by
+        collocation; stretches.
+        """
         if before and self._before is not None:
             return self._before[1]
         made = self.integrator
@@ -397,9 +366,7 @@ class CompiledPieces:
         unique = {verdict: int(count) for verdict, count in zip(UNIQUENESS_VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
         past = [dict(one) for one in self._fallback_state["past"]]
-        parts = [
-            part for part in self._branch_parts for _ in range(self._branch_slice(part).start, self._branch_slice(part).stop)
-        ]
+        parts = [part for part, at in self.steps.branches.items() for _ in range(at.start, at.stop)]
         notes["undecided"] = describe_undecided(place["undecided"].tolist(), self.problem.rows, parts)
         return notes | {"collocated": int(place["stiff"][-1]), "stretches": past}
 
@@ -408,13 +375,13 @@ class CompiledPieces:
         if before and self._behind is not None:
             return self._behind[0]
         place, m = self.steps.before if before else self.steps.at, self.problem.l.numel()
-        choices = [place["choice"][:-1][self._branch_slice(part)].tolist() for part in self._branch_parts]
+        choices = {part: place["choice"][:-1][at].tolist() for part, at in self.steps.branches.items()}
         n = int(place["events"]).bit_length()
         counts = self.counts(before=before)
         integrator = {
             "t": float(place["t"]), "late": float(place["late"]), "x": place["x"].tolist(), "tau": float(place["tau"]),
             "codes": place["codes"][:m].tolist(), "open": self._open_switches(place["open"]),
-            "choice": dict(zip(self._branch_parts, choices, strict=True)), "l": place["l"][:m].tolist(),
+            "choice": choices, "l": place["l"][:m].tolist(),
             "sizes": {
                 name: place[f"size_{name}"][:count].tolist()
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
@@ -440,10 +407,10 @@ class CompiledPieces:
         for name, sizes in saved["sizes"].items():
             place[f"size_{name}"][: len(sizes)] = sizes
         for part, choice in saved["choice"].items():
-            place["choice"][:-1][self._branch_slice(part)] = choice
+            place["choice"][:-1][self.steps.branches[part]] = choice
         place["open"] = 0
         for kind, i in saved["open"]:
-            place["open"][i if kind == "row" else m + self._branch_slice(kind).start + i] = 1
+            place["open"][i if kind == "row" else m + self.steps.branches[kind].start + i] = 1
         counted = saved["accumulation"]
         self.steps.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
@@ -453,15 +420,11 @@ class CompiledPieces:
         place["unique"] = [unique[verdict] for verdict in UNIQUENESS_VERDICTS]
         place["touches"], place["redundant"], place["known"] = saved["touches"], saved["redundant"], 0
 
-    @property
-    def _branch_parts(self) -> list[str]:
-        return list(self.steps.branches)
-
-    def _branch_slice(self, part: str) -> slice:
-        return self.steps.branches[part]
-
     def _open_switches(self, opened: np.ndarray) -> list[tuple[str, int]]:
         m = self.problem.l.numel()
         rows = [("row", i) for i in range(m) if opened[i]]
-        branches = [(p, i) for p in self._branch_parts for i, one in enumerate(opened[m:-1][self._branch_slice(p)]) if one]
+        branches = [(p, i) for p, at in self.steps.branches.items() for i, one in enumerate(opened[m:-1][at]) if one]
         return sorted([*branches, *rows])
+
+
+PieceSource = InterpretedPieces | CompiledPieces

@@ -7,7 +7,6 @@ What a trajectory tells of its model and of its scheme, however it was made.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,7 +15,7 @@ from typing import Any, Protocol, TypeAlias
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import cached_per_object, usable_memory
 from nsmodel.errors import UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.fingerprint import versions
@@ -37,17 +36,6 @@ RUNAWAY_LIMIT = 1e100  # A state beyond this has diverged: squares of it, and of
 
 
 ResumedBackend = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
-
-
-class RowBuffer(Protocol):
-    """Rows in memory: when they are ``full`` they must be cleared."""
-
-    filled: int
-    full: bool
-
-    def clear(self) -> None:
-        """Forget the rows."""
-        ...
 
 
 class Propagator(Protocol):
@@ -215,20 +203,12 @@ def buffered_row_count(N: int, options: Options, row: int, known: int) -> int:
     total = N // options.save_every + 1 + known
     if options.folder is not None:
         return int(min(total, max(64, CHUNK_BYTES // row)))
-    if total * row > _available_memory():
+    if total * row > 0.8 * (usable_memory() or 10 * 2**30):
         raise UsageError(
             f"{N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
             "and save_every=N (--save-every N) to keep fewer rows"
         )
     return int(total)
-
-
-def _available_memory() -> float:
-    """Bytes that a run may take: 0.8 of the machine's memory."""
-    try:
-        return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return 8 * 2**30
 
 
 # -- the exact state ---------------------------------------------------------------------------------------------------

@@ -22,6 +22,9 @@ STANDSTILL_REASONS = {  # How a run of many bodies knows that nothing will ever 
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
 }
+ANTI_FRICTION_MEANING = (
+    ", below 0. A larger l lowers y, which the law needs it to raise; a step may have several solutions, or none"
+)
 NO_ERROR_KNOWN = "the error of these steps is not known; halve=True (--halve) estimates it, rtol (--rtol) controls it"
 HALVING_HEAD = "an estimate of the error, no bound: with steps of half the length the states differ by at most"
 ERROR_CONTROL_KEYS = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step", "estimate")
@@ -35,7 +38,7 @@ def run_summary(run: RunData) -> dict[str, Any]:
     steps = arrays.get("step", np.diff(run.t, prepend=np.nan))
     computed = np.flatnonzero(np.isfinite(steps))
     energy = arrays.get("energy", np.zeros(0))
-    energy = _finite_entries(energy) if energy.ndim == 1 else np.zeros(0)
+    energy = energy[np.isfinite(energy)] if energy.ndim == 1 else np.zeros(0)
     return {
         "title": run.title,
         "model_class": about.get("model_class"),
@@ -153,10 +156,6 @@ def _contacts_summary(run: RunData) -> list[dict[str, Any]]:
     return [{"name": name, "acting": int(a), "penetration": float(deep), "missed": int(m)} for name, a, deep, m in columns]
 
 
-def _finite_entries(array: np.ndarray) -> np.ndarray:
-    return array[np.isfinite(array)]
-
-
 def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
     """What `summary` returned in words: {label: lines}."""
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
@@ -175,14 +174,14 @@ def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
         "model class": s["model_class"],
         "scheme": s["scheme"] and str(s["scheme"]),
         "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
-        "anti-friction": _anti_friction_text(s.get("anti_friction")),
+        "anti-friction": s.get("anti_friction") and impacts.anti_friction_text(s["anti_friction"]) + ANTI_FRICTION_MEANING,
         "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
         "step size": s["step"] and _step_range_text(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _error_control_text(**s["error_control"]),
         "event-driven": s["event_driven"] and _event_driven_text(**s["event_driven"], unit=unit),
         "accuracy": NO_ERROR_KNOWN if s.get("monotone") is False and s.get("halving") is None else None,
         "halved steps": s.get("halving") and _halving_lines(s["halving"], unit),
-        "time steps": _fallback_text(s.get("stretches", []), unit),
+        "time steps": s.get("stretches") and _fallback_text(s["stretches"], unit),
         "certificate": s["certificate"] and _proof_lines(s["certificate"], unit),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_format_time(s['residual']['t'], unit)}",
         "contacts" if s["bodies"] else "index set": (
@@ -190,7 +189,9 @@ def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
         ),
         "solver calls": _align_pairs([(name, f"{int(count):>8d}") for name, count in counts]),
         "newton": s["newton"] and _newton_text(s["newton"]["mean"], s["newton"]["max"]),
-        "smallest gap": _gap_text(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
+        "smallest gap": (
+            None if s["gap_min"] is None else f"{s['gap_min']:.6g} of '{s['gap_min_name']}'{_format_time(s['gap_min_t'], unit)}"
+        ),
         **_bodies_lines(s["bodies"], unit),
         "by contact": _contact_lines(s.get("by_contact", []), sample),
         "largest error": None if s["largest_error"] is None else f"{s['largest_error']:.3g} from the exact state",
@@ -210,16 +211,6 @@ def summary_text(summary: dict[str, Any]) -> str:
             first, rest = f"  {label if i == 0 else '':{_LABEL_WIDTH - 2}}", " " * (_LABEL_WIDTH + 2)
             table += textwrap.wrap(line, _SUMMARY_TABLE_WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
-
-
-def _anti_friction_text(slopes: dict[str, float] | None) -> str | None:
-    """Where the law has the wrong sign."""
-    if not slopes:
-        return None
-    return (
-        f"{impacts.anti_friction_text(slopes)}, below 0. A larger l lowers y, which the law needs it to raise; a step may have "
-        "several solutions, or none"
-    )
 
 
 def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | list[str]]:
@@ -302,10 +293,8 @@ def _halving_lines(found: list[dict[str, Any]], unit: str) -> list[str]:
     return [HALVING_HEAD, *_align_pairs(texts), *rest]
 
 
-def _fallback_text(intervals: list[dict[str, Any]], unit: str) -> str | None:
+def _fallback_text(intervals: list[dict[str, Any]], unit: str) -> str:
     """Where steps went on in place of pieces, and what they err by."""
-    if not intervals:
-        return None
     steps, error = (sum_in_order(one[key] for one in intervals) for key in ("steps", "estimate"))
     spans = ", ".join(f"{one['start']:.6g} to {one['until']:.6g}" for one in intervals[:_MAX_SPANS])
     more = f" and {len(intervals) - _MAX_SPANS} more" if len(intervals) > _MAX_SPANS else ""
@@ -330,10 +319,6 @@ def _proof_lines(about: dict[str, Any], unit: str) -> list[str]:
 
 def _format_time(t: float | None, unit: str) -> str:
     return "" if t is None else f" at t = {t:.6g}{unit}"
-
-
-def _gap_text(value: float | None, name: str, t: float, unit: str) -> str | None:
-    return None if value is None else f"{value:.6g} of '{name}'{_format_time(t, unit)}"
 
 
 def _newton_text(mean: float, most: int) -> str:

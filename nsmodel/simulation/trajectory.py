@@ -188,7 +188,7 @@ class Trajectory(RunData):
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
-        return display("plot_trajectory", self, **options)
+        return display("overview", self, **options)
 
     def film(self, path: str | Path, **options: Any) -> Path:
         """Write a film of bodies in the plane as GIF or, with the program ffmpeg, as MP4, and return its path.
@@ -201,7 +201,7 @@ class Trajectory(RunData):
             PlotError: a run without a scene of discs, another ending, no such folder, a length or rate that is not > 0.
             MissingExtraError: MP4 without ffmpeg.
         """
-        return display("film_trajectory", self, path, **options)
+        return display("animate", self, path, **options)
 
     def view(self, path: str | Path | None = None, model: Any = None) -> Path:
         """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
@@ -218,7 +218,7 @@ class Trajectory(RunData):
             StorageError: the file cannot be written.
             PlotError: the model is not that of the run, or has parameters without a value.
         """
-        return display("view_trajectory", self, path, model)
+        return display("write_run_page", self, path, model)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""

@@ -139,6 +139,12 @@ class Line:
             made.append(point)
         return cls(name, tuple(made), note, PEER_LINE)
 
+    @property
+    def missing_text(self) -> str:
+        """How many points have which status but done; "" where none has."""
+        gone = {status: sum(point.status == status for point in self.points) for status in (POINT_FAILED, POINT_LEFT_OUT)}
+        return ", ".join(f"{count} {status}" for status, count in gone.items() if count)
+
     def order(self, measure: str = "max") -> Order:
         """Return the observed order of one of the errors."""
         known = [(p.step, p.errors[measure], measure not in p.unresolved) for p in self.points if p.step and measure in p.errors]

@@ -75,11 +75,6 @@ def backend_methods(scheme: Method) -> list[Method]:
     return [scheme.with_options("interpreted", compiled=False), scheme.with_options("compiled", compiled=True)]
 
 
-def event_driven_methods(model: Model) -> list[Method]:
-    """Return one smooth piece after another, whatever the scheme, interpreted and compiled."""
-    return backend_methods(Method("event-driven", model, {"method": "event-driven"}))
-
-
 def single_solver_methods(scheme: Method, names: Sequence[str] | None) -> list[Method]:
     """Return the scheme, interpreted, with each solver alone; ``names`` None: all that are installed.
 

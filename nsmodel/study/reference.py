@@ -73,7 +73,7 @@ class InterpolatedRun:
 
     def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the states (k, n) at ``times``, and the largest error of the lines that are left."""
-        x = np.column_stack([np.interp(times, self.t, column) for column in self.x.T])
+        x = _interpolate_columns(times, self.t, self.x)
         row = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
         ahead = times - self.t[row]
         here = np.minimum(ahead, self.t[row + 1] - times) <= 1e-9 * (self.t[row + 1] - self.t[row])  # a row of the run

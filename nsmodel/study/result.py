@@ -5,12 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, html_repr, one_line, wrap_lines
+from nsmodel._utils import display, escape_invisible, html_repr, labelled_lines, one_line, wrap_lines
 from nsmodel.errors import UsageError
 from nsmodel.files.storage import write_csv
 from nsmodel.modeling.pickling import Picklable
@@ -131,7 +132,28 @@ class Study(Picklable):
 
     def document(self) -> dict[str, Any]:
         """The study as dictionaries and lists that JSON can hold."""
-        return _study_data(self)
+        reference = self.reference
+        document = {
+            "title": self.title,
+            "model_class": self.model_class,
+            "states": self.states,
+            "t_end": self.t_end,
+            "time_unit": self.time_unit,
+            "status": self.status,
+            "seconds": self.seconds,
+            "notes": list(self.notes),
+            "reference": None if reference is None else {
+                "text": reference.text,
+                "own_error": dict(reference.own),
+                "scale": reference.scale.tolist(),
+                "without_multipliers": reference.without_multipliers,
+            },
+            "lines": [_line_document(line) for line in self.lines],
+        }  # fmt: skip
+        if self.target is not None:
+            cost = self.cost(self.target)
+            document["target"] = {"error": self.target, "text": cost_text(self, self.target), "cost": cost and vars(cost)}
+        return document
 
     def to_csv(self, path: str | Path) -> None:
         """Write one row a point to ``path``; empty cells are "nan". StorageError where that fails."""
@@ -141,14 +163,14 @@ class Study(Picklable):
 
     def plot(self, ax: Any = None) -> Any:
         """Draw errors and times on ``ax`` or a new figure; return the axes (see `nsmodel.plot.work_precision`)."""
-        return display("plot_study", self, ax)
+        return display("work_precision", self, ax=ax)
 
     def view(self, path: str | Path | None = None) -> Path:
         """Write the study as one HTML file, and return its path; without a path a temporary file, opened in the browser.
 
         StorageError where it cannot be written.
         """
-        return display("view_study", self, path)
+        return display("write_study_page", self, path)
 
 
 class StudyInterrupted(KeyboardInterrupt):
@@ -164,31 +186,6 @@ class StudyInterrupted(KeyboardInterrupt):
 
 
 # -- JSON and CSV ------------------------------------------------------------------------------------------------------
-
-
-def _study_data(study: Study) -> dict[str, Any]:
-    reference = study.reference
-    document = {
-        "title": study.title,
-        "model_class": study.model_class,
-        "states": study.states,
-        "t_end": study.t_end,
-        "time_unit": study.time_unit,
-        "status": study.status,
-        "seconds": study.seconds,
-        "notes": list(study.notes),
-        "reference": None if reference is None else {
-            "text": reference.text,
-            "own_error": dict(reference.own),
-            "scale": reference.scale.tolist(),
-            "without_multipliers": reference.without_multipliers,
-        },
-        "lines": [_line_document(line) for line in study.lines],
-    }  # fmt: skip
-    if study.target is not None:
-        cost = study.cost(study.target)
-        document["target"] = {"error": study.target, "text": cost_text(study, study.target), "cost": cost and vars(cost)}
-    return document
 
 
 def _line_document(line: Line) -> dict[str, Any]:
@@ -216,19 +213,19 @@ def study_text(study: Study) -> str:
     unit = f" {study.time_unit}" if study.time_unit else ""
     size = f"{study.states} state{'' if study.states == 1 else 's'}"
     out = textwrap.wrap(study.title, STUDY_TEXT_WIDTH)
-    out += _wrapped_entry("model class", f"{study.model_class}, {size}, t = 0 to {study.t_end:.6g}{unit}")
+    out += _entry_lines("model class", f"{study.model_class}, {size}, t = 0 to {study.t_end:.6g}{unit}")
     if study.status != POINT_DONE:
-        out += _wrapped_entry("status", f"{study.status}: what follows was measured before")
+        out += _entry_lines("status", f"{study.status}: what follows was measured before")
     if study.reference is not None:
         out += _reference_lines(study.reference)
     done = [point for line in study.lines for point in line.points if point.status == POINT_DONE]
     keys = [key for key in COLUMN_HEADINGS if any(_point_value(point, key) is not None for point in done)]
     keys = [key for key in keys if key != "setup"] if len(keys) > MAX_TABLE_COLUMNS else keys
     means = "; outputs: of their means over the run, beside their largest values" if "outputs" in keys else ""
-    out += _wrapped_entry("errors", f"relative to each state's largest value: largest over the grid, at end, rms in time{means}")
-    out += _wrapped_entry("seconds", "CPU time of the steps, the least of several runs; set-up: wall time before them")
+    out += _entry_lines("errors", f"relative to each state's largest value: largest over the grid, at end, rms in time{means}")
+    out += _entry_lines("seconds", "CPU time of the steps, the least of several runs; set-up: wall time before them")
     for note in study.notes:
-        out += _wrapped_entry("note", note)
+        out += _entry_lines("note", note)
     for line in study.lines:
         if line.kind != SOLVER_LINE:
             out += ["", *_line_table(line, keys)]
@@ -277,8 +274,7 @@ def order_text(order: Order) -> str:
     return text if order.floor is None else f"{text}; from h = {order.floor:.3g} on the error no longer falls"
 
 
-def _wrapped_entry(label: str, text: str) -> list[str]:
-    return textwrap.wrap(text, STUDY_TEXT_WIDTH, initial_indent=f"  {label:13}", subsequent_indent=" " * 15)
+_entry_lines = partial(labelled_lines, width=13)
 
 
 def _reference_lines(reference: Reference) -> list[str]:
@@ -290,14 +286,14 @@ def _reference_lines(reference: Reference) -> list[str]:
         if exact
         else "; its own error: " + ", ".join(f"{COLUMN_HEADINGS[key]} {short_number(value)}" for key, value in own.items())
     )
-    out = _wrapped_entry("reference", reference.text + error)
+    out = _entry_lines("reference", reference.text + error)
     if reference.without_multipliers:
-        return out + _wrapped_entry("multipliers", f"not compared: {reference.without_multipliers}")
+        return out + _entry_lines("multipliers", f"not compared: {reference.without_multipliers}")
     if multipliers is None:
         return out
     same = reference.text == reference.run
     source = "own error of the reference: " if same else f"compared with {reference.run}; its own error: "
-    return out + _wrapped_entry("multipliers", f"mean over time, {source}{short_number(multipliers)}")
+    return out + _entry_lines("multipliers", f"mean over time, {source}{short_number(multipliers)}")
 
 
 def _line_table(line: Line, keys: Sequence[str]) -> list[str]:

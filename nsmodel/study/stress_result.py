@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, html_repr, one_line, short_repr, wrap_lines
+from nsmodel._utils import display, escape_invisible, html_repr, labelled_lines, one_line, short_repr, wrap_lines
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
 _STRESS_TEXT_WIDTH = 100
@@ -111,7 +111,7 @@ class Stress:
         unit = f" {self.time_unit}" if self.time_unit else ""
         counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in self.verdicts)
         lines = [self.title, f"  model class  {self.model_class}", f"  cells        {len(self.cells)}: {counts}"]
-        lines += _wrap_text("  judged by    ", ", ".join(_check_kinds(self.cells)))
+        lines += labelled_lines("judged by", ", ".join(_check_kinds(self.cells)), 13)
         lines += ["", *self._table(f"step, in units of {self.step:g}{unit}"), ""]
         wrong = sorted(self.wrong, key=lambda cell: -cell.worst[1])
         if wrong:
@@ -127,7 +127,8 @@ class Stress:
         if stopped:
             lines.append("Stopped")
             for cell in stopped[:_MAX_LISTED_CELLS]:
-                lines += _wrap_text("  ", f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}")
+                text = f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}"
+                lines += textwrap.wrap(text, _STRESS_TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
             lines += [f"  ... {len(stopped) - _MAX_LISTED_CELLS} more"] * (len(stopped) > _MAX_LISTED_CELLS) + [""]
         return escape_invisible("\n".join(lines).rstrip())
 
@@ -151,7 +152,7 @@ class Stress:
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the table as a heat map, on ``ax`` or a new figure; return the axes (see `nsmodel.plot.stress`)."""
-        return display("plot_stress", self, ax)
+        return display("stress", self, ax=ax)
 
 
 def _check_kinds(cells: Iterable[Cell]) -> list[str]:
@@ -166,7 +167,3 @@ def _check_kinds(cells: Iterable[Cell]) -> list[str]:
 
 def _ratio_text(value: float) -> str:
     return "broken" if not np.isfinite(value) else f"{value:.3g} times"
-
-
-def _wrap_text(start: str, text: str) -> list[str]:
-    return textwrap.wrap(text, _STRESS_TEXT_WIDTH, initial_indent=start, subsequent_indent=" " * max(len(start), 4))

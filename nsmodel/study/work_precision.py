@@ -322,9 +322,8 @@ class _StudySession:
         self.until = now + rest * PHASE_DEADLINES["schemes"]
         self._measure_constant_steps([way for scheme in (own, *others) for way in methods.backend_methods(scheme)], counts)
         self.until = now + rest * PHASE_DEADLINES["variable steps"]
-        self._measure_error_controlled(
-            methods.event_driven_methods(self.model), (*methods.STUDY_RTOLS, *methods.FINE_RTOLS), EVENT_DRIVEN_WORK_RATIO
-        )
+        pieces = methods.backend_methods(Method("event-driven", self.model, {"method": "event-driven"}))
+        self._measure_error_controlled(pieces, (*methods.STUDY_RTOLS, *methods.FINE_RTOLS), EVENT_DRIVEN_WORK_RATIO)
         variable = [way.with_options("variable steps", method="time-stepping") for way in methods.backend_methods(own)]
         self._measure_error_controlled(variable, methods.STUDY_RTOLS, TOLERANCE_WORK_RATIO)
         self._extrapolate_runs(methods.backend_methods(own))

@@ -91,16 +91,20 @@ def run_chunk(request: SweepRequest, tasks: Sequence[CellTask], stop: StopCheck 
     """Run the cells of a chunk; those that were not reached when ``stop`` said so have the status NOT_RUN."""
     parts = [(task.at, _run_task(request, task, stop)) for task in tasks]
     size = sum(len(at) for at, _ in parts)
-    arrays = unrun_arrays(size, parts[0][1].arrays)
+    arrays: dict[str, np.ndarray] = {}
     messages: dict[int, str] = {}
     for at, found in parts:
-        for name, values in found.arrays.items():
-            if name not in arrays:
-                arrays |= unrun_arrays(size, {name: values})
-            check_same_shape(name, values.shape[1:], arrays[name].shape[1:])
-            arrays[name][at] = values
+        put_cells(arrays, size, at, found.arrays)
         messages |= {int(at[i]): text for i, text in found.messages.items()}
     return CellResults(arrays, messages)
+
+
+def put_cells(into: dict[str, np.ndarray], size: int, at: Any, found: Mapping[str, np.ndarray]) -> None:
+    """Put what cells found into arrays of so many cells, at their places; UsageError for another shape than in other cells."""
+    into |= unrun_arrays(size, {name: values for name, values in found.items() if name not in into})
+    for name, values in found.items():
+        check_same_shape(name, values.shape[1:], into[name].shape[1:])
+        into[name][at] = values
 
 
 def check_same_shape(name: str, now: tuple[int, ...], before: tuple[int, ...]) -> None:
@@ -132,7 +136,7 @@ def missing_value(name: str, kind: np.dtype) -> Any:
 def _run_task(request: SweepRequest, task: CellTask, stop: StopCheck) -> CellResults:
     """The cells of one group; of those that are run together, what C does not go on with has the status NOT_RUN."""
     if isinstance(task.group, str):
-        return _refused_cells(len(task.at), task.group)
+        return failed_cells(len(task.at), CELL_REFUSED, task.group)
     group = open_group(request, task.group)
     if request.way == ALONE_BACKEND:
         return run_alone(request, group.group, task.values, stop)
@@ -236,12 +240,7 @@ def run_alone(request: SweepRequest, group: CellGroup, given: np.ndarray, stop: 
             row |= {"pieces": totals.get("pieces", 0), "estimate": totals.get("worst_estimate") or np.nan}
         if status != CELL_DONE:
             messages[i] = message
-        for name, value in row.items():
-            array = np.asarray(value)
-            if name not in found:
-                found |= unrun_arrays(len(given), {name: array[None]})
-            check_same_shape(name, array.shape, found[name].shape[1:])
-            found[name][i] = array
+        put_cells(found, len(given), [i], {name: np.asarray(value)[None] for name, value in row.items()})
     return CellResults(found or unrun_facts(len(given)), messages)
 
 
@@ -385,9 +384,10 @@ def _column_at_times(run: Trajectory, name: str, times: np.ndarray) -> np.ndarra
     return run_column(run, name)[np.minimum(np.searchsorted(run.t, times), len(run.t) - 1)]
 
 
-def _refused_cells(cells: int, why: str) -> CellResults:
+def failed_cells(cells: int, status: int, why: str) -> CellResults:
+    """So many cells with a status, and why they have no result."""
     found = unrun_facts(cells)
-    found["status"][:], found["way"][:] = CELL_REFUSED, CELL_BACKENDS.index(ALONE_BACKEND)
+    found["status"][:], found["way"][:] = status, CELL_BACKENDS.index(ALONE_BACKEND)
     return CellResults(found, dict.fromkeys(range(cells), why))
 
 

@@ -20,17 +20,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.modeling.time_grid import format_value, is_number
 from nsmodel.simulation.loop import PendingSignals, RunInterrupted, progress_bar
-from nsmodel.sweep.cells import CellTask, StopCheck, run_chunk, unrun_facts
-from nsmodel.sweep.request import CELL_BACKENDS, CellResults, SweepRequest
+from nsmodel.sweep.cells import CellTask, StopCheck, failed_cells, never_stop, run_chunk
+from nsmodel.sweep.request import CellResults, SweepRequest
 from nsmodel.sweep.variable import CELL_FAILED
 
 MAX_PROCESSES = 61 if sys.platform == "win32" else 1 << 20  # Processes in a pool: Windows waits for no more at once.
@@ -40,128 +40,89 @@ _forked_requests: dict[
 ] = {}  # What sweeps ask for, for workers that are forked: functions without names go no other way.
 
 
-class Engine(Protocol):
-    """``submit`` returns a future of (found, seconds).
-
-    Attributes:
-        workers: how many chunks are computed at once; window: how many are out.
-        words: who computes.
-    """
-
-    workers: int
-    window: int
-    description: str
-
-    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
-        """Begin a chunk of cells; ``attempt`` is another number each time that it is begun."""
-        ...
-
-    def close(self, *, wait: bool) -> None:
-        """End; what has begun is waited for, or left."""
-        ...
-
-
 def run_timed_chunk(
     request: SweepRequest | int, tasks: Sequence[CellTask], attempt: int = 0, stop: StopCheck | None = None
 ) -> tuple[CellResults, float]:
     """A chunk and the seconds it took; ``asked`` may be the number under which a forked worker has it."""
     del attempt  # tells engines that keep results by their arguments that this is another one
     began = time.perf_counter()
-    found = run_chunk(
-        _forked_requests[request] if isinstance(request, int) else request, tasks, *([] if stop is None else [stop])
-    )
+    asked = _forked_requests[request] if isinstance(request, int) else request
+    found = run_chunk(asked, tasks, stop or never_stop)
     return found, time.perf_counter() - began
 
 
-class SerialEngine:
-    """One chunk after the other, here."""
+class InlineExecutor(Executor):
+    """One call after the other, here."""
 
-    workers, window, description = 1, 1, "in this process"
-
-    def __init__(self, request: SweepRequest, stop: StopCheck) -> None:
-        self._request, self._stop = request, stop
-
-    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Future:
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future:
         """Compute it now."""
         future: Future = Future()
         try:
-            future.set_result(run_timed_chunk(self._request, tasks, attempt, self._stop))
+            future.set_result(function(*arguments, **options))
         except Exception as error:
             future.set_exception(error)
         return future
 
-    def close(self, *, wait: bool) -> None:
-        """Nothing is left."""
 
+@dataclass
+class Engine:
+    """Who computes.
 
-class ThreadEngine:
-    """Threads of this process: for C, which runs without Python's lock."""
+    Attributes:
+        pool: what has ``submit``, as executors have it.
+        request: what chunks are of, or the number under which a forked worker has it.
+        workers: how many chunks are computed at once; window: how many are out.
+        description: in words.
+        stop: told to chunks that are computed in this process.
+        owned: whether the pool ends with the engine; a user's does not.
+    """
 
-    def __init__(self, request: SweepRequest, stop: StopCheck, workers: int) -> None:
-        self._request, self._stop, self.workers = request, stop, workers
-        self.description, self.window = f"{workers} threads", workers + 1
-        self._pool = ThreadPoolExecutor(workers)
+    pool: Any
+    request: SweepRequest | int
+    workers: int
+    window: int
+    description: str
+    stop: StopCheck | None = None
+    owned: bool = True
 
     def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
-        """Begin a chunk of cells in a thread of this process."""
-        return self._pool.submit(run_timed_chunk, self._request, tasks, attempt, self._stop)
+        """Begin a chunk of cells, a future of (found, seconds); ``attempt`` is another number each time that it is begun."""
+        return self.pool.submit(run_timed_chunk, self.request, list(tasks), attempt, self.stop)
 
     def close(self, *, wait: bool) -> None:
-        """End the threads."""
-        self._pool.shutdown(wait=True, cancel_futures=not wait)
+        """End; what has begun is waited for, or left."""
+        if self.owned:
+            self.pool.shutdown(wait=wait, cancel_futures=True)
 
 
-class ProcessEngine:
+class ProcessEngine(Engine):
     """Processes of this machine. Ctrl-C is this process's own: they end what they do, and go when it is gone."""
 
     def __init__(self, request: SweepRequest, workers: int) -> None:
-        workers = min(workers, MAX_PROCESSES)
-        self.workers, self.window, self.description, self._request = workers, workers + 1, f"{workers} processes", request
-        self._forks = can_fork()
-        self._context = multiprocessing.get_context("fork" if self._forks else "spawn")
-        self._sent_request: SweepRequest | int = request
-        if self._forks:
-            self._sent_request = id(request)
+        forks = can_fork()
+        if forks:
             _forked_requests[id(request)] = request
         else:
             check_picklable(request)
-        self._pool = self._make_pool()
-
-    def _make_pool(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(self.workers, self._context, initializer=_init_worker, initargs=(os.getpid(), self._forks))
+        context, given = multiprocessing.get_context("fork" if forks else "spawn"), (os.getpid(), forks)
+        self._make_pool = lambda: ProcessPoolExecutor(workers, context, initializer=_init_worker, initargs=given)
+        sent = id(request) if forks else request
+        super().__init__(self._make_pool(), sent, workers, workers + 1, f"{workers} processes")
 
     def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
         """Begin a chunk; in new processes where one of the old has died."""
         try:
-            return self._pool.submit(run_timed_chunk, self._sent_request, tasks, attempt)
+            return super().submit(tasks, attempt)
         except BrokenExecutor:
-            self._pool.shutdown(wait=False)
-            self._pool = self._make_pool()
-            return self._pool.submit(run_timed_chunk, self._sent_request, tasks, attempt)
+            self.pool.shutdown(wait=False)
+            self.pool = self._make_pool()
+            return super().submit(tasks, attempt)
 
     def close(self, *, wait: bool) -> None:
         """End the processes."""
-        self._pool.shutdown(wait=wait, cancel_futures=True)
-        _forked_requests.pop(id(self._request), None)
-
-
-class UserEngine:
-    """An engine of the user's: a Dask ``Client``, an ``Executor``."""
-
-    def __init__(self, request: SweepRequest, engine: Any) -> None:
-        self._request, self._engine = request, engine
-        self.workers = _engine_capacity(engine)
-        self.window = 2 * self.workers
-        self.description = f"{type(engine).__module__.partition('.')[0]}.{type(engine).__name__}, {self.workers} at once"
-        if isinstance(engine, ProcessPoolExecutor):
-            check_picklable(request)
-
-    def submit(self, tasks: Sequence[CellTask], attempt: int) -> Any:
-        """Begin a chunk of cells in the user's engine."""
-        return self._engine.submit(run_timed_chunk, self._request, list(tasks), attempt)
-
-    def close(self, *, wait: bool) -> None:
-        """It is the user's."""
+        super().close(wait=wait)
+        if isinstance(self.request, int):
+            _forked_requests.pop(self.request, None)
 
 
 def make_engine(workers: Any, request: SweepRequest, stop: StopCheck, *, threads: bool, chunks: int) -> Engine:
@@ -171,12 +132,18 @@ def make_engine(workers: Any, request: SweepRequest, stop: StopCheck, *, threads
         UsageError: none of these.
     """
     check_workers(workers)
-    if hasattr(workers, "submit"):
-        return UserEngine(request, workers)
+    if hasattr(workers, "submit"):  # A Dask Client, an Executor.
+        if isinstance(workers, ProcessPoolExecutor):
+            check_picklable(request)
+        capacity, kind = _engine_capacity(workers), type(workers)
+        name = f"{kind.__module__.partition('.')[0]}.{kind.__name__}, {capacity} at once"
+        return Engine(workers, request, capacity, 2 * capacity, name, owned=False)
     count = min(available_cores() if workers is None else int(workers), max(chunks, 1))
     if count == 1:
-        return SerialEngine(request, stop)
-    return ThreadEngine(request, stop, count) if threads else ProcessEngine(request, count)
+        return Engine(InlineExecutor(), request, 1, 1, "in this process", stop)
+    if threads:
+        return Engine(ThreadPoolExecutor(count), request, count, count + 1, f"{count} threads", stop)
+    return ProcessEngine(request, min(count, MAX_PROCESSES))
 
 
 def check_workers(workers: Any) -> None:
@@ -354,7 +321,5 @@ def _chunk_result(future: Any, chunk: Chunk, again: list[Chunk], signals: Pendin
 
 def _dead_worker_result(error: BaseException) -> CellResults:
     """A cell whose worker died each time."""
-    found = unrun_facts(1)
-    found["status"][:], found["way"][:] = CELL_FAILED, len(CELL_BACKENDS) - 1
     text = f"the process that ran it died {MAX_ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
-    return CellResults(found, {0: text})
+    return failed_cells(1, CELL_FAILED, text)

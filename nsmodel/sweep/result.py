@@ -5,18 +5,17 @@ A sweep as other programs read it: npz, a table of its cells, xarray and what th
 
 from __future__ import annotations
 
-import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import did_you_mean, escape_invisible, former_names, html_repr, import_extra
+from nsmodel._utils import did_you_mean, escape_invisible, former_names, html_repr, import_extra, labelled_lines
 from nsmodel.errors import MissingExtraError, StepError, StorageError, UsageError
 from nsmodel.files.archive import StoredArrays, map_archive, write_npz
 from nsmodel.files.storage import dumps, replace_atomically, write_csv
@@ -48,24 +47,16 @@ def sweep_metadata(sweep: Sweep) -> dict[str, Any]:
     return {**sweep.metadata, "dims": list(sweep.dims), "along": along, "shape": list(sweep.shape), **texts}
 
 
-def write_sweep(sweep: Sweep, path: Path) -> None:
-    """Write a sweep to one npz file."""
-    messages = {str(cell): sweep.messages[cell] for cell in sorted(sweep.messages)}
-    write_npz(path, {**design_arrays(sweep), **sweep.cells}, {**sweep_metadata(sweep), "messages": messages})
-
-
 def cell_table(sweep: Sweep) -> dict[str, np.ndarray]:
     """One row a cell: its number, what varies, outputs, facts, status in words and message."""
     places = np.unravel_index(np.arange(sweep.size), sweep.shape) if sweep.dims else ()
     found: dict[str, np.ndarray] = {"cell": np.arange(sweep.size)}
     found |= {dim: np.asarray(sweep.coords[dim])[place] for dim, place in zip(sweep.dims, places, strict=True)}
-    for name, (values, axes) in sweep.varied.items():
-        own = values[tuple(places[axis] for axis in axes)].reshape(sweep.size, -1)
-        found |= {name if own.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(own.T)}
-    for name in [name for name in sweep.cells if name not in sweep.metadata.get("keep", ())]:
-        values = sweep.cells[name].reshape(sweep.size, -1)
-        if name != "status":
-            found |= {name if values.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(values.T)}
+    numbers = {name: values[tuple(places[axis] for axis in axes)] for name, (values, axes) in sweep.varied.items()}
+    numbers |= {name: sweep.cells[name] for name in sweep.cells if name not in (*sweep.metadata.get("keep", ()), "status")}
+    for name, values in numbers.items():
+        own = values.reshape(sweep.size, -1).T
+        found |= {name if len(own) == 1 else f"{name}_{i}": column for i, column in enumerate(own)}
     found["way"] = np.array([CELL_BACKENDS[way] if way >= 0 else "" for way in sweep.cells["way"].tolist()])
     found["status"] = np.array([STATUS_NAMES[code] for code in sweep.cells["status"].tolist()])
     found["message"] = np.array([sweep.messages.get(cell, "") for cell in range(sweep.size)])
@@ -97,40 +88,7 @@ def sweep_dataset(sweep: Sweep) -> Any:
     return found
 
 
-def write_netcdf(sweep: Sweep, path: Path) -> None:
-    """Write a sweep to a netCDF file."""
-    found = sweep_dataset(sweep)
-    if not any(map(_is_installed, ("netCDF4", "h5netcdf"))):
-        raise MissingExtraError("netCDF files need netCDF4 or h5netcdf; pip install netCDF4, or keep the npz file")
-    with replace_atomically(path) as part:
-        found.to_netcdf(part)
-
-
-def write_zarr(sweep: Sweep, path: Path) -> None:
-    """Write a sweep to a zarr store."""
-    import_extra("zarr")
-    try:
-        sweep_dataset(sweep).to_zarr(path, mode="w", zarr_format=2)
-    except OSError as error:
-        raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        import_module(package)
-    except ImportError:
-        return False
-    return True
-
-
-def sweep_frame(sweep: Sweep) -> Any:
-    """`table` as a ``pandas.DataFrame`` by cell; MissingExtraError where pandas is not installed."""
-    found = import_extra("pandas").DataFrame(cell_table(sweep)).set_index("cell")
-    found.attrs = {"title": sweep.title, "units": {name: unit for name, unit in sweep.units.items() if name in found}}
-    return found
-
-
-SUMMARY_WIDTH, MAX_FAILURE_KINDS = 100, 4
+MAX_FAILURE_KINDS = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -280,7 +238,8 @@ class Sweep:
 
     def save(self, path: str | Path) -> None:
         """Write one npz file at ``path``; ``Sweep.load`` reads it, and ``numpy.load``. StorageError where that fails."""
-        write_sweep(self, Path(path))
+        messages = {str(cell): self.messages[cell] for cell in sorted(self.messages)}
+        write_npz(path, {**design_arrays(self), **self.cells}, {**sweep_metadata(self), "messages": messages})
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
@@ -313,7 +272,9 @@ class Sweep:
 
         MissingExtraError where pandas is not installed.
         """
-        return sweep_frame(self)
+        found = import_extra("pandas").DataFrame(cell_table(self)).set_index("cell")
+        found.attrs = {"title": self.title, "units": {name: unit for name, unit in self.units.items() if name in found}}
+        return found
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset``: quantities along what varies, which has its values as coordinates.
@@ -329,11 +290,19 @@ class Sweep:
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write ``data`` to ``path`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""
-        write_netcdf(self, Path(path))
+        found = self.to_xarray()
+        if not any(map(find_spec, ("netCDF4", "h5netcdf"))):
+            raise MissingExtraError("netCDF files need netCDF4 or h5netcdf; pip install netCDF4, or keep the npz file")
+        with replace_atomically(Path(path)) as part:
+            found.to_netcdf(part)
 
     def to_zarr(self, path: str | Path) -> None:
         """Write ``data`` to ``path`` as a zarr store; MissingExtraError where xarray or zarr is not installed."""
-        write_zarr(self, Path(path))
+        import_extra("zarr")
+        try:
+            self.to_xarray().to_zarr(path, mode="w", zarr_format=2)
+        except OSError as error:
+            raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
 
     def plot(self, name: str, **options: Any) -> Any:
         """Draw the quantity ``name`` as `Variable.plot` does, with its ``options``, and return the axes."""
@@ -370,47 +339,34 @@ class Sweep:
         """Return the sweep in short as a table of at most 100 columns."""
         s = self.summary()
         of = " x ".join(f"{dim} {size}" for dim, size in s["dims"].items())
-        lines = [f"{s['title']}", _summary_line("cells", f"{s['cells']}: {of}")]
         done = s["status"].get(STATUS_NAMES[CELL_DONE], 0)
-        lines.append(_summary_line("done", f"{done} of {s['cells']}"))
+        entries = [("cells", f"{s['cells']}: {of}"), ("done", f"{done} of {s['cells']}")]
         for word, count in s["status"].items():
             if word != STATUS_NAMES[CELL_DONE]:
                 low, high = (float(end) for end in wilson_interval(np.array(count), np.array(s["cells"]), 0.95))
-                share = (
-                    f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})"
-                    if word == STATUS_NAMES[CELL_FAILED]
-                    else ""
-                )
-                lines.append(_summary_line(word, f"{count}{share}"))
+                share = f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})"
+                entries.append((word, f"{count}{share if word == STATUS_NAMES[CELL_FAILED] else ''}"))
         for kind, count in Counter(_without_numbers(why) for _, why in self.failures).most_common(MAX_FAILURE_KINDS):
             cell, why = next((cell, why) for cell, why in self.failures if _without_numbers(why) == kind)
-            lines.append(
-                _summary_line(
-                    "", f"{f'{count} times, the first' if count > 1 else 'once,'} at {self._describe_cell(cell)}: {why}"
-                )
-            )
-        kept = ", ".join(s["keep"]) or "no rows"
-        unit = f" {s['t']['unit']}" if s["t"]["unit"] else ""
+            times = f"{count} times, the first" if count > 1 else "once,"
+            entries.append(("", f"{times} at {self._describe_cell(cell)}: {why}"))
         if s["keep"]:
-            lines.append(
-                _summary_line("kept", f"{kept}: {s['rows']} rows, t = {s['t']['start']:.6g} to {s['t']['end']:.6g}{unit}")
-            )
-        lines += [
-            _summary_line("outputs" if i == 0 else "", f"{name}: {text}") for i, (name, text) in enumerate(s["outputs"].items())
-        ]
+            span = f"t = {s['t']['start']:.6g} to {s['t']['end']:.6g} {s['t']['unit']}".rstrip()
+            entries.append(("kept", f"{', '.join(s['keep'])}: {s['rows']} rows, {span}"))
+        entries += [("outputs" if i == 0 else "", f"{name}: {text}") for i, (name, text) in enumerate(s["outputs"].items())]
         if s["pieces"] is not None:
-            lines.append(_summary_line("pieces", f"{s['pieces']:,} in all"))
+            entries.append(("pieces", f"{s['pieces']:,} in all"))
             if s["estimate"] is not None:
-                lines.append(_summary_line("worst estimate", f"{s['estimate']:.2g} of rtol, of the error of a piece"))
+                entries.append(("worst estimate", f"{s['estimate']:.2g} of rtol, of the error of a piece"))
         else:
-            lines.append(_summary_line("steps", f"{s['steps']:,} in all, each verified"))
+            entries.append(("steps", f"{s['steps']:,} in all, each verified"))
             if s["worst_residual"] is not None:
-                lines.append(_summary_line("worst residual", f"{s['worst_residual']:.2e}"))
-        lines.append(_summary_line("way", self.plan))
+                entries.append(("worst residual", f"{s['worst_residual']:.2e}"))
+        entries.append(("way", self.plan))
         alone = s["ways"].get(ALONE_BACKEND, 0)
         if alone and len(s["ways"]) > 1:
-            lines.append(_summary_line("", f"{alone} cells, which C did not go on with, by simulate"))
-        return escape_invisible("\n".join(lines))
+            entries.append(("", f"{alone} cells, which C did not go on with, by simulate"))
+        return escape_invisible("\n".join([s["title"], *(line for entry in entries for line in labelled_lines(*entry))]))
 
     def _describe_cell(self, cell: int) -> str:
         """What varies at a cell, in words."""
@@ -470,10 +426,6 @@ class LazyMapping(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._make)
-
-
-def _summary_line(head: str, text: str) -> str:
-    return textwrap.fill(text, SUMMARY_WIDTH, initial_indent=f"  {head:16}", subsequent_indent=" " * 18)
 
 
 def _without_numbers(message: str) -> str:

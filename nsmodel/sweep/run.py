@@ -25,7 +25,7 @@ from nsmodel.solvers.plan import STEP_SOLVERS
 from nsmodel.sweep import result as dataset
 from nsmodel.sweep import store as same
 from nsmodel.sweep.cells import BackendChoice, choose_backend, missing_value
-from nsmodel.sweep.design import SweepDesign, check_memory, make_design
+from nsmodel.sweep.design import INPUTS, STEP, SweepDesign, check_memory, make_design
 from nsmodel.sweep.executor import check_workers, make_engine, run_chunks
 from nsmodel.sweep.groups import ModelGroups, ModelSource
 from nsmodel.sweep.request import ALONE_BACKEND, CELL_BACKENDS, CellResults, Reduction, SweepRequest, read_outputs
@@ -42,7 +42,7 @@ from nsmodel.sweep.store import (
 from nsmodel.sweep.variable import CELL_NOT_RUN
 
 WORKING_BYTES = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
-EXPORT_WRITERS = {".nc": dataset.write_netcdf, ".zarr": dataset.write_zarr}
+EXPORT_WRITERS = {".nc": Sweep.to_netcdf, ".zarr": Sweep.to_zarr}
 
 
 class SweepInterrupted(KeyboardInterrupt):
@@ -115,11 +115,8 @@ def sweep(
         StorageError: ``resume`` without that sweep, or files that cannot be read or written.
         SweepInterrupted: Ctrl-C or SIGTERM; ``error.result`` has what was run.
     """
-    several = step is not None and np.ndim(step) > 0
-    many_inputs = isinstance(inputs, list | tuple) or _has_labels(inputs)
-    design = make_design(
-        grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
-    )  # fmt: skip
+    design = make_design(grid, samples, start, seeds, step, inputs, entropy, replicates)
+    several = STEP in design.dims
     given: Any = step
     requested = Options(step=None if several else given, out=out, resume=resume, **options)
     check_times(step=None if several else step, t_end=requested.t_end)
@@ -130,8 +127,9 @@ def sweep(
     request = SweepRequest(_kept_columns(keep), every, read_outputs(outputs), of_runs)
     fixed = {key if isinstance(key, str) else str(key): value for key, value in (parameters or {}).items()}
     check_varied_names(design, request, fixed)
+    shared = None if INPUTS in design.dims else inputs
     groups = ModelGroups(
-        ModelSource(model), design, request, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
+        ModelSource(model), design, request, fixed, one_step, shared, start if callable(start) else None
     )  # fmt: skip
     groups.check_columns()
     if out is None:
@@ -185,10 +183,6 @@ class _SweepRun:
     @cached_property
     def _binding(self) -> same.SweepBinding:
         return same.SweepBinding(self.settings, self.design)
-
-    @cached_property
-    def _cells_metadata(self) -> dict[str, Any]:
-        return self._binding.of(np.arange(self.design.size), self.design.shape)
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -278,7 +272,7 @@ class _SweepRun:
         names = {name: one for name, one in names.items() if name not in self.design.dims or one.values.ndim > len(one.along)}
         arrays |= {f"{VALUE_PREFIX}{name}": one.values for name, one in names.items()} | {"t": rows.times}
         metadata = self._metadata() | {"dims": list(self.design.dims), "along": {n: list(one.along) for n, one in names.items()}}
-        metadata |= self._cells_metadata
+        metadata |= self._binding.of(np.arange(self.design.size), self.design.shape)
         metadata["messages"] = {str(cell): text for cell, text in sorted(found.messages.items())}
         sweep = make_sweep(arrays | {name: of[name] for name in request.names}, metadata, self._simulate)
         return replace(sweep, engine=engine)
@@ -322,10 +316,6 @@ def describe_output(output: Any) -> str:
     code = getattr(output, "__code__", None)
     made_of = [] if code is None else [code.co_code.hex(), [repr(one) for one in code.co_consts if not hasattr(one, "co_code")]]
     return f"{getattr(output, '__qualname__', type(output).__name__)} {content_digest([*made_of])}"
-
-
-def _has_labels(inputs: Any) -> bool:
-    return isinstance(inputs, Mapping) and bool(inputs) and all(isinstance(one, Mapping) for one in inputs.values())
 
 
 def _to_json_value(value: Any) -> Any:

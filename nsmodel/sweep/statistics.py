@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import bdtr, ndtri, stdtrit
 
-from nsmodel._utils import checks_keywords, escape_invisible, html_repr, one_line, short_repr
+from nsmodel._utils import align_columns, checks_keywords, escape_invisible, html_repr, one_line, short_repr
 from nsmodel.errors import UsageError
 from nsmodel.sweep.variable import (
     Over,
@@ -82,8 +82,39 @@ def median_ranks(count: int, q: float) -> tuple[int, int]:
     return int(np.ceil(place)), int(np.ceil(place))
 
 
-@dataclass(frozen=True, eq=False)
-class Share:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CellStatistics:
+    """What is known of groups of cells of a sweep, and of which cells: `Share` and `Statistics` say what it is."""
+
+    title: str
+    over: tuple[str, ...]
+    dims: tuple[str, ...]
+    cell_dims: tuple[str, ...]
+    coords: Mapping[str, np.ndarray]
+    cells: int
+    count: np.ndarray
+    failed: np.ndarray
+    level: float
+    causes: Mapping[str, int]
+    replicates: str | None = None
+
+    __repr__ = short_repr
+    _repr_html_ = html_repr("statistics_html")
+
+    @property
+    def text(self) -> str:
+        """A table with a row for each group, and what of it is to be known."""
+        return escape_invisible(self._table())
+
+    def _table(self) -> str:
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Share(CellStatistics):
     """The share of cells in which a condition holds; arrays have an axis for each of `dims`.
 
     Attributes:
@@ -105,34 +136,26 @@ class Share:
         replicates: the dim over whose shares the interval was taken instead, by Student's t; None: Wilson.
     """
 
-    title: str
-    over: tuple[str, ...]
-    dims: tuple[str, ...]
-    cell_dims: tuple[str, ...]
-    coords: Mapping[str, np.ndarray]
-    cells: int
-    count: np.ndarray
-    failed: np.ndarray
     holds: np.ndarray
     value: np.ndarray
     low: np.ndarray
     high: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
     widest: tuple[np.ndarray, np.ndarray]
-    level: float
-    causes: Mapping[str, int]
-    replicates: str | None = None
 
-    __repr__ = short_repr
-    _repr_html_ = html_repr("statistics_html")
-
-    @property
-    def text(self) -> str:
-        """A table with a row for each group, and what of it is to be known."""
-        return escape_invisible(share_text(self))
-
-    def __str__(self) -> str:
-        return self.text
+    def _table(self) -> str:
+        columns = {"count": _number_column(self.count)} | ({"failed": _number_column(self.failed)} if self.failed.any() else {})
+        columns |= {"holds": _number_column(self.holds), "share": _number_column(self.value)}
+        if not np.isnan(self.level):
+            columns[f"{100 * self.level:g} % interval"] = _interval_column(self.low, self.high)
+        if self.failed.any():
+            columns["if all failed ones are against, for"] = _interval_column(*self.bounds)
+        lines = _missing_result_notes(self, "the share")
+        if self.replicates:
+            lines.append(f"The interval is that over the shares of {self.replicates}, by Student's t.")
+        elif not np.isnan(self.level):
+            lines.append("Intervals: Wilson's.")
+        return "\n".join([f"{one_line(self.title)}: share over {_cells_text(self)}", *_aligned_table(self, columns), *lines])
 
 
 @checks_keywords
@@ -226,8 +249,8 @@ class Quantile:
     __repr__ = short_repr
 
 
-@dataclass(frozen=True, eq=False)
-class Statistics:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Statistics(CellStatistics):
     """Statistics of one quantity over cells of a sweep; arrays have an axis for each of `dims`.
 
     Of cells that are done; `failed` says how many are missing from them. Where a cell that is done has NaN, they are NaN.
@@ -255,15 +278,7 @@ class Statistics:
         even: those of `over` whose coordinates are laid out evenly, as no draws are.
     """
 
-    title: str
     unit: str
-    over: tuple[str, ...]
-    dims: tuple[str, ...]
-    cell_dims: tuple[str, ...]
-    coords: Mapping[str, np.ndarray]
-    cells: int
-    count: np.ndarray
-    failed: np.ndarray
     failed_share: Share
     mean: np.ndarray
     error: np.ndarray
@@ -273,13 +288,7 @@ class Statistics:
     least: np.ndarray
     largest: np.ndarray
     quantiles: tuple[Quantile, ...]
-    level: float
-    causes: Mapping[str, int]
-    replicates: str | None = None
     even: tuple[str, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = html_repr("statistics_html")
 
     def quantile(self, q: float) -> Quantile:
         """Return the quantile that was asked for with this q; UsageError where it was not."""
@@ -289,13 +298,18 @@ class Statistics:
         known = ", ".join(f"{one.q:g}" for one in self.quantiles) or "none"
         raise UsageError(f"quantile {q!r} was not asked for; there are {known}")
 
-    @property
-    def text(self) -> str:
-        """A table with a row for each group, and what of it is to be known."""
-        return escape_invisible(statistics_text(self))
-
-    def __str__(self) -> str:
-        return self.text
+    def _table(self) -> str:
+        columns = {"count": _number_column(self.count)} | ({"failed": _number_column(self.failed)} if self.failed.any() else {})
+        columns |= {"mean": _number_column(self.mean), "error": _number_column(self.error), "std": _number_column(self.std)}
+        for part in self.quantiles:
+            bare = np.isnan(self.level)
+            columns[f"quantile {part.q:g}"] = (
+                _number_column(part.value) if bare else _interval_column(part.low, part.high, part.value)
+            )
+        columns |= {"least": _number_column(self.least), "largest": _number_column(self.largest)}
+        unit = f" [{self.unit}]" if self.unit else ""
+        head = f"{one_line(self.title)}{unit} over {_cells_text(self)}"
+        return "\n".join([head, *_aligned_table(self, columns), *_statistics_notes(self)])
 
 
 @checks_keywords
@@ -363,17 +377,14 @@ def difference(
     if first.unit != second.unit:
         units = [one.unit or "no unit" for one in (first, second)]
         raise UsageError(f"{first.name} is in {units[0]}, {second.name} is in {units[1]}; expected the same unit")
-    return statistics(combine_variables(first, second, _subtract, "-"), over, quantiles, level, replicates)
-
-
-def _subtract(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.asarray(a, dtype=float) - b
+    both = combine_variables(first, second, lambda a, b: np.asarray(a, float) - b, "-")
+    return statistics(both, over, quantiles, level, replicates)
 
 
 def _moments(values: np.ndarray, done: np.ndarray) -> dict[str, np.ndarray]:
     """Mean, std, error, least and largest along the last axis, each in a unit in which 1e300 has a square."""
     count = done.sum(axis=-1)
-    some = np.where(count, count, np.nan)
+    some = _count_or_nan(count)
     least = np.where(done, values, np.inf).min(axis=-1, initial=np.inf)
     largest = np.where(done, values, -np.inf).max(axis=-1, initial=-np.inf)
     least, largest = (np.where(count > 0, end, np.nan) for end in (least, largest))
@@ -430,42 +441,13 @@ MAX_WORD_WIDTH = 16  # Of a coordinate that is a word.
 _Column = Callable[[np.ndarray], list[str]]  # rows -> their text
 
 
-def statistics_text(of: Statistics) -> str:
-    """Statistics as a table."""
-    columns = {"count": _number_column(of.count)} | ({"failed": _number_column(of.failed)} if of.failed.any() else {})
-    columns |= {"mean": _number_column(of.mean), "error": _number_column(of.error), "std": _number_column(of.std)}
-    for part in of.quantiles:
-        bare = np.isnan(of.level)
-        columns[f"quantile {part.q:g}"] = (
-            _number_column(part.value) if bare else _interval_column(part.low, part.high, part.value)
-        )
-    columns |= {"least": _number_column(of.least), "largest": _number_column(of.largest)}
-    unit = f" [{of.unit}]" if of.unit else ""
-    return "\n".join([f"{one_line(of.title)}{unit} over {_cells_text(of)}", *_aligned_table(of, columns), *_statistics_notes(of)])
-
-
-def share_text(of: Share) -> str:
-    """A share as a table."""
-    columns = {"count": _number_column(of.count)} | ({"failed": _number_column(of.failed)} if of.failed.any() else {})
-    columns |= {"holds": _number_column(of.holds), "share": _number_column(of.value)}
-    if not np.isnan(of.level):
-        columns[f"{100 * of.level:g} % interval"] = _interval_column(of.low, of.high)
-    if of.failed.any():
-        columns["if all failed ones are against, for"] = _interval_column(*of.bounds)
-    lines = _missing_result_notes(of, "the share")
-    if of.replicates:
-        lines.append(f"The interval is that over the shares of {of.replicates}, by Student's t.")
-    elif not np.isnan(of.level):
-        lines.append("Intervals: Wilson's.")
-    return "\n".join([f"{one_line(of.title)}: share over {_cells_text(of)}", *_aligned_table(of, columns), *lines])
-
-
 def _statistics_notes(of: Statistics) -> list[str]:
     lines = _missing_result_notes(of, "a mean")
     holes = int((np.isnan(of.mean) & (of.count > 0)).sum())
     if holes:
         why = "a cell that is done has NaN there, or cells have infinities of both signs"
-        lines.append(f"{_rows_text(holes)} NaN: {why}{', or no cell of a replicate is done' if of.replicates else ''}.")
+        rows = "1 row is" if holes == 1 else f"{holes} rows are"
+        lines.append(f"{rows} NaN: {why}{', or no cell of a replicate is done' if of.replicates else ''}.")
     if np.isnan(of.level):
         lines.append("No errors and no intervals were asked for.")
     elif of.replicates:
@@ -534,8 +516,7 @@ def _aligned_table(of: Statistics | Share, columns: Mapping[str, _Column]) -> li
     table = {dim: [_format_coordinate(of.coords[dim][k]) for k in places] for dim, places in zip(of.dims, index, strict=True)}
     table |= {name: column(selected) for name, column in columns.items()}
     rows = [list(map(one_line, table)), *zip(*table.values(), strict=True)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  " + "  ".join(word.rjust(width) for word, width in zip(row, widths, strict=True)) for row in rows]
+    lines = [f"  {line}" for line in align_columns(rows)]
     return lines + ([f"  {len(selected)} of {count} rows, evenly spread"] if len(selected) < count else [])
 
 
@@ -567,7 +548,3 @@ def _interval_column(low: np.ndarray, high: np.ndarray, value: np.ndarray | None
         )
 
     return column
-
-
-def _rows_text(count: int) -> str:
-    return "1 row is" if count == 1 else f"{count} rows are"

@@ -39,7 +39,7 @@ from nsmodel.files.metadata import (
 )
 from nsmodel.files.storage import FORMAT_STAMP, atomic_stream, path_inside, read_json, write_json
 from nsmodel.modeling.fingerprint import content_digest
-from nsmodel.sweep.cells import check_same_shape, missing_value, unrun_arrays, unrun_facts
+from nsmodel.sweep.cells import check_same_shape, missing_value, put_cells, unrun_facts
 from nsmodel.sweep.design import REPLICATE, SAMPLE, SEED, SweepDesign
 from nsmodel.sweep.request import CELL_BACKENDS, CELL_FACTS, EVENT_DRIVEN_FACTS, CellResults
 from nsmodel.sweep.variable import CELL_FAILED, CELL_NOT_RUN, STATUS_NAMES
@@ -292,10 +292,7 @@ class SweepStore:
         found: dict[str, np.ndarray] = {}
         messages: dict[int, str] = {}
         for cells, arrays, own in self._read_parts():
-            found |= unrun_arrays(self.size, {name: values for name, values in arrays.items() if name not in found})
-            for name, values in arrays.items():
-                check_same_shape(name, values.shape[1:], found[name].shape[1:])
-                found[name][cells] = values
+            put_cells(found, self.size, cells, arrays)
             _merge_messages(messages, cells, own)
         return CellResults(found, messages)
 
@@ -397,11 +394,7 @@ class CellsInMemory:
     def put(self, cells: np.ndarray, found: CellResults) -> None:
         """Take up what a chunk found."""
         arrays, ran = dict(self.found.arrays), found.arrays["status"] != CELL_NOT_RUN
-        for name, values in found.arrays.items():
-            if name not in arrays:
-                arrays |= unrun_arrays(self._size, {name: values})
-            check_same_shape(name, values.shape[1:], arrays[name].shape[1:])
-            arrays[name][cells[ran]] = values[ran]
+        put_cells(arrays, self._size, cells[ran], {name: values[ran] for name, values in found.arrays.items()})
         messages = {int(cells[i]): text for i, text in found.messages.items()}
         self.found = CellResults(arrays, {**self.found.messages, **messages})
 

@@ -197,7 +197,7 @@ class Variable:
         Raises:
             PlotError: no such dims.
         """
-        return display("plot_variable", self, **options)
+        return display("draw_variable", self, **options)
 
     def _holds(self, sign: str, compare: Callable[[Any, Any], Any], other: Any) -> Variable:
         if np.ndim(other) or np.asarray(other).dtype.kind not in "biuf":

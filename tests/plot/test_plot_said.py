@@ -276,7 +276,7 @@ def test_a_window_from_the_command_line(tmp_path, capsys, monkeypatch):
     for given, message in (
         ("0.5", "--window 0.5: expected T0:T1, two times, of which one may be left out"),
         ("2:1", "--window 2:1: expected T0 < T1"),
-        ("9:", "--window 9: begins after the run, which ends at t = 1"),
+        ("9:", "--window begins at t = 9, after the run, which ends at t = 1"),
     ):
         assert cli.main(["run", "decay.py", "--plot", "--window", given, "--quiet"]) == 2
         assert message in capsys.readouterr().err

@@ -18,6 +18,7 @@ import html
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 from nsmodel._utils import escape_invisible, one_line, truncate_text
 
@@ -36,6 +37,7 @@ SIGNS = {
 }  # fmt: skip
 FUNCTION_NAMES = frozenset("exp log sin cos tan sinh cosh tanh arcsin arccos arctan min max".split())
 SPACES = {",": "0.17em", " ": "0.25em", "quad": "1em"}
+ARGUMENT_COUNTS = {"frac": 2, "sqrt": 1}
 ACCENTS = {"dot": "˙", "ddot": "¨"}
 CLOSING_FENCES = (")</mo>", "]</mo>", "|</mo>", "‖</mo>")
 LETTER_STYLES = {"mathit": "", "mathrm": ' mathvariant="normal"', "mathsf": ' mathvariant="normal"'}
@@ -109,20 +111,14 @@ class _LatexReader:
         return f"<mi>{html.escape(token)}</mi>"
 
     def _command(self, name: str) -> str:
-        if name in LETTERS:
-            return f"<mi>{LETTERS[name]}</mi>"
-        if name in SIGNS:
-            return _operator(name)
-        if name in SPACES:
-            return f'<mspace width="{SPACES[name]}"></mspace>'
+        if name in SYMBOLS:
+            return SYMBOLS[name]
         if name == "left":
             return self._read_fenced()
         if name == "text":
             return f"<mtext>{html.escape(self._read_text()).replace(' ', chr(0xA0))}</mtext>"
-        if name == "frac":
-            return f"<mfrac>{self._argument()}{self._argument()}</mfrac>"
-        if name == "sqrt":
-            return f"<msqrt>{self._argument()}</msqrt>"
+        if name in ARGUMENT_COUNTS:
+            return f"<m{name}>{''.join(self._argument() for _ in range(ARGUMENT_COUNTS[name]))}</m{name}>"
         if name in ACCENTS:
             return f'<mover accent="true">{self._argument()}<mo stretchy="false">{ACCENTS[name]}</mo></mover>'
         if name in LETTER_STYLES:
@@ -171,6 +167,11 @@ def _fence(token: str) -> str:
     return f'<mo fence="true" stretchy="true">{html.escape(sign)}</mo>' if sign not in ("", ".") else ""
 
 
+SYMBOLS = {  # Commands that stand for themselves.
+    **{name: f"<mi>{letter}</mi>" for name, letter in LETTERS.items()},
+    **{name: _operator(name) for name in SIGNS},
+    **{name: f'<mspace width="{width}"></mspace>' for name, width in SPACES.items()},
+}
 MAX_TEXT_LENGTH = 200  # Characters of one text.
 GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"
 LEVELS = {
@@ -216,9 +217,9 @@ def escape_text(text: str, width: int = MAX_TEXT_LENGTH) -> Html:
     return Html(re.sub(r"([$\\`])", r"<span>\1</span>", safe))
 
 
-def as_html(content: str, width: int = MAX_TEXT_LENGTH) -> Html:
+def as_html(content: str) -> Html:
     """What is text, escaped; what is an element already, as it is."""
-    return content if isinstance(content, Html) else escape_text(content, width)
+    return content if isinstance(content, Html) else escape_text(content)
 
 
 def element(name: str, *content: str, cls: str = "") -> Html:
@@ -250,7 +251,7 @@ def verdict_counts(counts: Mapping[str, int], labels: Mapping[str, str] = Mappin
 def facts_table(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
     """A row for each label that has something to say; several entries stand below each other."""
     found = [(label, [content] if isinstance(content, str) else list(content)) for label, content in rows if content]
-    lines = [element("tr", element("th", label), element("td", *_with_line_breaks(entries))) for label, entries in found]
+    lines = [element("tr", element("th", label), element("td", join_html(entries, "<br>"))) for label, entries in found]
     return element("table", element("tbody", *lines)) if lines else Html("")
 
 
@@ -294,15 +295,12 @@ def join_html(items: Iterable[str], between: str = ", ") -> Html:
     return Html(between.join(map(as_html, items)))
 
 
-def picture(draw: Callable[[], bytes], alt: str) -> Html:
-    """A PNG picture in the page itself; where it cannot be drawn, a line that says why."""
+def picture(draw: Callable[[], Any], dpi: int, alt: str) -> Html:
+    """A figure, or that of axes, in the page itself as PNG; where it cannot be drawn, a line that says why."""
+    from nsmodel.plot.notebook_figures import light_png
+
     try:
-        data = base64.b64encode(draw()).decode()
+        data = base64.b64encode(light_png(draw(), dpi)).decode()
     except Exception as error:
         return aside_paragraph(f"no picture: {type(error).__name__}: {error}")
     return Html(f'<img alt="{html.escape(truncate_text(alt), quote=True)}" src="data:image/png;base64,{data}">')
-
-
-def _with_line_breaks(entries: Sequence[str]) -> list[str]:
-    between = Html("<br>")
-    return [part for k, entry in enumerate(entries) for part in ([between, entry] if k else [entry])]

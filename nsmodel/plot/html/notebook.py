@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nsmodel._utils import describe_shortly, join_within_width, truncate_text
 from nsmodel.hypotheses.equations import model_equations
@@ -59,7 +58,7 @@ MAX_UNFOLDED_TEXT = 90  # Characters of what stands unfolded.
 def report_html(report: Report) -> str:
     """The report as HTML; violated findings come first."""
     findings = sorted(report.findings, key=lambda finding: VERDICT_ORDER.get(finding.verdict, 0))
-    finding_rows = [_finding_cells(finding) for finding in findings]
+    finding_rows = [_claim_cells(one.id, one, decision_text(one), *_witness_notes(one)) for one in findings]
     rows = [
         ("findings", elements.verdict_counts({word: len(report.having(word)) for word in VERDICTS}, {HOLDS: "proved"})),
         ("paper", report.paper),
@@ -79,39 +78,30 @@ def report_html(report: Report) -> str:
         header = ("", "verdict", "statement", "numbers", "where; rests on")
         parts.append(
             elements.first_rows_table(
-                [_consequence_cells(one, report) for one in report.consequences], REPORT_ROWS, "consequences", header
+                [_claim_cells(one.name, one, validity_text(one), premises_text(one, report)) for one in report.consequences],
+                REPORT_ROWS,
+                "consequences",
+                header,
             )
         )
     parts.append(elements.folded_section("the model", *map(elements.formula, model_equations(report.model))))
     return elements.result_page(report.title, f"report on a {report.model_class}", *parts)
 
 
-def _finding_cells(finding: Finding) -> list[str]:
+def _witness_notes(finding: Finding) -> list[str]:
+    """Where it fails."""
     at = [f"at {text}" for text in witness_texts(finding)] if finding.verdict != "holds" else []
-    outside = [f"outside it fails at {', '.join(name_value_pairs(finding.outside))}"] if finding.outside else []
-    how = _foldable_text("; ".join([decision_text(finding), *at, *outside]), finding.source)
-    return [
-        finding.id,
-        elements.status_badge(finding.verdict),
-        elements.escape_text(finding.statement, 400),
-        _value_cell(finding.value),
-        how,
-    ]
+    return at + ([f"outside it fails at {', '.join(name_value_pairs(finding.outside))}"] if finding.outside else [])
 
 
-def _consequence_cells(one: Consequence, report: Report) -> list[str]:
-    grounds = "; ".join(part for part in (validity_text(one), premises_text(one, report)) if part)
+def _claim_cells(name: str, one: Finding | Consequence, *how: str) -> list[str]:
     return [
-        one.name,
+        name,
         elements.status_badge(one.verdict),
         elements.escape_text(one.statement, 400),
-        _value_cell(one.value),
-        _foldable_text(grounds, one.source),
+        elements.join_html(name_value_pairs(one.value), "<br>"),
+        _foldable_text("; ".join(part for part in how if part), one.source),
     ]
-
-
-def _value_cell(value: Mapping[str, float]) -> elements.Html:
-    return elements.join_html(name_value_pairs(value), "<br>")
 
 
 def _foldable_text(text: str, source: str) -> elements.Html:
@@ -129,7 +119,6 @@ RUN_WARNINGS = 4  # More are folded.
 def run_html(run: Trajectory) -> str:
     """The run as HTML."""
     from nsmodel.plot.figures import thumbnail
-    from nsmodel.plot.notebook_figures import light_png
 
     lines = summary.summary_lines(run.summary())
     (ended,), warnings = lines.pop("status", [run.status]), lines.pop("warnings", [])
@@ -142,7 +131,7 @@ def run_html(run: Trajectory) -> str:
     more = elements.folded_section(
         f"{len(warnings) - RUN_WARNINGS} more warnings", elements.facts_table([("", warnings[RUN_WARNINGS:])])
     )
-    drawn = elements.picture(lambda: light_png(thumbnail(run), RUN_DPI), f"states of {run.title} over time")
+    drawn = elements.picture(lambda: thumbnail(run), RUN_DPI, f"states of {run.title} over time")
     return elements.result_page(
         run.title, f"run, {len(run)} steps", elements.facts_table(rows), more if warnings[RUN_WARNINGS:] else "", drawn
     )
@@ -163,10 +152,9 @@ def stress_html(stress: Stress) -> str:
 
     counts = elements.verdict_counts({verdict: stress.count(verdict) for verdict in stress.verdicts})
     unit = f" {stress.time_unit}" if stress.time_unit else ""
-    verdicts = {(cell.row, cell.factor): cell.verdict for cell in stress.cells}
-    factors = stress.factors
-    rows = [[row, *(_verdict_cell(verdicts.get((row, factor))) for factor in factors)] for row in stress.rows]
-    header = ["", *(f"{factor:g}" for factor in factors)]
+    badges = {(cell.row, cell.factor): elements.status_badge(cell.verdict) for cell in stress.cells}
+    rows = [[row, *(badges.get((row, factor), "") for factor in stress.factors)] for row in stress.rows]
+    header = ["", *(f"{factor:g}" for factor in stress.factors)]
     facts = elements.facts_table([("cells", counts), ("columns", f"step, in units of {stress.step:g}{unit}")])
     parts = [facts, elements.first_rows_table(rows, STRESS_ROWS, "rows", header)]
     for word, what in ((WRONG, "misfit"), (STOPPED, "why")):
@@ -175,10 +163,6 @@ def stress_html(stress: Stress) -> str:
             cell_table = elements.html_table(("where", what), [_cell_row(cell) for cell in cells])
             parts.append(elements.folded_section(f"{len(cells)} {word}", cell_table) if word == STOPPED else cell_table)
     return elements.result_page(stress.title, f"stress of a {stress.model_class}", *parts)
-
-
-def _verdict_cell(verdict: str | None) -> str:
-    return "" if verdict is None else elements.status_badge(verdict)
 
 
 def _cell_row(cell: Cell) -> list[str]:
@@ -211,7 +195,6 @@ def sensitivity_html(found: Sensitivity) -> str:
 
 def study_html(study: Study) -> str:
     """The study as HTML."""
-    from nsmodel.plot.notebook_figures import light_png
     from nsmodel.study.lines import SOLVER_LINE
     from nsmodel.study.result import cost_text
 
@@ -227,7 +210,7 @@ def study_html(study: Study) -> str:
     parts = [elements.facts_table(rows), elements.first_rows_table(lines, STUDY_ROWS, "methods", STUDY_HEADER)]
     if alone:
         parts.append(elements.folded_section(f"{len(alone)} solvers alone", elements.html_table(STUDY_HEADER, alone)))
-    drawn = elements.picture(lambda: light_png(study.plot(), STUDY_DPI), f"error against run time of {study.title}")
+    drawn = elements.picture(study.plot, STUDY_DPI, f"error against run time of {study.title}")
     return elements.result_page(study.title, f"study of a {study.model_class}", *parts, drawn)
 
 
@@ -273,27 +256,19 @@ def sweep_html(sweep: Sweep) -> str:
     ]
     parts: list[str] = [elements.facts_table(rows)]
     if failures := found["failures"]:
-        failure_rows = [[str(one["cell"]), _location_text(one["at"]), one["message"]] for one in failures[:MAX_FAILURES]]
+        failure_rows = []
+        for one in failures[:MAX_FAILURES]:
+            where = ", ".join(f"{name} = {describe_shortly(value)}" for name, value in one["at"].items())
+            failure_rows.append([str(one["cell"]), where, one["message"]])
         parts.append(
             elements.first_rows_table(failure_rows, UNFOLDED_FAILURES, "of those that are not done", ("cell", "where", "why"))
         )
         if len(failures) > MAX_FAILURES:
             parts.append(elements.aside_paragraph(f"and {len(failures) - MAX_FAILURES} more: sweep.failures has them all"))
-    if (name := _drawn_quantity(sweep)) is not None:
-        parts.append(elements.picture(lambda: _png(sweep, name), f"{name} of {sweep.title}"))
+    known = (name for name in (*found["outputs"], *found["keep"]) if name in sweep.cells)
+    if sweep.dims and (name := next(known, None)) is not None:  # The first output, or else the first that is kept.
+        parts.append(elements.picture(lambda: sweep.plot(name), SWEEP_DPI, f"{name} of {sweep.title}"))
     return elements.result_page(sweep.title, f"sweep of a {found['model_class']}", *parts)
-
-
-def _png(sweep: Sweep, name: str) -> bytes:
-    from nsmodel.plot.notebook_figures import light_png
-
-    return light_png(sweep.plot(name), SWEEP_DPI)
-
-
-def _drawn_quantity(sweep: Sweep) -> str | None:
-    """The quantity that is shown: the first output, or else the first that is kept."""
-    named = (*sweep.metadata.get("outputs", {}), *sweep.metadata.get("keep", ()))
-    return next((name for name in named if name in sweep.cells), None) if sweep.dims else None
 
 
 def _dim_values_text(sweep: Sweep, dim: str) -> str:
@@ -303,7 +278,3 @@ def _dim_values_text(sweep: Sweep, dim: str) -> str:
         [describe_shortly(values[k].item() if hasattr(values[k], "item") else values[k]) for k in (0, -1)] if len(values) else []
     )
     return f"{len(values)}, {' to '.join(ends)}" if len(values) > 1 else ", ".join(ends[:1])
-
-
-def _location_text(at: dict[str, Any]) -> str:
-    return ", ".join(f"{name} = {describe_shortly(value)}" for name, value in at.items())

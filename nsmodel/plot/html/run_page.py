@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel._utils import escape_invisible
-from nsmodel.errors import PlotError
 from nsmodel.files.archive import LIST_PREFIXES
-from nsmodel.modeling import laws
-from nsmodel.models.crowd.measure import positions, present
-from nsmodel.plot import rounding, style
+from nsmodel.models.crowd.measure import present
+from nsmodel.plot import crowd, rounding, style
 from nsmodel.plot.class_pictures import pictures_of
 from nsmodel.plot.html.page import PackedRows, pack_codes, pack_column, pack_numbers, packing_for, standalone_page, write_page
+from nsmodel.plot.plane import body_pressures, margin_limits
+from nsmodel.plot.strips import row_laws
 from nsmodel.simulation import summary
 from nsmodel.simulation.columns import quantity_at_step_ends, read_quantity
 from nsmodel.simulation.run_data import input_names, model_type, multiplier_names, output_names, state_names, units_of
@@ -136,49 +136,27 @@ def index_set_bands(run: Trajectory, rows: PackedRows, clock: int) -> dict[str, 
     if found is None or not found.shape[1]:
         return None
     names = run.metadata.get("index_names") or [f"row {k}" for k in range(found.shape[1])]
-    kinds, labels = _state_labels(run, names), {}
+    kinds, labels = row_laws(run, names), {}
     changes = np.array([np.count_nonzero(one[2:] != one[1:-1]) for one in found.T])
     picks = np.sort(np.argsort(-changes, kind="stable")[:MAX_PANEL_COLUMNS]).tolist()
     starts, bits = np.arange(0, len(found), rows.width), 1 << np.arange(8, dtype=np.uint8)
     entries = []
     for k in picks:
         kind, own = kinds[k]
-        labels[kind] = [[code_bit(code), role, escape_invisible(text)] for code, (role, text) in own.items()]
+        labels[kind] = [[1 << (code + 2), role, escape_invisible(text)] for code, (role, text) in own.items()]
         seen = np.bitwise_or.reduceat(bits[np.clip(found[:, k] + 2, 0, 7)], starts)
         entries.append({"name": escape_invisible(names[k]), "kind": kind, "seen": pack_codes(seen)})
     note = style.selection_note(len(picks), found.shape[1], "those that change most").strip()
     return {"title": "Index set", "look": "bands", "open": True, "note": note, "clock": clock, "bands": entries, "words": labels}
 
 
-def code_bit(code: int) -> int:
-    """The bit of a code of an index set."""
-    return 1 << (code + 2)
-
-
-def _state_labels(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.StateNames]]:
-    """Kind and words of each row of the index set."""
-    kinds = run.metadata.get("law_kinds") or ["complementarity"] * len(names)
-    own, found = model_type(run).law_descriptions, []
-    if len(kinds) != len(names) or not all(isinstance(kind, str) for kind in kinds):
-        raise PlotError(f"law_kinds must name the kind of each of {len(names)} rows, and is {kinds[:8]}")
-    for kind, name in zip(kinds, names, strict=True):
-        usual = (kind, laws.STATE_NAMES.get(kind, {}))
-        found.append(own.get(kind, usual) if not name.startswith("potential ") else usual)
-    return found
-
-
 def _crowd_panels(run: Trajectory) -> list[TimePanel]:
     """How many bodies are there, and the pressure on them."""
     present_count = present(run).sum(axis=1).astype(float)
     found = [TimePanel("Bodies there", ["bodies"], [present_count])] if np.ptp(present_count) else []
-    pressure = run.arrays.get("pressure")
-    if pressure is not None:
-        total, count = np.nansum(pressure, axis=1), np.isfinite(pressure).sum(axis=1)
-        mean = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
+    if "pressure" in run.arrays:
         unit = units_of(run).get("pressure", "")
-        found.append(
-            TimePanel("Pressure on a body", ["largest", "mean"], [np.fmax.reduce(pressure, axis=1), mean], unit, look="step")
-        )
+        found.append(TimePanel("Pressure on a body", ["largest", "mean"], crowd.pressure_over_time(run), unit, look="step"))
     return found
 
 
@@ -204,17 +182,14 @@ def _output_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
 
 def _law_panels(run: Trajectory, units: dict[str, str]) -> list[TimePanel]:
     """Multipliers, reactions and y."""
-    names, found = multiplier_names(run), []
-    if names and run.is_event_driven and "reactions" in run.arrays:
-        given = {name: units.get("reactions", "") for name in names}
-        found += _panels_by_unit("Reactions", "line", names, given, list(run.arrays["reactions"].T), largest=True)
-    elif names:
-        look = "line" if run.is_event_driven else "step"
+    names, found, look = multiplier_names(run), [], "line" if run.is_event_driven else "step"
+    reactions = bool(names) and "reactions" in run.arrays
+    if names and not (reactions and run.is_event_driven):
         found += _panels_by_unit("Multipliers", look, names, units, list(run.multipliers.T), largest=True)
-        if "reactions" in run.arrays:
-            given = {name: units.get("reactions", "") for name in names}
-            title = "Reactions (multipliers / step)"
-            found += _panels_by_unit(title, look, names, given, list(run.arrays["reactions"].T), largest=True, open=False)
+    if reactions:
+        title = "Reactions" if run.is_event_driven else "Reactions (multipliers / step)"
+        given, values = dict.fromkeys(names, units.get("reactions", "")), list(run.arrays["reactions"].T)
+        found += _panels_by_unit(title, look, names, given, values, largest=True, open=run.is_event_driven)
     if "y" in run.arrays and run.y.shape[1]:
         own = names if run.y.shape[1] == len(names) else [str(k) for k in range(run.y.shape[1])]
         y_units = {f"y of {name}": units.get(f"y_{k}", "") for k, name in enumerate(own)}
@@ -265,7 +240,6 @@ def _off_scale_note(residual: np.ndarray) -> str:
 MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
 FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis,
 MAX_MOMENTS = 60  # at so many times at most.
-COLOUR_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 
 
 def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
@@ -274,49 +248,22 @@ def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
     if "radii" not in about or run.x.shape[1] != 2 * len(about["radii"]) or not len(about["radii"]):
         return None
     rows = style.evenly_spread(len(run.t), max(2, MAX_PLACES_BYTES // (4 * run.x.shape[1])))
-    pressure = _pressure_rows(run, rows, len(about["radii"]))
-    pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
+    pressure = body_pressures(run, rows, len(about["radii"]))
     lines = {key: [np.ravel(one).tolist() for one in about.get(key) or []] for key in ("walls", "exits")}
     unit = units_of(run).get(state_names(run)[0], "")
     return {
         **lines,
         "radii": [float(radius) for radius in about["radii"]],
-        "window": _scene_window(run, about),
+        "window": [float(end) for ends in zip(*crowd.scene_corners(run), strict=True) for end in ends],
         "unit": escape_invisible(unit),
         "rows": [int(row) for row in rows],
         "of": len(run.t),
         "times": pack_numbers(run.t[rows]),
         "places": pack_numbers(run.x[rows].T.ravel(), exact=False),
         "pressure": None if pressure is None else pack_numbers(pressure.T.ravel(), exact=False),
-        "top": float(np.percentile(pressed, COLOUR_PERCENTILE)) if pressed.size else 1.0,
+        "top": crowd.pressure_scale(pressure),
         "pressure_unit": escape_invisible(units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", "")),
     }
-
-
-def _pressure_rows(run: Trajectory, rows: np.ndarray, bodies: int) -> np.ndarray | None:
-    """The sum of the reactions on each body (rows, bodies); None where the run cannot tell."""
-    if "pressure" in run.arrays:
-        return run.arrays["pressure"][rows]
-    owners, reactions = run.metadata.get("constraint_bodies"), run.arrays.get("reactions")
-    if not owners or reactions is None:
-        return None
-    total = np.zeros((len(rows), bodies))
-    for column, members in zip(reactions.T, owners, strict=True):
-        total[:, members] += column[rows, None]
-    return total
-
-
-def _scene_window(run: Trajectory, about: dict[str, Any]) -> list[float]:
-    """x0, x1, y0, y1 around walls, exits and where bodies start; without walls around wherever they are."""
-    fixed = [np.reshape(about.get(key) or [], (-1, 2)) for key in ("walls", "exits")]
-    q, here = positions(run), present(run)
-    own = q[here.argmax(axis=0), np.arange(q.shape[1])] if any(map(len, fixed)) else q.reshape(-1, 2)
-    points = np.concatenate([*fixed, own])
-    points = points[np.isfinite(points).all(axis=1)]
-    points = points if len(points) else np.array([[0.0, 0.0], [1.0, 1.0]])
-    margin = 0.03 * float(np.ptp(points, axis=0).max()) + 1.5 * max(about["radii"])
-    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
 
 
 def forbidden_set_data(run: Trajectory, model: Any) -> dict[str, Any] | None:
@@ -328,10 +275,7 @@ def forbidden_set_data(run: Trajectory, model: Any) -> dict[str, Any] | None:
     if model is None or own is None or own.gap is None or run.metadata.get("scene") or n > 2 or len(run.t) < 2:
         return None
     gap, moving = own.gap(model, run)
-    low, high = np.nanmin(run.x, axis=0), np.nanmax(run.x, axis=0)
-    reach = np.maximum(high - low, 0.6 * ((high - low).max() or 1.0)) * 0.8
-    limits = [(run.t[0], run.t[-1])] if n == 1 else []
-    limits += [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
+    limits = [*([(run.t[0], run.t[-1])] if n == 1 else []), *margin_limits(*run.x.T, margin=0.3)]
     across, up = np.meshgrid(*(np.linspace(*limit, FORBIDDEN_GRID) for limit in limits))
     rows = style.evenly_spread(len(run.t), MAX_MOMENTS) if moving and n == 2 else np.zeros(1, int)
     shape = (len(rows), *up.shape)
@@ -374,7 +318,10 @@ def run_document(run: Trajectory, model: Any = None) -> dict[str, Any]:
         "kind": "run",
         "title": escape_invisible(run.title),
         "status": escape_invisible(run.status),
-        "facts": _summary_facts(run),
+        "facts": [
+            [label, [escape_invisible(line) for line in lines]]
+            for label, lines in summary.summary_lines(summary.run_summary(run)).items()
+        ],
         "time": {"unit": escape_invisible(units_of(run).get("t", ""))},
         "rows": len(drawn.t),
         "note": _rows_note(run, drawn, clocks[0]["width"]),
@@ -398,14 +345,6 @@ def _panels_with_clock(rows: Trajectory, own: list[TimePanel], strip: Trajectory
         found.insert(next((k for k, panel in enumerate(own) if panel.title.startswith(LAW_PANELS)), len(own)), codes)
     times = np.append(rows.t[:: held.width], rows.t[-1])
     return {"width": held.width, "times": pack_numbers(times), "panels": found}
-
-
-def _summary_facts(run: Trajectory) -> list[list[Any]]:
-    """The summary as labels and lines."""
-    return [
-        [label, [escape_invisible(line) for line in lines]]
-        for label, lines in summary.summary_lines(summary.run_summary(run)).items()
-    ]
 
 
 def _rows_note(run: Trajectory, drawn: Trajectory, width: int) -> str:

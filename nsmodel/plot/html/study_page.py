@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nsmodel._utils import escape_invisible
 from nsmodel.plot.html.page import standalone_page, write_page
-from nsmodel.study.lines import POINT_FAILED, POINT_LEFT_OUT, Line, Point
+from nsmodel.study.lines import POINT_LEFT_OUT, Line, Point
 from nsmodel.study.result import cost_text
 
 if TYPE_CHECKING:
@@ -45,7 +45,16 @@ def study_document(study: Study) -> dict[str, Any]:
         "axes": AXES,
         "legend": LEGEND,
         "facts": [[label, [escape_invisible(line) for line in lines]] for label, lines in facts.items() if any(lines)],
-        "lines": [_line_data(line) for line in study.lines if _has_points(line)],
+        "lines": [
+            {
+                "name": escape_invisible(line.name),
+                "kind": line.kind,
+                "aside": line.missing_text,
+                "points": [_point_data(point) for point in line.points],
+            }
+            for line in study.lines
+            if _has_points(line)
+        ],
         "head": TABLE_HEADER,
         "rows": [_table_row(line, point) for line in study.lines for point in line.points if point.status != POINT_LEFT_OUT],
         "text": escape_invisible(study.text()),
@@ -54,17 +63,6 @@ def study_document(study: Study) -> dict[str, Any]:
 
 def _has_points(line: Line) -> bool:
     return any(point.drawn for point in line.points)
-
-
-def _line_data(line: Line) -> dict[str, Any]:
-    gone = {status: sum(point.status == status for point in line.points) for status in (POINT_FAILED, POINT_LEFT_OUT)}
-    aside = ", ".join(f"{count} {status}" for status, count in gone.items() if count)
-    return {
-        "name": escape_invisible(line.name),
-        "kind": line.kind,
-        "aside": aside,
-        "points": [_point_data(point) for point in line.points],
-    }
 
 
 def _point_data(point: Point) -> dict[str, Any]:
