@@ -351,6 +351,7 @@ def format_number(value: float) -> str:
     return f"{value + 0.0:.6g}" if isfinite(value) else str(value)
 
 
+EPS = sys.float_info.epsilon  # 2^-52, relative: from 1 to the next double; an operation is rounded by half of it, at most.
 DEFAULT_TOLERANCE = 1e-9  # The largest residual of a step that is accepted.
 MIN_TOLERANCE = 1e-14  # Below it there is rounding alone.
 

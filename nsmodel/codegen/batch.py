@@ -30,7 +30,6 @@ from nsmodel.solvers.one_step_problem import symbolic_initial_rows
 from nsmodel.solvers.step import INNER_COLUMNS, UNSET_INDEX, VECTOR_COLUMNS
 
 TO_DO = -1  # The status of a cell that was not reached.
-ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned.
 LANES_NOTE = "in lanes, whose last bits are not those of a run alone"
 
 _CellsStruct = structs.BATCH_CELLS.ctypes_structure()
@@ -169,8 +168,8 @@ class StepBatch:
         )
         self._initialise(work, given)
         control = self._control(work, given, every, self._input_values(inputs))
-        memory = np.zeros(self._size // 8 + 1 + ALIGNMENT // 8)
-        at = memory.ctypes.data + -memory.ctypes.data % ALIGNMENT
+        memory = np.zeros(self._size // 8 + 1 + simd_batch.ALIGNMENT // 8)
+        at = memory.ctypes.data + -memory.ctypes.data % simd_batch.ALIGNMENT
         while not self._run(at, ctypes.byref(control)):
             if stop():
                 work.discard_from(control.cell)

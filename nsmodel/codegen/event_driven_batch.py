@@ -32,7 +32,7 @@ from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
 
-MAX_PIECES = 1_000_000  # Pieces of a cell.
+MAX_PIECES = 1_000_000  # Pieces of a cell, and of a call in C.
 MAX_TANGENT_ROWS = 32  # States and rows of runs that are differentiated: the matrices of a step are dense.
 BY = " by "  # "x by k" is the column of dx/dk.
 

@@ -135,17 +135,16 @@ STEP_CONSTANTS: Sequence[tuple[str, str]] = (
 PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
     (
         "event_driven.integrator",
-        "MIN_RTOL:LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT MAX_UNDECIDED_MOTION:TOLD HARDLY",
+        "MIN_RTOL:LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP STARTS TOO_SHORT MAX_UNDECIDED_MOTION:TOLD HARDLY",
     ),
     ("event_driven.piece_bounds", "SHORTENINGS CAUTION"),
     ("event_driven.problem", "SAME_TIME"),
     ("event_driven.piece", "TINY_PIECES TINY MANY FASTER SPACINGS"),
     (
         "event_driven.modes",
-        "CLEAR PIVOTS TOGETHER MAX_NUDGES:LATER ULP MAX_NUDGE:MOST_CREEP FEW GUESS_RESIDUAL",
+        "CLEAR PIVOTS TOGETHER MAX_NUDGES:LATER MAX_NUDGE:MOST_CREEP FEW GUESS_RESIDUAL",
     ),
-    ("event_driven.state_updates", "PROJECTIONS"),
-    ("event_driven.modes", "TIE"),
+    ("event_driven.state_updates", "PROJECTIONS AROUND"),
     ("event_driven.bernstein", "NONE NARROW ITERATIONS EXACT GERM ORDERS HALF PACES HALVED GERM_DIFFERENCE:APART"),
     ("event_driven.event_location", "POLISHING POLISHED ON_ONE TAIL LOST DIP STEEP INSTANT MIN_PART:LEAST_PART"),
     ("event_driven.event_location", "ALMOST CLOSER WIDER MAX_DISCS:MOST_DISCS MAX_MULTIPLICITY:MOST_MULTIPLE DEGREE NEAR"),
@@ -160,12 +159,15 @@ PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
     ),
     ("event_driven.piece", "NEAR_0 STEEPER"),
     ("event_driven.collocation", "SMALLEST COVER_RADIUS COVER_DEGREE"),
-    ("event_driven.multipliers", "ROUNDING NEGLIGIBLE_MOTION:NEGLIGIBLE"),
+    ("event_driven.multipliers", "ROUNDING TIE NEGLIGIBLE_MOTION:NEGLIGIBLE"),
     ("event_driven.multipliers", "HIDDEN SINGULAR MAX_MINOR_ROWS:MOST_MINORS BALANCING NOTHING SHORT"),
     ("event_driven.system", "NEWTON NEWTON_CONVERGED:SETTLED HELD_ORDERS LITTLE RESTS AT_ZERO"),
     ("event_driven.system", "STAYS"),
     ("event_driven.radau", "WORTH STAY SMOOTH INSIDE OCTAVES_MORE SAFE ENDINGS ENDED MOVED MAX_WAIT_OCTAVES:MOST_WAIT"),
     ("event_driven.radau", "STAGE_ITERATIONS STAGE_CONVERGED:STAGE_SETTLED SLOW STAGE_NEAR STAGE_ROUNDING ORDERS_OF_TWO"),
+    ("solvers.step", "RUNAWAY_LIMIT:WIDEST"),
+    ("codegen.event_driven_spec", "TANGENT_SHARE TANGENT_ROUNDING TANGENT_AT_ONCE TANGENT_SAME"),
+    ("codegen.event_driven_batch", "MAX_PIECES:MOST_PIECES"),
     ("codegen.structs", "READY"),
 )
 

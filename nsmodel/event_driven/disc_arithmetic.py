@@ -17,13 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.mode_series import ModeSeries
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
 from nsmodel.event_driven.recurrences import TaylorRecurrences
 
-EPS = 2.0**-52
 INF = math.inf
 _DISC_DIALECT = PYTHON_DIALECT._replace(choose="pass")  # The sides of branches are given.
 _ROUNDED_DIALECT = _DISC_DIALECT._replace(kept="rounded({0})")

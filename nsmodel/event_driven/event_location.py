@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven.bernstein import (
     GERM,
     NONE,
@@ -37,11 +37,10 @@ from nsmodel.event_driven.bernstein import (
     taylor_shift,
     without_rounding,
 )
-from nsmodel.event_driven.disc_arithmetic import EPS, EquationsOnDisc, TaylorForm, form_of_polynomial
+from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc, TaylorForm, form_of_polynomial
 from nsmodel.event_driven.modes import (
     ROW,
     TIE,
-    ULP,
     GermRounding,
     PieceStart,
     SwitchCondition,
@@ -114,7 +113,7 @@ class RootIsolation:
             c, e = self._condition_on_disc(place, own, orders, R)
             s = _positive_until(c, e)
             if s is not None and (s == 0 or place.t + ALMOST * s * R == place.t):
-                if R > ULP * abs(place.t):
+                if R > EPS * abs(place.t):
                     R /= CLOSER
                     continue
                 found = self._sign_beyond(place, own, orders, end)
@@ -139,7 +138,7 @@ class RootIsolation:
 
         None: not up to the end.
         """
-        R = ULP * abs(place.t) or ULP * place.tau
+        R = EPS * abs(place.t) or EPS * place.tau
         while R < end - place.t:
             c, e = self._condition_on_disc(place, own, orders, R)
             if abs(v := float(c.sum())) > e:
@@ -193,7 +192,7 @@ def _crossing_point(c: list[float], e: float) -> float:
 
 def _distance_to_level(c: list[float], level: float) -> float:
     """How far c goes until it is above a level, in doubling steps; NEAR where that is further."""
-    s = ULP
+    s = EPS
     while s < NEAR and poly_value(c, s) <= level:
         s *= 2
     return min(s, NEAR)
@@ -212,7 +211,7 @@ def _positive_until(c: np.ndarray, e: float) -> float | None:
 POLISHING = 6  # Expansions at the event.
 POLISHED, ON_ONE = 1e-3, 3  # Of a tie: what is no more is on the event; steps of Newton's method on one expansion.
 TAIL, LOST = 2, 1e-2  # Coefficients that tell a truncation, and the share of the largest that is too much for a root.
-DIP = 64 * 2.0**-52  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
+DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
 MIN_PART = 2.0**-200  # Of a piece.
 INSTANT = 8  # Roundings of the time.
 STEEP = 0.5  # Of the slope at a simple root: what it may change by where the sign is not known.
@@ -312,7 +311,7 @@ class EventLocator:
             own = current_condition(system, place, how, hit, orders)
             if own is None:
                 return IsolatedRoot(how, None, 0.0, 0, True, place.t)
-            c, known, instant = own.coefficients(), TIE * condition_scale(system, own), INSTANT * ULP * abs(place.t) / place.tau
+            c, known, instant = own.coefficients(), TIE * condition_scale(system, own), INSTANT * EPS * abs(place.t) / place.tau
             if not (is_simple_root(c, known, instant) or is_simple_root(c, known := condition_uncertainty(system, own), instant)):
                 found = self._isolation.isolate(
                     place, hit, many, expand, end, lambda how, s: self.first(place, how, many, s, but=hit)[1]
@@ -329,7 +328,7 @@ class EventLocator:
                 how = expand(orders)
                 return found._replace(how=how, own=current_condition(system, place, how, hit, orders))
             d = -c[0] / c[1]
-            if (moved and abs(c[0]) <= POLISHED * known) or abs(d) * place.tau <= ULP * abs(place.t):
+            if (moved and abs(c[0]) <= POLISHED * known) or abs(d) * place.tau <= EPS * abs(place.t):
                 break
             for _ in range(ON_ONE):
                 e = poly_slope(c, d)

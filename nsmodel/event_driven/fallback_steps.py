@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError
 from nsmodel.event_driven.integrator import Integrator
 from nsmodel.event_driven.piece import Piece, StartEvent
@@ -37,7 +38,7 @@ GROW = 0.5  # A step is doubled where the error expected of it stays below this 
 FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6  # Steps in 2^-j of the time so far: first, least, largest.
 # In place of LEAST where walls call for impulses: v behind one is known to eps |y|/h, its time to h. Steps cannot err by less.
 IMPACT, REACHED = 22, 5e-7
-VELOCITY_ROUNDING = 64 * 2.0**-52  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
+VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
 MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
 

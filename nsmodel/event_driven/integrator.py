@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven import piece as lines
 from nsmodel.event_driven.bernstein import ORDERS, poly_value, poly_values, without_rounding
@@ -25,7 +26,6 @@ from nsmodel.event_driven.modes import (
     MAX_NUDGES,
     ROW,
     TIE,
-    ULP,
     UNDECIDED_FIELDS,
     PieceStart,
     Switch,
@@ -285,7 +285,7 @@ class Integrator:
         def rates(x: list[float]) -> list[float]:
             return f(place.t, x, l)[0]
 
-        at = [0.0 if abs(x) <= ULP * size else x for x, size in zip(place.x, self.sizes.x, strict=True)]
+        at = [0.0 if abs(x) <= EPS * size else x for x, size in zip(place.x, self.sizes.x, strict=True)]
         still = rates(at)
         at = [a if rate == 0 else x for a, rate, x in zip(at, still, place.x, strict=True)]
         moved = [i for i, (a, x) in enumerate(zip(at, place.x, strict=True)) if a != x]

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.bernstein import taylor_shift
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
@@ -143,7 +144,6 @@ def radius_powers(radius: np.ndarray, orders: int) -> list[Interval]:
 
 
 HALVINGS, CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often.
-EPS = np.finfo(float).eps
 
 
 def polynomial_lower_bounds(c: IntervalCoefficients, count: int) -> tuple[np.ndarray, np.ndarray]:

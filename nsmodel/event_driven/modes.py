@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.event_driven.bernstein import (
     HALF,
     ORDERS,
@@ -30,7 +31,7 @@ from nsmodel.event_driven.bernstein import (
     shrink_time_share,
     without_rounding,
 )
-from nsmodel.event_driven.disc_arithmetic import EPS, DiscBall, DiscValues
+from nsmodel.event_driven.disc_arithmetic import DiscBall, DiscValues
 from nsmodel.event_driven.friction_modes import FrictionBlock
 from nsmodel.event_driven.multipliers import ROUNDING, MultiplierSolver, multiplier_solver
 from nsmodel.event_driven.multipliers import TIE as TIE
@@ -217,7 +218,6 @@ INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: roundi
 CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
 MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
 MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double.
-ULP = 2.0**-52  # Of the time, or of a state: the next double.
 FEW = 9  # Rows whose modes are all tried.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
@@ -278,7 +278,7 @@ def nudge_start(system: ModeSystem, place: PieceStart, times: float) -> None:
     """Move the place, back where ``times`` < 0, by so many times what rounding leaves open of time, or of the fastest state."""
     rates = [row[1] / place.tau if math.isfinite(row[1]) else 0.0 for row in system.x]
     fastest = min((abs(x / rate) for x, rate in zip(place.x, rates, strict=True) if x and rate), default=0.0)
-    time = times * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MAX_NUDGE) if place.t else 0.0
+    time = times * EPS * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MAX_NUDGE) if place.t else 0.0
     place.t += time
     place.x = [x + rate * time for x, rate in zip(place.x, rates, strict=True)]
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import attach_buffers, connected_components
@@ -293,7 +293,7 @@ class SlopesAtPoint:
 
 TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
 NEGLIGIBLE_MOTION = 1e-6  # Of what moves a state on a piece.
-ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
+ROUNDING = 4 * EPS  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
 
 
 @dataclass

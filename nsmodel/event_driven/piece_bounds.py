@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError
 from nsmodel.event_driven.bernstein import poly_slopes, poly_value, poly_values
 from nsmodel.event_driven.disc_arithmetic import (
@@ -33,7 +34,7 @@ from nsmodel.event_driven.disc_arithmetic import (
     remainder_radius,
 )
 from nsmodel.event_driven.event_location import NO_MARGINS, EventLocator, Margins
-from nsmodel.event_driven.modes import ULP, PieceStart, SwitchCondition
+from nsmodel.event_driven.modes import PieceStart, SwitchCondition
 from nsmodel.event_driven.multipliers import MultiplierSolver
 from nsmodel.event_driven.step_size import LOCAL, MULTIPLIERS, SMALL, ModelEquations, estimate_local_error, zero_start_scales
 from nsmodel.event_driven.system import ModeSystem
@@ -112,7 +113,7 @@ class SchwarzBound:
             return [abs(place.tau * rate * s) for rate in rates]
 
         here, before, after = ([abs(row[1]) * s for row in system.x], moved(-s), moved(s))
-        least = [ULP * FAR * max(size, abs(row[0])) for row, size in zip(system.x, system.sizes.x, strict=True)]
+        least = [EPS * FAR * max(size, abs(row[0])) for row, size in zip(system.x, system.sizes.x, strict=True)]
         return any(a > least and a > GROWS * max(b, c) for a, b, c, least in zip(here, before, after, least, strict=True))
 
     def singularity_error(self, place: PieceStart) -> StepError:

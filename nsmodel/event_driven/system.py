@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.friction_modes import SlipOnset
 from nsmodel.event_driven.mode_series import ModeSeries, UnrolledOrders, nonzero_terms
@@ -49,7 +49,7 @@ from nsmodel.event_driven.recurrences import independent_branches, taylor_decomp
 from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import not_none
 
-TIME_ROUNDING = 2.0**-52 / ROUNDING  # What time is known to, in the rounding of an operation.
+TIME_ROUNDING = EPS / ROUNDING  # What time is known to, in the rounding of an operation.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS, SpeedBound
 from nsmodel.hypotheses.region import Region
@@ -21,7 +22,6 @@ from nsmodel.modeling.base import Model
 from nsmodel.proof import interval_bounds
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
-from nsmodel.solvers.residuals import EPS
 
 SUM_ROUNDING = 64 * EPS  # relative rounding of a sum of a few terms
 

@@ -49,6 +49,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven.fallback_steps import IMPACT, REACHED, STEP_BUDGET, error_relaxation
 from nsmodel.event_driven.integrator import checked_atol
@@ -64,7 +65,7 @@ from nsmodel.simulation.propagator import PERCENT_PROGRESS, find_runaway_state, 
 from nsmodel.simulation.step_inputs import SpanInputs
 from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import OneStepProblem, state_before_short_step, state_constraints
-from nsmodel.solvers.residuals import EPS, numeric_law
+from nsmodel.solvers.residuals import numeric_law
 from nsmodel.solvers.step import UNSET_INDEX, RowRecord, StepResult, WarmStart, verified_step
 from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, controlled_step, error_scale_groups, extrapolation_error
 

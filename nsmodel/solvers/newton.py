@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.verdict import attach_buffers, not_none
 from nsmodel.solvers import mlcp
@@ -30,7 +31,6 @@ from nsmodel.solvers.linearisation import NEWTON_ITERATIONS, IndexSetNewton, Ite
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import (
     CASADI_OPERATIONS,
-    EPS,
     GROWTH,
     NEGLIGIBLE_MULTIPLIER,
     ROUNDING,

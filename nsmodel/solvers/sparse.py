@@ -30,10 +30,11 @@ from scipy.linalg.lapack import dgbtrf, dgbtrs  # pyrefly: ignore[missing-module
 from scipy.sparse.csgraph import breadth_first_order, connected_components, reverse_cuthill_mckee
 from scipy.sparse.linalg import LinearOperator, splu
 
+from nsmodel._utils import EPS
 from nsmodel.solvers import active_set, mlcp
 from nsmodel.solvers.linearisation import REFINEMENTS, BufferedStepFunction, Iterate
 from nsmodel.solvers.one_step_problem import OneStepProblem
-from nsmodel.solvers.residuals import CLEAR, EPS, ROUNDING, STRICTER, UNRESOLVED, NumericLaw
+from nsmodel.solvers.residuals import CLEAR, ROUNDING, STRICTER, UNRESOLVED, NumericLaw
 from nsmodel.solvers.rounding_errors import INSIDE, UNIT_ROUND_OFF, rounding_error_bound, row_maxima, ruiz_scales, solution_errors
 from nsmodel.solvers.step import extra_columns
 from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, StepStructure

@@ -138,6 +138,7 @@ def verified_step(step: PackedStep, t: float, h: float, state: np.ndarray, warm:
 
 
 ROWS_PER_BLOCK = 4096  # Rows that are taken apart at a time.
+RUNAWAY_LIMIT = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
 UNSET_INDEX = -2  # Index-set code of a row that no step has computed.
 INNER_COLUMNS = frozenset({"state", "l", "y", "residual", "newton", "multipliers", "outputs"})
 VECTOR_COLUMNS = frozenset(

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import EPS, cached_per_object
 from nsmodel.proof.expression_graph import stack_column, stored_entries
 from nsmodel.solvers.one_step_problem import OneStepProblem
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
-EPS = np.finfo(float).eps
 MAX_DENSE_UNKNOWNS = 1500  # Unknowns and multipliers up to which dense matrices are tried.
 MAX_FULL_SPECTRUM_ROWS = 300  # Rows up to which all eigenvalues are computed.
 MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue.

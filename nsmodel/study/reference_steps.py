@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law, LawFactor, complementarity
 from nsmodel.modeling.laws.coulomb import excess_at_rows, rivals_at_rows, shifted_at_rows
@@ -121,7 +122,7 @@ class CoulombAtRows:
 HALF_LINE = complementarity(1).blocks[0]
 EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8
 PROJECTION_TOLERANCE = 1e-6
-EVALUATION_ROUNDING = 64 * np.finfo(float).eps
+EVALUATION_ROUNDING = 64 * EPS
 UNDERFLOW_SIZE = 1e-290
 PROBE_LENGTHS = (1e-6, 1e-3, 1.0)  # lengths of the probes, beside the velocity
 

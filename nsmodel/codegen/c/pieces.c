@@ -1,4 +1,4 @@
-/* One piece after another: pieces/integrator.py, lengths.py, defect.py. */
+/* One piece after another: event_driven/integrator.py, step_size.py, piece_bounds.py. */
 
 /* What a piece is, as numbers: the last state; an event with its jump; the sizes that rows are measured beside; coefficients. */
 enum {

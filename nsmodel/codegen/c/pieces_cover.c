@@ -1,4 +1,4 @@
-/* What a piece of collocation errs by inside: pieces/cover.py. */
+/* What a piece of collocation errs by inside: event_driven/collocation.py. */
 
 #if STIFF
 #define SIDES MODEL_PIECES_SIDES

@@ -1,4 +1,4 @@
-/* Conditions of a mode, their first roots, and the mode after an event: pieces/switches.py, bernstein.py, roots.py, modes.py. */
+/* Conditions of a mode, their first roots, and the mode after an event: event_driven/modes.py, bernstein.py, event_location.py. */
 
 enum { NOBODY, OF_Y, OF_L };
 enum { OPEN = 1, TURNS, CROSSED }; /* of a switch: to be turned when all are known; no l acts on it, and its side is proved */
@@ -689,7 +689,7 @@ static void creep(model_pieces *s, double times)
         if (rates[i] != 0 && s->at.x[i] != 0)
             fastest = min_of(fastest, fabs(s->at.x[i]/rates[i]));
     }
-    const double t = fabs(s->at.t), time = times*ULP*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
+    const double t = fabs(s->at.t), time = times*EPS*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
     s->at.t += time;
     for (int i = 0; i < N; i++)
         s->at.x[i] += rates[i]*time;

@@ -1,4 +1,4 @@
-/* How multipliers follow in a mode: pieces/multipliers.py. */
+/* How multipliers follow in a mode: event_driven/multipliers.py. */
 
 static void exchange(double *a, double *b)
 {

@@ -1,12 +1,12 @@
 #if STIFF
-/* One piece of a stiff mode: pieces/radau.py. */
+/* One piece of a stiff mode: event_driven/radau.py. */
 
 #define UNKNOWN MODEL_PIECES_UNKNOWN
 #define STAGES MODEL_PIECES_STAGES
 #define OCTAVES_KEPT MODEL_PIECES_OCTAVES
 #define WIDE 4 /* columns */
 
-/* The matrices of s stages, see pieces/collocation.py. */
+/* The matrices of s stages, see event_driven/collocation.py. */
 typedef struct {
     int stages;
     double share;

@@ -1,4 +1,4 @@
-/* When a mode is stiff: pieces/stiff.py. */
+/* When a mode is stiff: event_driven/radau.py. */
 
 enum { NEXT_LENGTH, FAILED, WAIT, COLLOCATED }; /* of at.stiff */
 

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.models.first_order_system.linearisation import SystemLinearisation
 from nsmodel.models.first_order_system.step_modes import StepMode, StepModes
 from nsmodel.proof import interval_bounds, krawczyk
@@ -37,7 +38,7 @@ INEQUALITY_SLACK, DATA_MARGIN = (
 )  # An inequality counts where it holds by this part of its size, for all data this near to the model's.
 SAME_SOLUTION = 1e-6  # Two solutions are one if they differ by less than this part of what x moves in a step.
 SINGULAR_DETERMINANT = 1e-10
-UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps  # Below it products with h underflow.
+UNDERFLOW_LIMIT = np.finfo(float).tiny / EPS  # Below it products with h underflow.
 
 
 class TwoSolutions(NamedTuple):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN
 from nsmodel.models.many_bodies.contact_search import least_gap, near_contact_rows
 from nsmodel.models.many_bodies.families import Family
@@ -29,7 +30,6 @@ from nsmodel.models.sweeping_process.qualification import ACTIVE_TOLERANCE, RHO_
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, discs_proof, has_aligned_pairs
 from nsmodel.proof import interval_bounds
 from nsmodel.proof.verdict import not_none
-from nsmodel.solvers.residuals import EPS
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UsageError
 from nsmodel.models.many_bodies.contact_search import candidate_contact_rows, candidate_members, least_gap
 from nsmodel.models.many_bodies.schemes import BODIES_SCHEME, BodiesProblem, ContactRows, uses_neighbour_search
@@ -28,7 +29,7 @@ from nsmodel.solvers import mlcp
 from nsmodel.solvers import mlcp as qp
 from nsmodel.solvers.contacts import NO_CONTACTS, Contacts
 from nsmodel.solvers.diagnosis import describe_overreach, opposing_rows
-from nsmodel.solvers.residuals import EPS, REACH, UNRESOLVED, NumericLaw
+from nsmodel.solvers.residuals import REACH, UNRESOLVED, NumericLaw
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
 MAX_DENSE_FACTOR_ROWS = 100  # Rows up to which a dense factorisation is faster.
