@@ -235,7 +235,8 @@ def print_escaped(*parts: Any, **options: Any) -> None:
     builtins.print(*(escape_invisible(str(part)) for part in parts), **options)
 
 
-REPR_WIDTH, REPR_LINES = 100, 10
+TEXT_WIDTH = 100  # Columns of what is printed: reprs, summaries, tables.
+REPR_LINES = 10  # Lines of a repr, at most.
 MAX_ENTRIES = 4  # Entries of a list, and of a dictionary, that are shown.
 MAX_ARRAY_NUMBERS = 6  # Of an array.
 MAX_VALUE_LENGTH = 60  # Characters of one value.
@@ -284,7 +285,7 @@ def truncate_text(text: str, width: int = MAX_VALUE_LENGTH) -> str:
     return text if len(text) <= width else f"{text[: width - 4].rstrip()} ..."
 
 
-def join_within_width(items: Iterable[str], width: int = REPR_WIDTH) -> str:
+def join_within_width(items: Iterable[str], width: int = TEXT_WIDTH) -> str:
     """Items with commas, as many as have room, and how many more there are.
 
     >>> join_within_width(["one", "two", "three", "four"], 16)
@@ -303,7 +304,7 @@ def join_within_width(items: Iterable[str], width: int = REPR_WIDTH) -> str:
 
 def wrap_lines(text: str) -> list[str]:
     """The text in lines of 100 columns, ten at most."""
-    lines = textwrap.wrap(text, REPR_WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+    lines = textwrap.wrap(text, TEXT_WIDTH, subsequent_indent="    ", break_on_hyphens=False)
     return lines if len(lines) <= REPR_LINES else [*lines[: REPR_LINES - 1], "    ..."]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel.codegen import event_driven_source
-from nsmodel.codegen.constant_steps import MAX_LENGTHS, step_matrices
+from nsmodel.codegen.constant_steps import step_matrices
 from nsmodel.codegen.export import LIBRARY_FILES, WORST_CASE_NEEDS, LibraryRequest, library_description, step_library_files
 from nsmodel.codegen.features import MAX_WORK
 from nsmodel.codegen.library import Library, Solver, is_library, load
@@ -27,6 +27,7 @@ from nsmodel.modeling.parameters import Values
 from nsmodel.modeling.time_grid import TimeGrid, check_times, check_tolerance, format_value, make_grid
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.proof.verdict import not_none
+from nsmodel.solvers.structure import MAX_STEP_SIZES
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
@@ -173,8 +174,8 @@ def _step_lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
     given: list[Any] = [] if step is None else list(step) if np.iterable(step) else [step]
     for length in given:
         check_times(step=length)
-    if step is not None and not 1 <= len(given) <= MAX_LENGTHS:
-        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MAX_LENGTHS}")
+    if step is not None and not 1 <= len(given) <= MAX_STEP_SIZES:
+        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MAX_STEP_SIZES}")
     return tuple(map(float, given))
 
 

@@ -27,7 +27,7 @@ from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.modeling.variants import initial_inputs
 from nsmodel.solvers.initial_checks import admitted
 from nsmodel.solvers.one_step_problem import symbolic_initial_rows
-from nsmodel.solvers.step import INNER_COLUMNS, UNSET_INDEX, VECTOR_COLUMNS
+from nsmodel.solvers.step import INNER_COLUMNS, UNKNOWN_INDEX, VECTOR_COLUMNS
 
 TO_DO = -1  # The status of a cell that was not reached.
 LANES_NOTE = "in lanes, whose last bits are not those of a run alone"
@@ -236,7 +236,7 @@ class _BatchArrays:
             columns += own
         self.columns, self.rows = np.array(columns, int), numbers.size
         self.kept = np.full((cells, self.rows, len(columns)), np.nan)
-        self.index = np.full((cells, self.rows, m), UNSET_INDEX, np.int8) if index else None
+        self.index = np.full((cells, self.rows, m), UNKNOWN_INDEX, np.int8) if index else None
         self.status = np.full(cells, TO_DO, np.int8)
         self.taken, self.worst, self.changes, self.newton = (np.zeros(cells) for _ in range(4))
         self.failed_at = np.full(cells, np.nan)
@@ -245,7 +245,7 @@ class _BatchArrays:
         """Forget the rows of a cell that was left in the middle."""
         self.kept[cell:] = np.nan
         if self.index is not None:
-            self.index[cell:] = UNSET_INDEX
+            self.index[cell:] = UNKNOWN_INDEX
         for total in (self.taken, self.worst, self.changes, self.newton):
             total[cell:] = 0
 

@@ -54,7 +54,6 @@ from nsmodel.codegen.fragments import (
 )
 from nsmodel.codegen.recurrences import recurrence_kernels, switch_scales_code
 from nsmodel.codegen.structs import PIECE_BATCH_CELLS, RUN_REQUEST
-from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.modes import FEW, LAPLACE_SHARES
 from nsmodel.event_driven.multipliers import state_motion
 from nsmodel.event_driven.problem import ContinuousProblem
@@ -63,6 +62,7 @@ from nsmodel.event_driven.recurrences import independent_branches
 from nsmodel.modeling.base import Model
 from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.rounding_errors import rounding_error_bound
+from nsmodel.solvers.step import UNKNOWN_INDEX
 
 MAX_WRITTEN_TERMS = 24  # Terms of a product that are written out.
 CHOICE_KINDS = ("side", "equal", "floor", "ceil", "toward zero", "nearest")  # As in c/pieces_events.c.

@@ -26,7 +26,7 @@ from nsmodel.derivatives.known_times import KnownTimes, MovedTime
 from nsmodel.derivatives.piece_tangents import PieceTangents, TangentMaps, TangentParts
 from nsmodel.derivatives.tangent_equations import TRY_DIFFERENCES, LinearisedEquations
 from nsmodel.errors import StepError
-from nsmodel.event_driven.multipliers import multiplier_solver
+from nsmodel.event_driven.multipliers import NOTHING, multiplier_solver
 from nsmodel.event_driven.problem import SAME_TIME
 
 KNOWN, CROSSING, IMPULSE, START = "known time", "switch", "impulse", "start"
@@ -379,7 +379,6 @@ def _guard(name: str, by_state: np.ndarray, own: np.ndarray, before: _Side, rate
 STOP_PART = 1e-10  # Of a piece.
 MAX_PARTS = 200_000
 SHORTEST_PART = 1e-12  # Of its piece.
-NOTHING = 1e-300
 
 
 class Stop(NamedTuple):

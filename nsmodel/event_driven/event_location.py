@@ -40,7 +40,6 @@ from nsmodel.event_driven.bernstein import (
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc, TaylorForm, form_of_polynomial
 from nsmodel.event_driven.modes import (
     ROW,
-    TIE,
     GermRounding,
     PieceStart,
     SwitchCondition,
@@ -54,7 +53,7 @@ from nsmodel.event_driven.modes import (
     known_to,
     mode_conditions,
 )
-from nsmodel.event_driven.multipliers import MultiplierSolver
+from nsmodel.event_driven.multipliers import TIE, MultiplierSolver
 from nsmodel.event_driven.step_size import power_of_two_unit
 from nsmodel.event_driven.system import ModeSystem
 

@@ -25,7 +25,6 @@ from nsmodel.event_driven.friction_modes import STOPS
 from nsmodel.event_driven.modes import (
     MAX_NUDGES,
     ROW,
-    TIE,
     UNDECIDED_FIELDS,
     PieceStart,
     Switch,
@@ -47,7 +46,7 @@ from nsmodel.event_driven.modes import (
     uniqueness_verdict,
     update_scales,
 )
-from nsmodel.event_driven.multipliers import MultiplierSolver, RowScales
+from nsmodel.event_driven.multipliers import TIE, MultiplierSolver, RowScales
 from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector
 from nsmodel.event_driven.piece_bounds import MAX_STILL_PIECES, SchwarzBound, piece_end
 from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes, reaches_time

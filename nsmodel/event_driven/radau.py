@@ -57,8 +57,8 @@ from nsmodel.event_driven.collocation import (
 )
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.event_location import NO_NOISE, EventLocator, current_condition
-from nsmodel.event_driven.modes import TIE, PieceStart, SwitchCondition, condition_scale, germ_rounding
-from nsmodel.event_driven.multipliers import NOTHING, MultiplierSolver
+from nsmodel.event_driven.modes import PieceStart, SwitchCondition, condition_scale, germ_rounding
+from nsmodel.event_driven.multipliers import NOTHING, TIE, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrence_code import SYMBOL_DIALECT, compile_recurrences
 from nsmodel.event_driven.recurrences import TaylorRecurrences

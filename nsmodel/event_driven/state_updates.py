@@ -13,8 +13,8 @@ import numpy as np
 
 from nsmodel.errors import StepError
 from nsmodel.event_driven.bernstein import ORDERS
-from nsmodel.event_driven.modes import ROW, TIE, PieceStart, all_switches, is_condition_zero, mode_conditions, set_switch
-from nsmodel.event_driven.multipliers import ROUNDING, generalised_inverse, least_motion
+from nsmodel.event_driven.modes import ROW, PieceStart, all_switches, is_condition_zero, mode_conditions, set_switch
+from nsmodel.event_driven.multipliers import ROUNDING, TIE, generalised_inverse, least_motion
 from nsmodel.event_driven.step_size import initial_time_unit
 from nsmodel.event_driven.system import ModeSystem
 

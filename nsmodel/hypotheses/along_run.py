@@ -20,6 +20,7 @@ from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS, SpeedBound
 from nsmodel.hypotheses.region import Region
 from nsmodel.modeling.base import Model
 from nsmodel.proof import interval_bounds
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
 
@@ -139,7 +140,6 @@ def constraint_findings(model: Any, run: Trajectory, c: ca.SX, names: Sequence[s
     ]
 
 
-ROUND_UP_FACTOR = 1 + 1e-12
 PAIR_CONSEQUENCES = ("contraction", "stability")  # They speak of any two solutions.
 
 

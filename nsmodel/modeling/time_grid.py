@@ -20,6 +20,7 @@ from nsmodel.modeling.parameters import step_array
 from nsmodel.modeling.signals.schedule import InputSchedule
 
 WHOLE_STEPS = 1e-9  # Relative: a length that is so near to a whole number of steps is that many.
+SAME_TIME_SHARE = 1e-12  # Part of a run: rows of two runs that are nearer than this are at one time.
 SAME_STEP_TOLERANCE = 1e-12  # Lengths that differ by less than this part are one: matrices, not times.
 
 

@@ -20,7 +20,6 @@ from nsmodel.proof.polynomial import Polynomial
 
 MAX_GRAM_MONOMIALS = 45
 MAX_KERNEL_REDUCTIONS = 4
-CLEAR_EIGENVALUE = 1e-7  # A least eigenvalue above this, of scaled data, survives rounding.
 ROUNDING_BITS = 40
 MonomialPowers = tuple[int, ...]
 

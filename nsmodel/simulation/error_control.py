@@ -66,7 +66,7 @@ from nsmodel.simulation.step_inputs import SpanInputs
 from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import OneStepProblem, state_before_short_step, state_constraints
 from nsmodel.solvers.residuals import numeric_law
-from nsmodel.solvers.step import UNSET_INDEX, RowRecord, StepResult, WarmStart, verified_step
+from nsmodel.solvers.step import UNKNOWN_INDEX, RowRecord, StepResult, WarmStart, verified_step
 from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, controlled_step, error_scale_groups, extrapolation_error
 
 COARSEST_LEVEL, FINEST_LEVEL = 4, 40  # Steps are L/2^j with j between these.
@@ -564,7 +564,7 @@ def turning_point_warnings(
         return []
     rows, index = record.rows[:filled], record.index[:filled, : law.size]
     start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
-    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET_INDEX))
+    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNKNOWN_INDEX))
     free = held.copy()
     for i, j in zip(*problem.jacobians[3].sparsity().get_triplet(), strict=True):
         free[:, i] &= ~held[:, j]

@@ -18,6 +18,7 @@ from nsmodel.solvers.one_step_problem import OneStepProblem
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
+MAX_STEP_SIZES = 8  # Step sizes whose matrices are kept: with more, dense steps go without, sparse ones and C drop the oldest.
 MAX_DENSE_UNKNOWNS = 1500  # Unknowns and multipliers up to which dense matrices are tried.
 MAX_FULL_SPECTRUM_ROWS = 300  # Rows up to which all eigenvalues are computed.
 MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue.

@@ -17,7 +17,7 @@ import numpy as np
 from nsmodel._utils import former_names, short_repr
 from nsmodel.errors import StepError, UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.time_grid import input_schedule
+from nsmodel.modeling.time_grid import SAME_TIME_SHARE, input_schedule
 from nsmodel.modeling.variants import block_input_entries
 from nsmodel.proof.verdict import not_none
 from nsmodel.simulation.fixed_grid import FixedGridPropagator, make_stepper
@@ -33,7 +33,6 @@ from nsmodel.study.lines import Point
 from nsmodel.study.reference_steps import REFERENCE_STEP
 
 MAX_SINGLE_STEPS = 300  # Steps that are taken for one question; what is left stays on its line, or is not known.
-EQUAL_TIME_TOLERANCE = 1e-12  # Of the run: times that are nearer than this are one.
 
 StateAt = Callable[[int, float], np.ndarray]  # (row, h) -> what a step of h from there starts from
 StepFromRow = Callable[
@@ -100,7 +99,7 @@ class RunAtRows:
 
     def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the states (k, n) at ``times``, NaN where they are not known, and what they err by besides the run."""
-        near = EQUAL_TIME_TOLERANCE * self.t[-1]
+        near = SAME_TIME_SHARE * self.t[-1]
         row = np.searchsorted(self.t, times + near, side="right") - 1
         x, ahead = self.x[row].copy(), times - self.t[row]
         between = np.flatnonzero(ahead > near)

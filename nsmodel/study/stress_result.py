@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, html_repr, one_line, short_repr, wrap_lines
+from nsmodel._utils import TEXT_WIDTH, display, escape_invisible, html_repr, one_line, short_repr, wrap_lines
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
-_STRESS_TEXT_WIDTH = 100
 _MAX_LISTED_CELLS = 12
 _CELL_LABELS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG", LEFT_OUT: "-"}
 
@@ -169,4 +168,4 @@ def _ratio_text(value: float) -> str:
 
 
 def _wrap_text(start: str, text: str) -> list[str]:
-    return textwrap.wrap(text, _STRESS_TEXT_WIDTH, initial_indent=start, subsequent_indent=" " * max(len(start), 4))
+    return textwrap.wrap(text, TEXT_WIDTH, initial_indent=start, subsequent_indent=" " * max(len(start), 4))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import did_you_mean, escape_invisible, former_names, html_repr, import_extra
+from nsmodel._utils import TEXT_WIDTH, did_you_mean, escape_invisible, former_names, html_repr, import_extra
 from nsmodel.errors import MissingExtraError, StepError, StorageError, UsageError
 from nsmodel.files.archive import StoredArrays, map_archive, write_npz
 from nsmodel.files.storage import dumps, replace_atomically, write_csv
@@ -130,7 +130,7 @@ def sweep_frame(sweep: Sweep) -> Any:
     return found
 
 
-SUMMARY_WIDTH, MAX_FAILURE_KINDS = 100, 4
+MAX_FAILURE_KINDS = 4  # Kinds of failures that a summary counts, the most frequent first.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -473,7 +473,7 @@ class LazyMapping(Mapping[str, Any]):
 
 
 def _summary_line(head: str, text: str) -> str:
-    return textwrap.fill(text, SUMMARY_WIDTH, initial_indent=f"  {head:16}", subsequent_indent=" " * 18)
+    return textwrap.fill(text, TEXT_WIDTH, initial_indent=f"  {head:16}", subsequent_indent=" " * 18)
 
 
 def _without_numbers(message: str) -> str:

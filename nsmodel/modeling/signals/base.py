@@ -68,7 +68,7 @@ class SignalJump(NamedTuple):
 
 
 NEAR_TOLERANCE = 16 * EPS  # Times that are nearer than this part of the larger are one.
-ROUND_UP_FACTOR = 1 + 16 * EPS  # More than a quotient and a few sums lose.
+SLOPE_ROUND_UP = 1 + 16 * EPS  # More than a quotient and a few sums lose.
 
 
 class Signal(Picklable):

@@ -30,10 +30,10 @@ from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, bod
 from nsmodel.models.sweeping_process.witnesses import attained_gamma_bound, fixed_ball, prove_opposition
 from nsmodel.proof import extremum
 from nsmodel.proof.convex import rules
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.verdict import not_none, overlapping_groups, suppress_output
 
 TIME_SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own.
-AWAY_ROUNDING_FACTOR = 1 + 1e-12
 MAX_AWAY_STATES = 60
 
 
@@ -62,7 +62,7 @@ def bound_by_forbidden_point(
                 break
         if np.isfinite(worst):
             return ForbiddenPointBound(
-                max(worst * AWAY_ROUNDING_FACTOR, 1.0),
+                max(worst * ROUND_UP_FACTOR, 1.0),
                 "convex constraints that forbid one and the same point: all of them are left by going away from it",
             )
     return None
@@ -396,7 +396,7 @@ def _combined_groups_result(constraints, process, slope, rho, points, names, qui
     least = min(found, key=lambda item: (VIOLATED, UNKNOWN, SAMPLED, HOLDS).index(item.verdict))
     if least.verdict in (VIOLATED, UNKNOWN):
         return least
-    gamma *= AWAY_ROUNDING_FACTOR
+    gamma *= ROUND_UP_FACTOR
     where = ON_THE_BOX if any(item.where == ON_THE_BOX for item in found) else EVERYWHERE
     reached = min(item.rho for item in found)
     how = f"{len(groups)} groups of constraints without common states; " + "; ".join(sorted({item.how for item in found}))

@@ -265,7 +265,6 @@ def _off_scale_note(residual: np.ndarray) -> str:
 MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
 FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis,
 MAX_MOMENTS = 60  # at so many times at most.
-COLOUR_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 
 
 def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
@@ -288,7 +287,7 @@ def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
         "times": pack_numbers(run.t[rows]),
         "places": pack_numbers(run.x[rows].T.ravel(), exact=False),
         "pressure": None if pressure is None else pack_numbers(pressure.T.ravel(), exact=False),
-        "top": float(np.percentile(pressed, COLOUR_PERCENTILE)) if pressed.size else 1.0,
+        "top": float(np.percentile(pressed, style.PRESSURE_PERCENTILE)) if pressed.size else 1.0,
         "pressure_unit": escape_invisible(units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", "")),
     }
 
