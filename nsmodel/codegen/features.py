@@ -278,7 +278,7 @@ MAX_WORK = 2**31 - 1  # What a counter in C holds.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.
 FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system.
 PROBE_SOLVES = 2 * PROBES  # Probes of what the unknowns err by, and of how ill-conditioned their system is.
-REFINEMENT_SOLVES = REFINEMENTS + PROBE_SOLVES
+REFINEMENT_SOLVES = REFINEMENTS + PROBE_SOLVES  # Linear systems for one refined answer, at most.
 
 
 def work_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:

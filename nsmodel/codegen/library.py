@@ -423,7 +423,7 @@ class Library:
 STEP_NAME = "step"
 MAX_LIBRARIES = 64  # Libraries that are kept; those that this process has loaded are kept besides.
 BUILD_PREFIX = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
-WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # Bits of the mode of a file.
 
 
 def cached_steps(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:

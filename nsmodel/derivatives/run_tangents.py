@@ -376,9 +376,9 @@ def _guard(name: str, by_state: np.ndarray, own: np.ndarray, before: _Side, rate
     return Guard(name, by_state, own, float(rate), float(abs(off / rate)) if rate else (np.inf if off else 0.0), value)
 
 
-STOP_PART = 1e-10  # Of a piece.
-MAX_PARTS = 200_000
-SHORTEST_PART = 1e-12  # Of its piece.
+STOP_PART = 1e-10  # Of a piece that ends where a block stops: shorter parts at its end are not halved.
+MAX_PARTS = 200_000  # Parts of all pieces of a run together; beyond, a run has no derivative.
+SHORTEST_PART = 1e-12  # Of its piece: a part that would have to be shorter is an error.
 
 
 class Stop(NamedTuple):

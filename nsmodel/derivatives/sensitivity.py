@@ -105,7 +105,7 @@ def sensitivity(
 
 
 DERIVATIVE_METHODS = ("event-driven", "differences")
-DEFAULT_RTOL = 1e-8
+DEFAULT_RTOL = 1e-8  # Of a run that is differentiated, where rtol is left out.
 
 
 class Request(NamedTuple):
@@ -322,7 +322,7 @@ class DifferencedModel(_Movable):
         return np.column_stack([*(columns[name] for name in self._outputs), *integrals])
 
 
-MIN_WIDTH = 1e-4  # Of a number.
+MIN_WIDTH = 1e-4  # Relative: the least part of a number by which it is moved for a difference quotient.
 
 
 def width_of(rtol: float | None, step: float | None, t_end: float) -> float:

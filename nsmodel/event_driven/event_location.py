@@ -59,7 +59,8 @@ from nsmodel.event_driven.system import ModeSystem
 
 ALMOST = 0.999  # Of the way to where a sign is no longer proved.
 CLOSER, WIDER = 8.0, 1.5  # By which discs shrink towards a root, and grow beyond it.
-MAX_DISCS, MAX_MULTIPLICITY = 400, 8
+MAX_DISCS = 400  # Discs on the way to one event, at most.
+MAX_MULTIPLICITY = 8  # Order of a derivative, at most, by whose simple root a multiple root is told.
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
 LOOKED = 16  # Values of a polynomial that is rounding alone.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.

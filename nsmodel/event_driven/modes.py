@@ -221,7 +221,7 @@ MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be anothe
 FEW = 9  # Rows whose modes are all tried.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
-FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])
+FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])  # k!, of Laplace transforms of t^k.
 
 
 @dataclass

@@ -26,7 +26,7 @@ from nsmodel.event_driven.system import LITTLE, ModeSystem
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
-LARGEST_ORDER = 30
+LARGEST_ORDER = 30  # Of a series, for which C has memory; rtol = 1e-14 asks for 22.
 BEYOND = 3  # Orders of a series beyond -ln(rtol)/2.
 LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.

@@ -85,7 +85,7 @@ def remains_zero(system: ModeSystem, how: MultiplierSolver, orders: Iterable[int
 
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
-NEWTON_CONVERGED = 1e-14
+NEWTON_CONVERGED = 1e-14  # Relative, for each iteration allowed: a change of l below NEWTON times this is rounding.
 MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 SOLVED = ROUNDING / TIE  # Of what l of a held row is the sum of: what stands for the rounding of its solve, where TIE of it is.

@@ -169,7 +169,7 @@ def _has_undefined_part(entry: ca.SX, p: ca.SX, values: ca.DM) -> bool:
     return bool(undefined)
 
 
-MAX_TABLE_POINTS = 400
+MAX_TABLE_POINTS = 400  # Points of a table that is read off a CasADi interpolant.
 SAME_SLOPE_TOLERANCE = 8 * EPS  # Slopes that differ by less than this part of them are one.
 
 
@@ -244,7 +244,7 @@ def table_expression(table: InterpolationTable, x: ca.SX) -> ca.SX:
 def read_table(function: ca.Function) -> InterpolationTable | None:
     """The table behind a CasADi interpolant: read off its serialised form, and believed only where the function agrees.
 
-    None where it is no linear interpolant of one variable with one value, or has more than MOST_POINTS points.
+    None where it is no linear interpolant of one variable with one value, or has more than MAX_TABLE_POINTS points.
     """
     if function.class_name() != "LinearInterpolant" or not function.n_in() == function.numel_in(0) == function.numel_out(0) == 1:
         return None

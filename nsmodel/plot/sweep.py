@@ -332,9 +332,9 @@ def _draw_map_dots(ax: Axes, variable: Variable, x: str, y: str, where: str) -> 
 
 
 MAX_ERROR_BARS = 12  # So many points have error bars, more a band.
-MAX_SWEEP_LINES = 60
-MAX_LEGEND_LINES = 8
-SPREAD_QUANTILES = (0.05, 0.5, 0.95)
+MAX_SWEEP_LINES = 60  # Lines of a picture; of more values, so many, evenly spread.
+MAX_LEGEND_LINES = 8  # Lines that a legend names one by one; numbers of more are a colour bar.
+SPREAD_QUANTILES = (0.05, 0.5, 0.95)  # The band, in which nine of ten values are, and the line in it.
 SHOW_OPTIONS = ("mean", "median", "spread")
 ATOM_SHARE = 0.02  # A value that this part of the cells has is drawn as one.
 ATOM_TOLERANCE = 1e-9  # Values nearer than this part of their range are one value.

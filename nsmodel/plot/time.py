@@ -111,7 +111,7 @@ def _windowed_mean(t: np.ndarray, values: np.ndarray, at: np.ndarray, width: flo
     return np.divide(whole, known_length, out=np.full(len(at), np.nan), where=known_length > 0)
 
 
-MAX_LINES = 12
+MAX_LINES = 12  # Lines of a picture; of more columns some, evenly spread.
 MIN_RESIDUAL = 1e-20  # Residuals below are as good as 0.
 # Each dash over the one before: lines that coincide stay visible.
 DASHES: tuple[tuple[float, Any], ...] = ((2.4, "-"), (1.6, (0, (7, 3))), (1.6, (0, (3.5, 3.5))), (1.4, (0, (1.5, 1.5))))

@@ -52,7 +52,7 @@ class AsymptoticOrder(NamedTuple):
         return int(self.low > 0) - int(self.high < 0)
 
 
-ZERO_ORDER = AsymptoticOrder(Fraction(0), Fraction(0), 0.0, 0.0)
+ZERO_ORDER = AsymptoticOrder(Fraction(0), Fraction(0), 0.0, 0.0)  # Of what is 0.
 
 
 def constant_order(low: float, high: float | None = None) -> AsymptoticOrder:

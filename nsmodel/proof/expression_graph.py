@@ -160,7 +160,7 @@ class _RewrittenNode(NamedTuple):
 
 
 MAX_STORED_NUMBERS = 4_000_000  # Numbers kept at once while a program runs.
-UNIT_FACTOR = Fraction(1)
+UNIT_FACTOR = Fraction(1)  # Of a power that is not multiplied by a number.
 POWER_OPERATIONS = {ca.OP_SQ, ca.OP_NEG, ca.OP_TWICE, ca.OP_MUL, ca.OP_ADD, ca.OP_SUB}
 MAX_POWER = 64  # Powers beyond this are left as they are.
 

@@ -115,7 +115,7 @@ def raise_terms(a: tuple[QuotientTerm, ...] | None, q: Fraction) -> tuple[Quotie
     )  # fmt: skip
 
 
-LOG_2 = 0.6931471805599454
+LOG_2 = 0.6931471805599454  # Above log 2 in its last digit: log(a + b) <= log 2 + max(log a, log b).
 
 
 class PowerBound(NamedTuple):

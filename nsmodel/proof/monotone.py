@@ -26,7 +26,7 @@ from nsmodel.proof.expression_graph import (
 )
 
 SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
-MAX_MONOTONE_PIECES = 32
+MAX_MONOTONE_PIECES = 32  # Pieces of a function of one variable; more are left open.
 
 
 def extract_constant_factor(term: ca.SX) -> tuple[Fraction, ca.SX]:

@@ -79,7 +79,7 @@ UNSOLVED_HALVINGS = 4  # How often a step without an answer is halved at once: t
 MAX_ACCEPTED_STEPS = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
 MISSED_TOLERANCE_FACTOR = 10  # Times what rtol allows: where errors add up to more, a warning says so.
 LOOSENING_INTERVAL = 500  # Accepted steps after which what is allowed may grow.
-INITIAL_ROW_CAPACITY = 4096
+INITIAL_ROW_CAPACITY = 4096  # Rows for which there is memory at first.
 
 
 class StepState(NamedTuple):

@@ -13,10 +13,10 @@ from nsmodel.simulation.run_data import RunData, model_type, multiplier_names, s
 from nsmodel.solvers import impacts
 
 _LABEL_WIDTH = 18  # The column of labels.
-_MAX_STATES = 8
-_MAX_CONTACTS = 8
-_MAX_ARCH_BODIES = 8
-_MAX_SPANS = 4
+_MAX_STATES = 8  # States at the end that are written out,
+_MAX_CONTACTS = 8  # contacts,
+_MAX_ARCH_BODIES = 8  # bodies behind an arch,
+_MAX_SPANS = 4  # and intervals of time.
 STANDSTILL_REASONS = {  # How a run of many bodies knows that nothing will ever change again.
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",

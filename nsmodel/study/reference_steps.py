@@ -120,10 +120,12 @@ class CoulombAtRows:
 
 
 HALF_LINE = complementarity(1).blocks[0]
-EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8
-PROJECTION_TOLERANCE = 1e-6
-EVALUATION_ROUNDING = 64 * EPS
-UNDERFLOW_SIZE = 1e-290
+EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8  # Relative: what a formula, and a law, may be violated by.
+PROJECTION_TOLERANCE = (
+    1e-6  # Of the way moved: what a projection may be off by. Squares are compared, which rounding changes by 1e-16.
+)
+EVALUATION_ROUNDING = 64 * EPS  # Relative: of a number that takes a few dozen operations.
+UNDERFLOW_SIZE = 1e-290  # Smaller misfits are lost among the smallest doubles, and count as 0.
 PROBE_LENGTHS = (1e-6, 1e-3, 1.0)  # lengths of the probes, beside the velocity
 
 StepResiduals = dict[str, float]

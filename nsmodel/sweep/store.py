@@ -222,7 +222,7 @@ CODE_CHECKS = {
 
 
 _PART_NAME_PATTERN = re.compile(r"part-(\d+)\.npz")
-_BLOCK_BYTES = 1 << 22
+_BLOCK_BYTES = 1 << 22  # Bytes that are read or written at a time.
 _REMOVE_HINT = "take it out of the folder, or give another folder"
 QuantityTypes = Mapping[str, tuple[str, tuple[int, ...]]]
 

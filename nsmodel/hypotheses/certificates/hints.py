@@ -145,7 +145,7 @@ class _ProgramWriter:
 # many parts, as a bound that is attained is told from its violation only by small ones.
 ROUNDING_ALLOWANCES = ROUNDING_ALLOWANCE, *_ = Fraction(1, 2**40), Fraction(1, 2**10), Fraction(1, 2**5)
 MAX_COVER_PARTS, MAX_COVER_DEPTH = 1000, 40  # Parts of a cover.
-ROUND_DOWN, KEEP_EXACT, ROUND_UP = -1, 0, 1
+ROUND_DOWN, KEEP_EXACT, ROUND_UP = -1, 0, 1  # Which way a stated number may be off.
 
 
 class UnprovedFinding(verify.Unproved):

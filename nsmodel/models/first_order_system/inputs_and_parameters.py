@@ -59,7 +59,7 @@ from nsmodel.simulation.trajectory import Trajectory
 FIELDS_OF_SYSTEM = ("M", "f", "h", "g", "law")
 JACOBIAN_IDS = (F_JACOBIANS.id, F_W.id, F_MLCP.id, F_STEP.id)
 MAX_INVERSE_STATES = 6  # Up to so many M is inverted in symbols.
-STEP_ROUNDING = 1e-9
+STEP_ROUNDING = 1e-9  # Relative: h |M^-1 G| is below 1 by more than it and its bound are rounded by.
 MAX_CORNER_STEPS, MAX_MLCP_STATES, MAX_MLCP_ROWS = (
     5,
     6,

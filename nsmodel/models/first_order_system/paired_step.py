@@ -41,7 +41,7 @@ from nsmodel.proof.expression_graph import (
 from nsmodel.proof.polynomial import Monomial
 
 MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # states, and step lengths
-MAX_CANCELLATION = 1e4
+MAX_TERM_RATIO = 1e4  # Terms of a sum beside the sum: more digits are not lost to rounding.
 
 
 class PairedForm(NamedTuple):
@@ -241,7 +241,7 @@ def _prove_at_step(at: SystemLinearisation, parts: PairedForm, h: float, regular
 def _has_no_cancellation(
     at: SystemLinearisation, parts: PairedForm, W: ca.SX, S: ca.SX, lower: np.ndarray, upper: np.ndarray
 ) -> bool:
-    """Whether the terms of S'W are no more than TERMS times what they add up to: far from what the room of the form leaves."""
+    """Whether the terms of S'W are at most MAX_TERM_RATIO times their sum: far from what the room of the form leaves."""
     _, terms = interval_bounds.enclose(parts.terms, at.z, lower, upper)
     low, high = interval_bounds.enclose(ca.densify(W), at.z, lower, upper)
     ends = np.where(np.isfinite(lower) & np.isfinite(upper), [lower, upper], 0.0)
@@ -249,7 +249,7 @@ def _has_no_cancellation(
     size = np.abs(np.array(middle)).max()
     if not all(np.isfinite(end).all() for end in (terms, low, high)):
         return False
-    return bool((terms.T @ np.maximum(np.abs(low), np.abs(high))).max() <= MAX_CANCELLATION * size)
+    return bool((terms.T @ np.maximum(np.abs(low), np.abs(high))).max() <= MAX_TERM_RATIO * size)
 
 
 def _is_maximal_monotone(at: SystemLinearisation, parts: PairedForm) -> bool:

@@ -35,7 +35,9 @@ from nsmodel.proof.parameter_hull import mixture_corners
 FrictionElements = Sequence[tuple[float, np.ndarray]]  # r_j > 0 and H_j
 MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius.
 MAX_LOCAL_STARTS = 20  # Local searches.
-MAX_CELLS, CELL_BATCH, CELL_TOLERANCE = 60_000, 2048, 1e-10
+MAX_CELLS = 60_000  # Cells that are looked at; then the radius has the bounds found so far.
+CELL_BATCH = 2048  # Cells that are cut at once.
+CELL_TOLERANCE = 1e-10  # Relative: the gap between bound and value that ends it.
 
 
 class RadiusBound(NamedTuple):
@@ -217,8 +219,8 @@ def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarra
 
 MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
 THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.
-SLOPE_MARGIN = 1e-9
-REAL_LINE = -np.inf, np.inf
+SLOPE_MARGIN = 1e-9  # Beside 1 and the radius: a slope below the radius by more is so beyond rounding.
+REAL_LINE = -np.inf, np.inf  # A box without bounds.
 
 
 class RestInterval(NamedTuple):

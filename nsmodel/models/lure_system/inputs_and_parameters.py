@@ -74,7 +74,8 @@ HYPOTHESIS_FIELDS = {
     "7.1": ("D", "e", "f", *LAW_FIELDS),
 }  # fmt: skip
 MAX_CORNER_COLUMNS = 64  # Of all corners of B together.
-MAX_MINOR_SIZE, OMEGA_TRIES = 6, 12
+MAX_MINOR_SIZE = 6  # Rows of a leading minor that is written out.
+OMEGA_TRIES = 12  # Values of omega above the one in doubles, by 4^k 1e-15 of it, that are tried exactly.
 
 
 class EnergyMatrix(NamedTuple):

@@ -78,7 +78,7 @@ def effort_notes(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
 
 
 POSITION_ROUNDING = 1e-10  # A deficit below this part of the positions counts as rounding.
-MAX_CHECKED_ROWS = 100
+MAX_CHECKED_ROWS = 100  # Rows of a run that are looked at, at most.
 MAX_MOTION_ROWS = 4_000_000  # Bodies times rows where each step's length is looked at.
 RUN_MOTION = Hypothesis(
     "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",

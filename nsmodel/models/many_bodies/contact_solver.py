@@ -36,7 +36,7 @@ MAX_DENSE_FACTOR_ROWS = 100  # Rows up to which a dense factorisation is faster.
 MAX_LEMKE_ROWS = 60  # Rows of a group up to which Lemke's pivoting is the robust way.
 MAX_DENSE_SOLVER_ROWS = 3000  # Rows of a group that a solver of dense problems takes.
 ACTIVE_SET_PATIENCE = 10  # Changes of the active set without fewer wrong rows, after which it is given up.
-MAX_GROUP_PASSES = 100
+MAX_GROUP_PASSES = 100  # Times that rows which the solution violates are added to a group.
 DIAGONAL_REGULARISATION = 1e-11  # Added to a diagonal of 1, and taken back by refinement.
 
 

@@ -45,6 +45,7 @@ from nsmodel.proof.verdict import HypothesisPart
 
 NEAR_TIME, FAR_TIME = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.
 MAX_CURVES = 8  # Curves on which a proof is tried.
+# Powers of t, and factors of them, by which curves bend that are tried.
 CURVE_BENDS = ((2, 1.0), (2, 1e4), (4, 1.0), (4, 1e4), (4, 1e12))
 
 
@@ -307,7 +308,7 @@ def _curve_name(path: PolynomialCurve) -> str:
     return "d, a direction in which C is unbounded," if path.power == 1 else "a curve in C"
 
 
-MAX_MULTIPLIER_CORNERS = 12
+MAX_MULTIPLIER_CORNERS = 12  # Multipliers whose 2^12 corners are all looked at; else the sum of their sizes is the bound.
 SECTOR_START, TANGENT_SCALE = (
     8,
     64.0,

@@ -43,7 +43,7 @@ from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import program, stack_column
 from nsmodel.proof.verdict import not_none
 
-MAX_PAIR_CONSTRAINTS = 60
+MAX_PAIR_CONSTRAINTS = 60  # Constraints whose pairs are all looked at.
 PAIRS_DESCRIPTION = "balls and half-spaces: the angles between their normals where two of them meet"
 
 
@@ -228,8 +228,8 @@ def _height_scale(ball: BallComplement, plane: AffineForm) -> float:
     return sum_in_order(rest) + (abs(float(plane.offset)) / size if isinstance(plane.offset, Fraction) else 0.0)
 
 
-MAX_PLANES = 12
-MAX_INDEPENDENT = 60
+MAX_PLANES = 12  # Planes whose sets that can be active are looked at one by one; of more, all of them together.
+MAX_INDEPENDENT = 60  # Constraints between whose spaces of gradients all angles are looked at.
 ORTHONORMAL_ROUNDING = 1e-8  # More than what products of orthonormal vectors err by.
 INITIAL_SLICES, MAX_SLICES, MIN_SLICE_FRACTION = 8, 200, 1e-9  # Of the interval of time, where planes move.
 
