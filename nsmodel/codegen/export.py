@@ -144,7 +144,7 @@ class _InputSegment(NamedTuple):
 
 
 def _input_segments(grid: TimeGrid, first: int, last: int, given: list[int]) -> list[_InputSegment]:
-    """Steps ``first`` up to ``last`` of a driven grid, at most STRETCHES stretches, with the inputs that are given."""
+    """Steps ``first`` up to ``last`` of a driven grid, at most MAX_SEGMENTS stretches, with the inputs that are given."""
     t = grid.between(first, last)
     begin, end = (limits[:, given] for limits in np.hsplit(not_none(grid.drive).limits(t, first), 2))
     h = np.array([grid.step(k) for k in range(first, last)])

@@ -274,7 +274,7 @@ def describe_left_out(flags: Set[str]) -> list[str]:
     return lines
 
 
-MAX_WORK = 2**31 - 1  # What a counter in C holds.
+MAX_COUNT = 2**31 - 1  # What a counter in C holds.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.
 FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system.
 PROBE_SOLVES = 2 * PROBES  # Probes of what the unknowns err by, and of how ill-conditioned their system is.

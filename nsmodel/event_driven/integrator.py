@@ -74,7 +74,8 @@ from nsmodel.event_driven.system import ModeSystem
 from nsmodel.modeling.time_grid import format_value, is_number
 from nsmodel.proof.verdict import not_none
 
-MIN_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
+MIN_RTOL = 1e-14  # Doubles hold no more than 16 digits.
+JUMPS, UPDATES = 2, 8  # At one time: jumps of the state, and changes of what blocks hold.
 NO_SWITCH_TIMES = SwitchTimes()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.

@@ -48,7 +48,7 @@ POLE = 1e6  # How much more than its size a state would move at its rate in the 
 SUDDEN = 1e3  # and how much more than itself that rate would.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
 MAX_STILL_PIECES = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
-CANCELLED = 2.0**-50  # Of an entry of P: rounding.
+ENTRY_CANCELLED = 2.0**-50  # Of an entry of P: rounding.
 FAR, GROWS = 64.0, 4.0  # Times in which time stands still, and how much smaller rates are so far from a pole.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
 
@@ -238,7 +238,7 @@ def _held_row_projection(how: MultiplierSolver, B: np.ndarray, _: np.ndarray, C:
     rows = list(how.active)
     NC = np.array(how.through) @ C[rows]
     P = np.eye(len(B)) - B[:, rows] @ NC
-    P[np.abs(P) <= CANCELLED] = 0.0
+    P[np.abs(P) <= ENTRY_CANCELLED] = 0.0
     return P, NC
 
 

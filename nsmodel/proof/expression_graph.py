@@ -159,7 +159,7 @@ class _RewrittenNode(NamedTuple):
     holds: bool
 
 
-MAX_STORED_NUMBERS = 4_000_000  # Numbers kept at once while a program runs.
+MAX_NUMBERS_AT_ONCE = 4_000_000  # Numbers kept at once while a program runs.
 UNIT_FACTOR = Fraction(1)  # Of a power that is not multiplied by a number.
 POWER_OPERATIONS = {ca.OP_SQ, ca.OP_NEG, ca.OP_TWICE, ca.OP_MUL, ca.OP_ADD, ca.OP_SUB}
 MAX_POWER = 64  # Powers beyond this are left as they are.
@@ -195,7 +195,7 @@ class Program:
     @property
     def boxes_per_run(self) -> int:
         """How many boxes are worth running together."""
-        return max(16, MAX_STORED_NUMBERS // (2 * len(self.steps) + 1))
+        return max(16, MAX_NUMBERS_AT_ONCE // (2 * len(self.steps) + 1))
 
 
 def program(expr: ca.SX, z: ca.SX) -> Program:

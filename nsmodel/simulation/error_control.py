@@ -11,17 +11,17 @@ across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accept
   cone whose l is 0. On the surface of a cone it leaves by the curvature, of size |d|^2, which the next step takes back. What the
   scheme carries of the multipliers (gamma < 1) stays that of the step: on a row that is held it may alternate about its mean,
   which d would magnify;
-- else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
-  set changes: that error falls like h, whatever the order.
+- else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH_ERROR_SHARE and the
+  index set changes: that error falls like h, whatever the order.
 
 The rows of the run are the half steps. Each is verified; its multipliers and outputs are those of its step, and
 ``correction`` tells how far extrapolation has then moved the state, in units of what is allowed.
 
-Steps are L/2^j, at most T/2^LARGEST, and start at multiples of themselves, L the length of the span between two known times
-(``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of a
-refused step is the next trial. At L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run
-goes on; where walls call for impulses at L/2^IMPACT, as a velocity behind one is known to eps |y|/h alone: shorter steps would
-give a point at rest a speed that rtol sees, and follow its hops. Where a state must jump at a cone it does not go on
+Steps are L/2^j, at most T/2^COARSEST_LEVEL, and start at multiples of themselves, L the length of the span between two known
+times (``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of
+a refused step is the next trial. At L/2^FINEST_LEVEL every verified step is accepted, and counted: at an accumulation of switches
+a run goes on; where walls call for impulses at L/2^IMPACT, as a velocity behind one is known to eps |y|/h alone: shorter steps
+would give a point at rest a speed that rtol sees, and follow its hops. Where a state must jump at a cone it does not go on
 (`impacts.refusal`): y is certified beside |y|, which is not small on the surface of a cone, and what y may be off is any velocity
 over such a step.
 
@@ -182,7 +182,7 @@ class ErrorControlledPropagator(SchemePropagator):
 
     @property
     def _coarsest_level(self) -> int:
-        """The j of the longest step of a span: of the whole run L/2^LARGEST, of a short span all of it."""
+        """The j of the longest step of a span: of the whole run L/2^COARSEST_LEVEL, of a short span all of it."""
         return max(0, COARSEST_LEVEL + math.ceil(math.log2(self._length / self.T)))
 
     def _begin_next_span(self) -> None:

@@ -189,7 +189,7 @@ def plan_with_inputs(plan: Plan, drive: InputSchedule | None) -> Plan:
 
 
 def find_runaway_state(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:
-    """Name and value of the largest of x (n,), where it is beyond RUNAWAY or no number."""
+    """Name and value of the largest of x (n,), where it is beyond RUNAWAY_LIMIT or no number."""
     i = int(np.argmax(np.nan_to_num(np.abs(x), nan=np.inf)))
     return None if abs(x[i]) <= RUNAWAY_LIMIT else (names[i], float(x[i]))
 

@@ -186,7 +186,7 @@ def _find_rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[in
 def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
     """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0.
 
-    Of an operator of more than EIGENVALUES_UP_TO rows, scaled already, it is what Lanczos' method finds: not below the true one.
+    Of an operator of more than MAX_FULL_SPECTRUM_ROWS rows, scaled already, it is what Lanczos finds: not below the true one.
     """
     if not isinstance(W, np.ndarray):
         if W.shape[0] > MAX_FULL_SPECTRUM_ROWS:

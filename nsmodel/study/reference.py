@@ -149,7 +149,7 @@ NEGLIGIBLE_STATE_SIZE = 1e-9  # A state smaller than this part of its group is n
 ORDER_RANGE = 0.5, 2.0  # The schemes' orders; outside of them an order seen on three runs is chance.
 REGULARITY_TOLERANCE = 1e-10  # Least singular value, relative to the largest, of a matrix that determines its multipliers.
 PIECE_SUBDIVISIONS = 8  # Parts in which a piece is compared.
-MAX_INDEX_SETS = 60  # So many different index sets of a run are looked at.
+MAX_CHECKED_INDEX_SETS = 60  # So many different index sets of a run are looked at.
 
 
 @dataclass(frozen=True)
@@ -399,7 +399,7 @@ def nonuniqueness_reason(model: Model, problem: OneStepProblem, run: Trajectory)
     newton = NewtonSolver(problem, read_step_structure(problem), law, run.metadata["tolerance"])
     n, m, codes = len(model.names), law.size, run.index_set
     _, rows = np.unique(codes, axis=0, return_index=True)
-    for k in [k for k in np.sort(rows) if codes[k].min() >= -1][:MAX_INDEX_SETS]:
+    for k in [k for k in np.sort(rows) if codes[k].min() >= -1][:MAX_CHECKED_INDEX_SETS]:
         held = np.flatnonzero(codes[k] == 0)
         state = np.zeros(problem.state.numel())
         state[:n] = run.x[k - 1]

@@ -88,7 +88,7 @@ def never_stop() -> bool:
 
 
 def run_chunk(request: SweepRequest, tasks: Sequence[CellTask], stop: StopCheck = never_stop) -> CellResults:
-    """Run the cells of a chunk; those that were not reached when ``stop`` said so have the status NOT_RUN."""
+    """Run the cells of a chunk; those that were not reached when ``stop`` said so have the status CELL_NOT_RUN."""
     parts = [(task.at, _run_task(request, task, stop)) for task in tasks]
     size = sum(len(at) for at, _ in parts)
     arrays = unrun_arrays(size, parts[0][1].arrays)
@@ -130,7 +130,7 @@ def missing_value(name: str, kind: np.dtype) -> Any:
 
 
 def _run_task(request: SweepRequest, task: CellTask, stop: StopCheck) -> CellResults:
-    """The cells of one group; of those that are run together, what C does not go on with has the status NOT_RUN."""
+    """The cells of one group; of those that are run together, what C does not go on with has the status CELL_NOT_RUN."""
     if isinstance(task.group, str):
         return _refused_cells(len(task.at), task.group)
     group = open_group(request, task.group)
@@ -150,7 +150,7 @@ class OpenGroup:
         self.why = found if isinstance(found, str) else ""
 
     def together(self, request: SweepRequest, values: np.ndarray, stop: StopCheck) -> CellResults:
-        """Cells in C; what C does not go on with has the status NOT_RUN."""
+        """Cells in C; what C does not go on with has the status CELL_NOT_RUN."""
         rows, number = self.group.rows, CELL_BACKENDS.index(request.way)
         reduced = {name: one for name, one in request.outputs.items() if isinstance(one, Reduction)}
         all_rows = any(one.needed_rows is None for one in reduced.values())

@@ -281,7 +281,7 @@ class SweepStore:
         return path_inside(self.folder, name, "nsmodel")
 
     def status(self) -> np.ndarray:
-        """The status (size,) of each cell, NOT_RUN where it is not there."""
+        """The status (size,) of each cell, CELL_NOT_RUN where it is not there."""
         status = np.full(self.size, CELL_NOT_RUN, np.int8)
         for cells, arrays, _ in self._read_parts():
             status[cells] = arrays["status"]

@@ -363,7 +363,7 @@ static int stays(const model_pieces *s, int k)
         size = max_of(size, fabs(s->c[k][i]));
     for (int a = 0; a < n; a++) {
         size = max_of(size, fabs(y[HOW.active[a]]));
-        rounding[a] = ROUNDING*terms_of_x(s, HOW.active[a], pushed);
+        rounding[a] = TERM_ROUNDING*terms_of_x(s, HOW.active[a], pushed);
     }
     for (int z = 0; z < HOW.null; z++) {
         double sum = 0, least = 0;

@@ -415,7 +415,7 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             return status;
         n = own.orders + 1;
         coefficients(s, &own, c);
-        const double instant = INSTANT*EPS*fabs(s->at.t)/s->at.tau;
+        const double instant = T_ROUNDING*EPS*fabs(s->at.t)/s->at.tau;
         tie = TIE*size_of(s, &own);
         if (!is_simple(n, c, tie, instant) && !is_simple(n, c, tie = tie_of(s, &own, TIE), instant)) {
             if ((status = isolate(s, hit, end, found)))
@@ -430,9 +430,9 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             return expand_finite(s, AROUND);
         }
         double d = -c[0]/c[1];
-        if ((pass && fabs(c[0]) <= POLISHED*tie) || fabs(d)*s->at.tau <= EPS*fabs(s->at.t))
+        if ((pass && fabs(c[0]) <= ON_EVENT*tie) || fabs(d)*s->at.tau <= EPS*fabs(s->at.t))
             break;
-        for (int i = 0; i < ON_ONE; i++) {
+        for (int i = 0; i < STEPS_PER_EXPANSION; i++) {
             const double e = slope_of(n, c, d), v = value_of(n, c, d);
             d -= e != 0 && fabs(v/e) < NEAR ? v/e : 0;
         }

@@ -183,7 +183,7 @@ static double beside_multipliers(model_pieces *s, const sizes_at_end *of, const 
         }
         add_push(s, unit, along);
         for (int i = 0; i < N; i++)
-            if (fabs(unit[i]) > CANCELLED)
+            if (fabs(unit[i]) > ENTRY_CANCELLED)
                 moved[i] += fabs(unit[i])*without[j];
     }
     for (int i = 0; i < N; i++)
@@ -203,7 +203,7 @@ static const double *bound_of(model_pieces *s, int *known)
     if (!*known) {
         rounding(s, s->now, s->value, s->value + N, s->bound);
         for (int i = 0; i < N; i++)
-            s->bound[i] *= ROUNDING*s->at.tau;
+            s->bound[i] *= TERM_ROUNDING*s->at.tau;
         *known = 1;
     }
     return s->bound;

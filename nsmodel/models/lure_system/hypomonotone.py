@@ -48,7 +48,7 @@ class JacobianHull(NamedTuple):
 def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> JacobianHull | None:
     """Return the hull from interval bounds over a box of x of the varying entries of J (n, n), +-equal entries together.
 
-    None where there are more than VARYING of them, or more than STATES states.
+    None where there are more than MAX_VARYING_ENTRIES of them, or more than MAX_HULL_STATES states.
     """
     n = J.shape[0]
     if n > MAX_HULL_STATES:

@@ -294,7 +294,7 @@ def _independence_proof(constraints: Sequence[Constraint], rho: float) -> GammaP
 
 
 def _gradient_space(shape: ConstraintShape, states: Sequence[int]) -> np.ndarray | None:
-    """An orthonormal basis of a space that holds the gradient, but for ``ROUNDED``; of a plane the unit normal itself."""
+    """An orthonormal basis of a space that holds the gradient, to ORTHONORMAL_ROUNDING; of a plane the unit normal itself."""
     place = {i: k for k, i in enumerate(states)}
     if shape.kind == "plane":
         normal = np.zeros((len(states), 1))
