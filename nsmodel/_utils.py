@@ -238,8 +238,8 @@ def print_escaped(*parts: Any, **options: Any) -> None:
 TEXT_WIDTH = 100  # Columns of what is printed: reprs, summaries, tables.
 REPR_LINES = 10  # Lines of a repr, at most.
 MAX_ENTRIES = 4  # Entries of a list, and of a dictionary, that are shown.
-MAX_ARRAY_NUMBERS = 6  # Of an array.
-MAX_VALUE_LENGTH = 60  # Characters of one value.
+MAX_ARRAY_NUMBERS = 6  # Numbers of an array that are shown.
+MAX_VALUE_LENGTH = 60  # Characters of one value that is shown.
 
 
 def short_repr(self: Any) -> str:

@@ -44,7 +44,8 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.variants import initial_inputs, inputs_as_parameters
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_constants, operation_codes, symbol_hashes
 
-MIN_STAGES, MAX_STAGES = (stage_count(taylor_order(rtol)) for rtol in (ROUGHEST, MIN_RTOL))  # Stages.
+# Of Radau IIA, for the roughest and the strictest rtol.
+MIN_STAGES, MAX_STAGES = (stage_count(taylor_order(rtol)) for rtol in (ROUGHEST, MIN_RTOL))
 MATRICES_BYTES = 32 << 10  # Memory for the matrices of modes, or of lengths.
 MAX_UNKNOWNS = 32  # Rows of x and l: matrices of the stages are dense, and kept.
 

@@ -274,7 +274,7 @@ def describe_left_out(flags: Set[str]) -> list[str]:
     return lines
 
 
-MAX_COUNT = 2**31 - 1  # What a counter in C holds.
+MAX_COUNT = 2**31 - 1  # The largest number that an int of 32 bits in C holds: what a step may count to.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.
 FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system.
 PROBE_SOLVES = 2 * PROBES  # Probes of what the unknowns err by, and of how ill-conditioned their system is.

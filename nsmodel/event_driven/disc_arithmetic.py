@@ -27,7 +27,7 @@ INF = math.inf
 _DISC_DIALECT = PYTHON_DIALECT._replace(choose="pass")  # The sides of branches are given.
 _ROUNDED_DIALECT = _DISC_DIALECT._replace(kept="rounded({0})")
 PRODUCT_ROUNDINGS, FUNCTION_ROUNDINGS = 3, 8  # Roundings of a coefficient beside one for each coefficient.
-MAX_EXP_ARGUMENT = 700.0  # Exp of less is a double.
+MAX_EXP_ARGUMENT = 700.0  # exp of less is a double: log of the largest one is 709.8.
 
 
 class DiscBall:

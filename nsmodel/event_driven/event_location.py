@@ -209,14 +209,14 @@ def _positive_until(c: np.ndarray, e: float) -> float | None:
     return s if s <= 1 else None
 
 
-POLISHING = 6  # Expansions at the event.
+POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last.
 ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event.
-STEPS_PER_EXPANSION = 3  # Of Newton's method.
+STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew.
 TAIL = 2  # Last coefficients of an expansion, which tell what its truncation errs by.
 LOST = 1e-2  # Of the largest coefficient: a truncation that errs by more has no root to be trusted.
 DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
-MIN_PART = 2.0**-200  # Of a piece.
-T_ROUNDING = 8  # Roundings of the time.
+MIN_PART = 2.0**-200  # Of a piece: a shorter part is not looked at for rounding that hides a root.
+T_ROUNDING = 8  # In roundings of the time: an event that is as near is now.
 STEEP = 0.5  # Of the slope at a simple root: what it may change by where the sign is not known.
 
 

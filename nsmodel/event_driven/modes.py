@@ -219,8 +219,8 @@ P_ROUNDING = 1e-9  # Of the largest impulse: by so much one may be outside its b
 NONZERO_SHARE = 1e-4  # Of its size: a larger y is 0 in no mode.
 MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
 MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double.
-FEW = 9  # Rows whose modes are all tried.
-LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
+FEW = 9  # Rows up to which all modes are tried one by one.
+LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time, of the Laplace transforms whose index sets are guesses.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
 FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])  # k!, of Laplace transforms of t^k.
 
@@ -632,7 +632,7 @@ def _guess_modes(system: ModeSystem, place: PieceStart) -> Iterator[list[int]]:
             yield [int(code) for code in found.index]
 
 
-NAMED = 4  # Switches that an error names.
+MAX_NAMED_SWITCHES = 4  # Switches that an error names.
 
 
 def switch_name(of: Switch, rows: Sequence[str]) -> str:
@@ -660,5 +660,5 @@ def describe_undecided(record: Sequence[float], rows: Sequence[str], parts: Sequ
 def list_switch_names(switches: Iterable[Switch], rows: Sequence[str]) -> str:
     """The names of switches, a few of many; "" of none."""
     names = list(dict.fromkeys(switch_name(of, rows) for of in sorted(switches, key=lambda of: (of[0] != ROW, of))))
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+    more = f" and {len(names) - MAX_NAMED_SWITCHES} more" if len(names) > MAX_NAMED_SWITCHES else ""
+    return ", ".join(names[:MAX_NAMED_SWITCHES]) + more

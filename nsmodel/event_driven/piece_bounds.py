@@ -48,7 +48,7 @@ POLE = 1e6  # How much more than its size a state would move at its rate in the 
 SUDDEN = 1e3  # and how much more than itself that rate would.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
 MAX_STILL_PIECES = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
-ENTRY_CANCELLED = 2.0**-50  # Of an entry of P: rounding.
+ENTRY_CANCELLED = 2.0**-50  # An entry of P = I - B N C below this is rounding of its terms.
 FAR, GROWS = 64.0, 4.0  # Times in which time stands still, and how much smaller rates are so far from a pole.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
 

@@ -382,7 +382,7 @@ SAFE = 0.5  # The share of what is allowed that its error is foretold to be.
 ENDINGS = 8  # How often a piece is made anew to end at an event.
 ENDED = 1e-4  # Of its length: so near its end what it errs by inside counts by the square of that.
 MOVED = 0.1  # By which share of its length a piece may have to be longer than its polynomial told, for that.
-MAX_WAIT_OCTAVES = 6  # Octaves.
+MAX_WAIT_OCTAVES = 6  # After trials that failed, 2^k series pass before the next one, with k up to this.
 
 
 class StiffPiece(NamedTuple):

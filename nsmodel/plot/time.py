@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
 
 MAX_SWINGS = 150  # Ways from bottom to top that can be told apart beside each other.
-BAND_POINTS = 400  # Of a band.
+BAND_POINTS = 400  # Points of the band between lows and highs.
 MEAN_POINTS = 8 * BAND_POINTS  # Of means, of which means are taken.
 EXTREMA_PER_MEAN = 6  # A mean is over so many turns, twice: about a hundredth is left of what goes up and down.
-EXTREMA_PER_BAND = 2.5
+EXTREMA_PER_BAND = 2.5  # Lows and highs in the time that one point of the band looks at: at least one of each.
 
 
 def swing_count(values: np.ndarray) -> float:

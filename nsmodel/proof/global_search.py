@@ -260,7 +260,7 @@ def _choose_coordinate(
 
 
 QUICK_SAMPLES, FULL_SAMPLES = 256, 2048  # Sample points of a quick and of a full search.
-MAX_LOCAL_SEARCHES = 4  # Local searches.
+MAX_LOCAL_SEARCHES = 4  # Sample points from which a local search starts.
 MAX_SEARCH_BOXES, MAX_SEARCH_WORK = (
     20_000,
     2_000_000,

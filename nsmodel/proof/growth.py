@@ -32,7 +32,7 @@ from nsmodel.proof import interval_bounds, polynomial
 from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import Instruction, Program, program
 
-MAX_BOUND_TERMS = 60  # Terms of a bound.
+MAX_BOUND_TERMS = 60  # Terms of a bound; one of more is none.
 AtomMonomial = tuple[tuple[int, Fraction], ...]  # ((atom, power), ...), atoms increasing, powers not 0
 MonomialSum = tuple[tuple[float, AtomMonomial], ...]
 

@@ -29,7 +29,7 @@ NEIGHBOURHOOD, ROOT_SAMPLES = 10, 64  # Times the state: where jumps are looked 
 MAX_NAMES = 12  # Contacts that a message names.
 MODERATE = 1e-4  # Of the largest: parts of W and friction beside which linear programmes tell what is infeasible.
 MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one.
-OPEN, STICK, INFEASIBLE = "open", "stick", 2  # The last: what linprog says.
+OPEN, STICK, INFEASIBLE = "open", "stick", 2  # Modes of a contact, and the status of linprog where nothing is feasible.
 LIFTED = 1e12  # So many times what is violated a row that is farther off says nothing: contacts that do not act.
 FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 

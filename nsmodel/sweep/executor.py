@@ -247,7 +247,7 @@ def _init_worker(parent: int, forked: bool) -> None:
 
 
 TARGET_CHUNK_SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
-MAX_CHUNK_BYTES = 16 << 20  # And holds at most so much.
+MAX_CHUNK_BYTES = 16 << 20  # Bytes of results that a chunk holds, at most.
 MAX_ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
 POLL_SECONDS = 0.2  # Seconds between two looks at signals.
 

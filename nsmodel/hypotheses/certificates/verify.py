@@ -32,6 +32,7 @@ CONTEXT = decimal.Context(prec=60)
 # BIG: larger numbers are rounded to infinity, smaller ones than 1/BIG to 0 or 1/BIG.
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
 PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
+# More than these is not checked: exponents, powers multiplied out, terms and bits of a polynomial, operations in all.
 MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS, MAX_WORK, SPENT = 1000, 16, 20000, 200000, 5 * 10**7, [-INF]
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]

@@ -29,7 +29,7 @@ from nsmodel.modeling.signals.base import (
 
 TABLE_KINDS = ("hold", "linear", "cubic")
 AFTER_RULES = ("hold", "error", "periodic")
-MIN_SPLINE_ROWS = 4  # Rows of a cubic table.
+MIN_SPLINE_ROWS = 4  # Rows of a cubic table, at least: a cubic has four coefficients.
 
 
 @dataclass(frozen=True, eq=False)

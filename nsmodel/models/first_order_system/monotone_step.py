@@ -282,8 +282,8 @@ def _stack_triangle(S: np.ndarray) -> np.ndarray:
     return np.where(i == j, S[i, j], np.sqrt(2) * S[i, j])
 
 
-MAX_REGION_PARTS = 10  # of the box that are looked at
-MAX_FORM_UNKNOWNS = 9  # states and multipliers
+MAX_REGION_PARTS = 10  # Parts of the box that are looked at; more are left open.
+MAX_FORM_UNKNOWNS = 9  # States and multipliers together; of more a form is not looked for.
 
 
 class UniquenessProof(NamedTuple):

@@ -40,7 +40,7 @@ from nsmodel.proof.expression_graph import (
 )
 from nsmodel.proof.polynomial import Monomial
 
-MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # states, and step lengths
+MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # States, and step sizes, of a model that is looked at; more are left open.
 MAX_TERM_RATIO = 1e4  # Terms of a sum beside the sum: more digits are not lost to rounding.
 
 

@@ -23,14 +23,14 @@ from nsmodel.models.first_order_system.linearisation import SystemLinearisation
 from nsmodel.models.first_order_system.step_modes import StepMode, StepModes
 from nsmodel.proof import interval_bounds, krawczyk
 
-MAX_STEP_MODES = 2500  # that are tried at one state
+MAX_STEP_MODES = 2500  # Modes of a step that are tried at one state.
 MODE_SAMPLES, TRIED_STATES, TRIED_ROWS = (
     300,
     12,
     4,
 )  # points of modes; states of them, and of the runs, at which all modes are tried
 NEWTON_STARTS = 6  # of Newton's method on a mode where a ball or a cone is touched
-MAX_NEWTON_RUNS = 2500  # runs of Newton's method, in all
+MAX_NEWTON_RUNS = 2500  # Runs of Newton's method, in all.
 MAX_MODE_ITERATIONS = 14  # Of Newton's method on a mode.
 MODE_NEWTON_TOLERANCE = 1e-11  # Relative: its last step.
 INEQUALITY_SLACK, DATA_MARGIN = (

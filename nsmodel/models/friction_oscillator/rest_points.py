@@ -34,7 +34,7 @@ from nsmodel.proof.parameter_hull import mixture_corners
 
 FrictionElements = Sequence[tuple[float, np.ndarray]]  # r_j > 0 and H_j
 MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius.
-MAX_LOCAL_STARTS = 20  # Local searches.
+MAX_LOCAL_STARTS = 20  # Points from which a local search starts.
 MAX_CELLS = 60_000  # Cells that are looked at; then the radius has the bounds found so far.
 CELL_BATCH = 2048  # Cells that are cut at once.
 CELL_TOLERANCE = 1e-10  # Relative: the gap between bound and value that ends it.

@@ -171,7 +171,7 @@ def _fence(token: str) -> str:
     return f'<mo fence="true" stretchy="true">{html.escape(sign)}</mo>' if sign not in ("", ".") else ""
 
 
-MAX_TEXT_LENGTH = 200  # Characters of one text.
+MAX_TEXT_LENGTH = 200  # Characters of one text of a page; longer ones are cut.
 GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"
 LEVELS = {
     "holds": GOOD, "done": GOOD, "right": GOOD, "finished": GOOD,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
     from nsmodel.sweep.statistics import Share, Statistics
 
-MAX_ROW_TEXT = 320  # Characters of a row.
+MAX_ROW_TEXT = 320  # Characters of a row; longer ones are cut.
 MAX_FORMULA_LENGTH = 2500  # Characters of LaTeX in one formula.
 
 
