@@ -235,10 +235,11 @@ def print_escaped(*parts: Any, **options: Any) -> None:
     builtins.print(*(escape_invisible(str(part)) for part in parts), **options)
 
 
-REPR_WIDTH, REPR_LINES = 100, 10
+TEXT_WIDTH = 100  # Columns of what is printed: reprs, summaries, tables.
+REPR_LINES = 10  # Lines of a repr, at most.
 MAX_ENTRIES = 4  # Entries of a list, and of a dictionary, that are shown.
-MAX_ARRAY_NUMBERS = 6  # Of an array.
-MAX_VALUE_LENGTH = 60  # Characters of one value.
+MAX_ARRAY_NUMBERS = 6  # Numbers of an array that are shown.
+MAX_VALUE_LENGTH = 60  # Characters of one value that is shown.
 
 
 def short_repr(self: Any) -> str:
@@ -288,7 +289,7 @@ def truncate_text(text: str, width: int = MAX_VALUE_LENGTH) -> str:
     return text if len(text) <= width else f"{text[: width - 4].rstrip()} ..."
 
 
-def join_within_width(items: Iterable[str], width: int = REPR_WIDTH) -> str:
+def join_within_width(items: Iterable[str], width: int = TEXT_WIDTH) -> str:
     """Items with commas, as many as have room, and how many more there are.
 
     >>> join_within_width(["one", "two", "three", "four"], 16)
@@ -317,12 +318,12 @@ def align_columns(rows: Sequence[Sequence[str]], side: Callable[[str, int], str]
 
 def labelled_lines(label: str, text: str, width: int = 16) -> list[str]:
     """A text in lines of 100 columns behind a label, which has a column of so many letters."""
-    return textwrap.wrap(text, REPR_WIDTH, initial_indent=f"  {label:{width}}", subsequent_indent=" " * (width + 2))
+    return textwrap.wrap(text, TEXT_WIDTH, initial_indent=f"  {label:{width}}", subsequent_indent=" " * (width + 2))
 
 
 def wrap_lines(text: str) -> list[str]:
     """The text in lines of 100 columns, ten at most."""
-    lines = textwrap.wrap(text, REPR_WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+    lines = textwrap.wrap(text, TEXT_WIDTH, subsequent_indent="    ", break_on_hyphens=False)
     return lines if len(lines) <= REPR_LINES else [*lines[: REPR_LINES - 1], "    ..."]
 
 
@@ -370,6 +371,7 @@ def format_number(value: float) -> str:
     return f"{value + 0.0:.6g}" if isfinite(value) else str(value)
 
 
+EPS = sys.float_info.epsilon  # 2^-52, relative: from 1 to the next double; an operation is rounded by half of it, at most.
 DEFAULT_TOLERANCE = 1e-9  # The largest residual of a step that is accepted.
 MIN_TOLERANCE = 1e-14  # Below it there is rounding alone.
 

@@ -35,8 +35,9 @@ FILE_HELP = "a Python file that defines model = ... or def model(...), or the na
 CHOICE_PATTERN = re.compile(r"invalid choice: '(.*?)' \(choose from")
 INPUT_OPTIONS = ("kind", "after", "period")
 
+# Exit statuses, see docs/guide.md.
 EXIT_DONE, EXIT_AT_FAULT, EXIT_USAGE, EXIT_FAILED_STEP, EXIT_REFUSED, EXIT_STORAGE = range(6)
-EXIT_INTERRUPTED, EXIT_TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+EXIT_INTERRUPTED, EXIT_TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM  # As a shell reports a signal.
 
 
 # -- the parser --------------------------------------------------------------------------------------------------------

@@ -13,9 +13,9 @@ import numpy as np
 
 from nsmodel._utils import DEFAULT_TOLERANCE
 from nsmodel.codegen import event_driven_source
-from nsmodel.codegen.constant_steps import MAX_LENGTHS, step_matrices
+from nsmodel.codegen.constant_steps import step_matrices
 from nsmodel.codegen.export import LIBRARY_FILES, WORST_CASE_NEEDS, LibraryRequest, library_description, step_library_files
-from nsmodel.codegen.features import MAX_WORK
+from nsmodel.codegen.features import MAX_COUNT
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.source import LibrarySource, write_source
 from nsmodel.codegen.step_spec import make_step_spec
@@ -27,6 +27,7 @@ from nsmodel.modeling.parameters import Values
 from nsmodel.modeling.time_grid import TimeGrid, check_times, check_tolerance, format_value, make_grid
 from nsmodel.modeling.variants import with_inputs
 from nsmodel.proof.verdict import not_none
+from nsmodel.solvers.structure import MAX_STEP_SIZES
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
@@ -66,7 +67,7 @@ class Written(NamedTuple):
             "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
             "work": [
                 f"{about['max_work']} linear systems, index sets and sweeps in a step at most"
-                if about["max_work"] < MAX_WORK
+                if about["max_work"] < MAX_COUNT
                 else "no bound of practical use (--max-work sets one)"
             ],
             "memory": [f"{about['memory'] / 1e6:.3g} MB to work in; a jam that needs more is refused"]
@@ -151,15 +152,15 @@ def write(
 def _max_work(model: Model, tolerance: float, max_work: int | None, *, event_driven: bool) -> int:
     """The most work of a step; what does not go together is refused."""
     check_tolerance(tolerance)
-    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MAX_WORK)):
-        raise UsageError(f"max_work = {format_value(max_work)}; expected a whole number from 1 to {MAX_WORK}")
+    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MAX_COUNT)):
+        raise UsageError(f"max_work = {format_value(max_work)}; expected a whole number from 1 to {MAX_COUNT}")
     if model.blocks and event_driven:
         listed = ", ".join(block.name for block in model.blocks)
         raise CodegenError(
             f"event-driven integration in C does not take blocks ({listed}): write the model with what they set as inputs, and "
             "let the caller's loop tick"
         )
-    return MAX_WORK if max_work is None else max_work
+    return MAX_COUNT if max_work is None else max_work
 
 
 def _solves_no_system(source: LibrarySource) -> bool:
@@ -173,8 +174,8 @@ def _step_lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
     given: list[Any] = [] if step is None else list(step) if np.iterable(step) else [step]
     for length in given:
         check_times(step=length)
-    if step is not None and not 1 <= len(given) <= MAX_LENGTHS:
-        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MAX_LENGTHS}")
+    if step is not None and not 1 <= len(given) <= MAX_STEP_SIZES:
+        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MAX_STEP_SIZES}")
     return tuple(map(float, given))
 
 

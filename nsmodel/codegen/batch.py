@@ -27,10 +27,9 @@ from nsmodel.modeling.time_grid import TimeGrid
 from nsmodel.modeling.variants import initial_inputs
 from nsmodel.solvers.initial_checks import admitted
 from nsmodel.solvers.one_step_problem import symbolic_initial_rows
-from nsmodel.solvers.step import INNER_COLUMNS, UNSET_INDEX, VECTOR_COLUMNS
+from nsmodel.solvers.step import INNER_COLUMNS, UNKNOWN_INDEX, VECTOR_COLUMNS
 
 TO_DO = -1  # The status of a cell that was not reached.
-ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned.
 LANES_NOTE = "in lanes, whose last bits are not those of a run alone"
 
 _CellsStruct = structs.BATCH_CELLS.ctypes_structure()
@@ -169,8 +168,8 @@ class StepBatch:
         )
         self._initialise(work, given)
         control = self._control(work, given, every, self._input_values(inputs))
-        memory = np.zeros(self._size // 8 + 1 + ALIGNMENT // 8)
-        at = memory.ctypes.data + -memory.ctypes.data % ALIGNMENT
+        memory = np.zeros(self._size // 8 + 1 + simd_batch.ALIGNMENT // 8)
+        at = memory.ctypes.data + -memory.ctypes.data % simd_batch.ALIGNMENT
         while not self._run(at, ctypes.byref(control)):
             if stop():
                 work.discard_from(control.cell)
@@ -237,7 +236,7 @@ class _BatchArrays:
             columns += own
         self.columns, self.rows = np.array(columns, int), numbers.size
         self.kept = np.full((cells, self.rows, len(columns)), np.nan)
-        self.index = np.full((cells, self.rows, m), UNSET_INDEX, np.int8) if index else None
+        self.index = np.full((cells, self.rows, m), UNKNOWN_INDEX, np.int8) if index else None
         self.status = np.full(cells, TO_DO, np.int8)
         self.taken, self.worst, self.changes, self.newton = (np.zeros(cells) for _ in range(4))
         self.failed_at = np.full(cells, np.nan)
@@ -246,7 +245,7 @@ class _BatchArrays:
         """Forget the rows of a cell that was left in the middle."""
         self.kept[cell:] = np.nan
         if self.index is not None:
-            self.index[cell:] = UNSET_INDEX
+            self.index[cell:] = UNKNOWN_INDEX
         for total in (self.taken, self.worst, self.changes, self.newton):
             total[cell:] = 0
 

@@ -24,8 +24,7 @@ from nsmodel.solvers.structure import StepStructure
 
 MAX_TRIED_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
 MAX_WRITTEN_NUMBERS = 6000  # Coefficients written into the code; a larger step forms its matrices when it is prepared.
-MAX_LENGTHS = 8  # Lengths of steps whose matrices are kept, those used last.
-MAX_STORED_NUMBERS = 2000  # Coefficients of one length.
+MAX_STORED_NUMBERS = 2000  # Coefficients of the matrices of one step size for which a library has memory.
 GENERIC_ZERO = 1e-9  # Part of the largest entry below which one of a matrix of generic numbers is 0.
 
 

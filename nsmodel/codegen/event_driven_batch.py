@@ -24,15 +24,15 @@ from nsmodel.codegen.rollout import CALL_SECONDS
 from nsmodel.codegen.structs import BAD_PARAMETER, NO_MODE, PIECE_BATCH_CELLS
 from nsmodel.errors import CodegenError, UsageError
 from nsmodel.event_driven.column_expressions import output_symbols
-from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.integrator import MAX_EVENT_DRIVEN_OPERATIONS, checked_row_times, checked_tolerances, operation_count
 from nsmodel.event_driven.problem import switch_table, switch_times_of
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
+from nsmodel.solvers.step import UNKNOWN_INDEX
 
-MAX_PIECES = 1_000_000  # Pieces of a cell.
+MAX_PIECES = 1_000_000  # Pieces of a cell, and of a call in C.
 MAX_TANGENT_ROWS = 32  # States and rows of runs that are differentiated: the matrices of a step are dense.
 BY = " by "  # "x by k" is the column of dx/dk.
 

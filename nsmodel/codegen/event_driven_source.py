@@ -54,7 +54,6 @@ from nsmodel.codegen.fragments import (
 )
 from nsmodel.codegen.recurrences import recurrence_kernels, switch_scales_code
 from nsmodel.codegen.structs import PIECE_BATCH_CELLS, RUN_REQUEST
-from nsmodel.event_driven.dense_output import UNKNOWN_INDEX
 from nsmodel.event_driven.modes import FEW, LAPLACE_SHARES
 from nsmodel.event_driven.multipliers import state_motion
 from nsmodel.event_driven.problem import ContinuousProblem
@@ -63,8 +62,9 @@ from nsmodel.event_driven.recurrences import independent_branches
 from nsmodel.modeling.base import Model
 from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.rounding_errors import rounding_error_bound
+from nsmodel.solvers.step import UNKNOWN_INDEX
 
-MAX_WRITTEN_TERMS = 24  # Terms of a product that are written out.
+MAX_PRODUCT_TERMS = 24  # Terms of a product that are written out.
 CHOICE_KINDS = ("side", "equal", "floor", "ceil", "toward zero", "nearest")  # As in c/pieces_events.c.
 
 
@@ -102,7 +102,7 @@ def _solver_function(name: str, arguments: str, body: str) -> str:
 
 
 def _terms_or_loop(terms: list[str], loop: str) -> str:
-    return "".join(terms) if len(terms) <= MAX_WRITTEN_TERMS else loop
+    return "".join(terms) if len(terms) <= MAX_PRODUCT_TERMS else loop
 
 
 @dataclass

@@ -44,7 +44,8 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.variants import initial_inputs, inputs_as_parameters
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_constants, operation_codes, symbol_hashes
 
-MIN_STAGES, MAX_STAGES = (stage_count(taylor_order(rtol)) for rtol in (ROUGHEST, MIN_RTOL))  # Stages.
+# Of Radau IIA, for the roughest and the strictest rtol.
+MIN_STAGES, MAX_STAGES = (stage_count(taylor_order(rtol)) for rtol in (ROUGHEST, MIN_RTOL))
 MATRICES_BYTES = 32 << 10  # Memory for the matrices of modes, or of lengths.
 MAX_UNKNOWNS = 32  # Rows of x and l: matrices of the stages are dense, and kept.
 
@@ -80,6 +81,10 @@ def _on_sides(spec: PieceSpec) -> FixedBranches:
 
 
 TANGENT_STAGES = (5, 6, 7, 8)  # Of steps of Radau IIA that derivatives take, of two orders for rough or strict tolerances.
+TANGENT_SHARE = 0.1  # Of rtol: what two answers for a part of a piece may differ by, beside the largest entry of a column of S.
+TANGENT_ROUNDING = 3e-14  # What rounding leaves of that difference: no rtol asks for less.
+TANGENT_AT_ONCE = 1e-9  # Of the time of the motion: guards that are nearer to 0 than that come at once.
+TANGENT_SAME = 1e-6  # Relative: times of guards at once whose derivatives differ by less move together.
 
 
 def tangent_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:

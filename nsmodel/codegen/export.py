@@ -15,7 +15,7 @@ from nsmodel.codegen.source import LibrarySource, array_names
 from nsmodel.codegen.step_spec import StepSpec
 from nsmodel.modeling.fingerprint import versions
 from nsmodel.modeling.parts import Part
-from nsmodel.modeling.time_grid import TimeGrid
+from nsmodel.modeling.time_grid import WHOLE_STEPS, TimeGrid
 from nsmodel.proof.verdict import not_none
 
 STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example.
@@ -107,6 +107,7 @@ def _example_main(spec: StepSpec, source: LibrarySource, grid: TimeGrid) -> str:
     columns += list(spec.problem.multiplier_names) if "LAW" in flags else []
     replacements = {
         "NAME": source.name,
+        "WHOLE_STEPS": repr(WHOLE_STEPS),
         "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",
         "MULTIPLIERS": ", multipliers" if "LAW" in flags else "",
         "STEPS": "\n".join("        " + ", ".join(map(repr, steps[i : i + 5])) + "," for i in range(0, len(steps), 5)),
@@ -143,7 +144,7 @@ class _InputSegment(NamedTuple):
 
 
 def _input_segments(grid: TimeGrid, first: int, last: int, given: list[int]) -> list[_InputSegment]:
-    """Steps ``first`` up to ``last`` of a driven grid, at most STRETCHES stretches, with the inputs that are given."""
+    """Steps ``first`` up to ``last`` of a driven grid, at most MAX_SEGMENTS stretches, with the inputs that are given."""
     t = grid.between(first, last)
     begin, end = (limits[:, given] for limits in np.hsplit(not_none(grid.drive).limits(t, first), 2))
     h = np.array([grid.step(k) for k in range(first, last)])

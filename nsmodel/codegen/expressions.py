@@ -225,7 +225,7 @@ def c_number(value: float) -> CExpression:
     return CExpression(text, UNARY if text.startswith("-") else ATOM)
 
 
-TABLE_WIDTH = 120  # Characters of a line.
+TABLE_WIDTH = 120  # Characters of a line of a table in C.
 
 
 def c_table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:

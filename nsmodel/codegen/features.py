@@ -29,7 +29,7 @@ from nsmodel.solvers.plan import MAX_ENUMERATED_ROWS
 from nsmodel.solvers.residuals import NumericLaw
 from nsmodel.solvers.rounding_errors import PROBES
 from nsmodel.solvers.sparse import PIVOTED_SETS
-from nsmodel.solvers.structure import is_eigenvalue_nonnegative, least_eigenvalue
+from nsmodel.solvers.structure import MAX_STEP_SIZES, is_eigenvalue_nonnegative, least_eigenvalue
 from nsmodel.solvers.time_stepper import NEARBY_SETS
 
 MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept, of several lengths 4 times as many.
@@ -178,7 +178,7 @@ def sizes_of(spec: StepSpec, flags: frozenset[str]) -> dict[str, int]:
         "SETS": constant_steps.index_set_count(law) if m and spec.path == FIXED else 0,
         "LINEAR": 0,
         "MAPS": int(np.clip(MAPS_BYTES // (8 * m * (m + 2) + 1), 2, 8)) * (4 if "LENGTHS" in flags else 1),
-        "LENGTHS": len(spec.known_lengths) if "KNOWN_LENGTHS" in flags else constant_steps.MAX_LENGTHS,
+        "LENGTHS": len(spec.known_lengths) if "KNOWN_LENGTHS" in flags else MAX_STEP_SIZES,
     }
     if "WORST_CASE" in flags:
         sizes["MAPS"] = sizes["SETS"] * (sizes["LENGTHS"] if "LENGTHS" in flags else 1)
@@ -274,11 +274,11 @@ def describe_left_out(flags: Set[str]) -> list[str]:
     return lines
 
 
-MAX_WORK = 2**31 - 1  # What a counter in C holds.
+MAX_COUNT = 2**31 - 1  # The largest number that an int of 32 bits in C holds: what a step may count to.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.
 FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system.
 PROBE_SOLVES = 2 * PROBES  # Probes of what the unknowns err by, and of how ill-conditioned their system is.
-REFINEMENT_SOLVES = REFINEMENTS + PROBE_SOLVES
+REFINEMENT_SOLVES = REFINEMENTS + PROBE_SOLVES  # Linear systems for one refined answer, at most.
 
 
 def work_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:

@@ -5,7 +5,7 @@ A solver of a generated library in Python.
 Compiled steps in the user's cache folder: one file each, named by what it was made from and by its own content.
 
 What is loaded runs with the user's rights, so nothing is loaded that another user may have put there: the folder and the file
-belong to this user, nobody else may write them, and neither is a link. At most MOST files are kept, those used last.
+belong to this user, nobody else may write them, and neither is a link. At most MAX_LIBRARIES files are kept, those used last.
 """
 
 from __future__ import annotations
@@ -423,7 +423,7 @@ class Library:
 STEP_NAME = "step"
 MAX_LIBRARIES = 64  # Libraries that are kept; those that this process has loaded are kept besides.
 BUILD_PREFIX = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
-WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # Bits of the mode of a file.
 
 
 def cached_steps(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:

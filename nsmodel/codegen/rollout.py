@@ -267,7 +267,7 @@ def _load_step_library(
 
 
 class _LibraryPool(dict[Path, Library]):
-    """Libraries by their paths, which name their content; the MOST_LOADED used last, of all models, are held on to."""
+    """Libraries by their paths, which name their content; the MAX_LOADED used last, of all models, are held on to."""
 
     recent: ClassVar[OrderedDict[tuple[int, Path], weakref.ref[_LibraryPool]]] = OrderedDict()
     lock: ClassVar[threading.RLock] = threading.RLock()

@@ -30,6 +30,7 @@ from nsmodel.codegen.step_spec import NEWTON, StepSpec
 from nsmodel.codegen.varying_steps import is_rounding_bounded_by_terms
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
+ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned: a line of the cache, and the widest vector, of 512 bits.
 MAX_LANE_UNKNOWNS = 16  # Unknowns and multipliers up to which steps are taken in lanes.
 LANE_WIDTHS = {40: 32, 400: 16}  # Numbers of a lane up to which so many are kept in step: they stay in the nearest memory.
 COMPARISON_DEPTH = 20  # Operations deep to which two expressions are compared.
@@ -310,7 +311,8 @@ def lanes_code(spec: StepSpec) -> tuple[str, dict[str, str]]:
     size = own.C * (own.n + 2 * own.m) + numbers.numel() + 2 * problem.state.numel() + 2 * own.m
     replacements = {
         "LANES": str(next((width for most, width in LANE_WIDTHS.items() if size <= most), 8)), "MAP_COLUMNS": str(own.C),
-        "MAP_NUMBERS": str(numbers.numel()), "BARE": str(len(own.bare)), "BARE_COLUMNS": ", ".join(map(str, own.bare or [0])),
+        "MAP_NUMBERS": str(numbers.numel()), "ALIGNMENT": str(ALIGNMENT),
+        "BARE": str(len(own.bare)), "BARE_COLUMNS": ", ".join(map(str, own.bare or [0])),
         "ERRORS": _rounding_residual_lines(spec, own.n, own.m),
     }  # fmt: skip
     return "\n".join(functions), replacements | _step_statements(own)

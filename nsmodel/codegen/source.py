@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.codegen import blocks, constant_steps, fragments, laws, simd_batch, structs, varying_steps
 from nsmodel.codegen import structs as statuses
 from nsmodel.codegen.expressions import c_number, c_table, looped_c_function
-from nsmodel.codegen.features import MAX_WORK, flags_of, sizes_of, work_bound
+from nsmodel.codegen.features import MAX_COUNT, flags_of, sizes_of, work_bound
 from nsmodel.codegen.fragments import (
     C_FOLDER,
     DEFINE_PATTERN,
@@ -46,7 +46,7 @@ class LibrarySource:
     bound: int
 
 
-def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_WORK, *, in_lanes: bool = False) -> LibrarySource:
+def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_COUNT, *, in_lanes: bool = False) -> LibrarySource:
     """Return the C library of a scene under the prefix ``name``; no step does more work than ``most``.
 
     ``in_lanes``: whether its batches have many runs in step (see `lanes`).

@@ -41,7 +41,7 @@ from nsmodel.solvers.one_step_problem import OneStepProblem, one_step_problem
 from nsmodel.solvers.plan import is_sparse_step_faster
 from nsmodel.solvers.residuals import NumericLaw, numeric_law
 from nsmodel.solvers.sparse import MAX_BANDWIDTH
-from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, StepStructure, read_step_structure
+from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, MAX_STEP_SIZES, StepStructure, read_step_structure
 
 
 class Pulse(NamedTuple):
@@ -265,7 +265,7 @@ def make_step_spec(
     numbers = model.bind(given) if numbers is None else numbers
     left = dict.fromkeys(name for name in model.parameters if name not in given)
     kept = model.bind({**given, **left}, partly=True) if left else numbers
-    own = grid.lengths.tolist() if grid.lengths.size <= constant_steps.MAX_LENGTHS else ()
+    own = grid.lengths.tolist() if grid.lengths.size <= MAX_STEP_SIZES else ()
     h = next(iter(lengths), 0.0) if len(lengths) > 1 else grid.step(0)
     known = tuple(length for length in lengths or own if length != h)
     return StepSpec(

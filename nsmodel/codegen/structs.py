@@ -50,6 +50,7 @@ STATUSES = (
     ),
     Status("TOO_SHORT", "the equations are missed by more than rtol, however short a piece is"),
 )
+# Statuses by their numbers in C.
 NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, NO_MODE = (
     [status.name for status in STATUSES].index(name)
     for name in ("NO_ROOM", "BAD_ARITHMETIC", "BAD_PARAMETER", "NOT_SOLVED", "NO_MODE")

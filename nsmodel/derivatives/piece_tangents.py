@@ -19,8 +19,8 @@ from nsmodel.event_driven.collocation import radau_collocation
 from nsmodel.event_driven.dense_output import evaluate_polynomials
 from nsmodel.simulation.piece_sources import PieceBuffer
 
-STAGES = 8
-JUST_AFTER = 1e-9  # Of a piece.
+STAGES = 8  # Of a step of Radau IIA: order 15.
+JUST_AFTER = 1e-9  # Of a piece: where it is looked at if a block begins to slip, whose direction is 0/0 at the begin.
 POINTS_AT_ONCE = 4096  # Points at which matrices are in memory together.
 
 

@@ -19,7 +19,7 @@ from nsmodel.errors import UsageError
 from nsmodel.files.storage import write_csv
 from nsmodel.simulation.trajectory import Trajectory
 
-MAX_SWITCHES = 12  # Of a summary.
+MAX_SWITCHES = 12  # Switches that a summary names.
 
 
 class Differentiable(Protocol):

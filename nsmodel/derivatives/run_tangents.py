@@ -21,15 +21,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel.codegen.event_driven_spec import TANGENT_AT_ONCE, TANGENT_ROUNDING, TANGENT_SHARE
 from nsmodel.derivatives.known_times import KnownTimes, MovedTime
 from nsmodel.derivatives.piece_tangents import PieceTangents, TangentMaps, TangentParts
 from nsmodel.derivatives.tangent_equations import TRY_DIFFERENCES, LinearisedEquations
 from nsmodel.errors import StepError
-from nsmodel.event_driven.multipliers import multiplier_solver
+from nsmodel.event_driven.multipliers import NOTHING, multiplier_solver
 from nsmodel.event_driven.problem import SAME_TIME
 
 KNOWN, CROSSING, IMPULSE, START = "known time", "switch", "impulse", "start"
-AT_ONCE = 1e-9  # Of the time of the motion: guards that are nearer to 0 than that come at once.
 
 
 SAME_RATE = 1e-9  # Of a rate: what edges change of it together, beside the sum of what each does.
@@ -156,7 +156,7 @@ class SwitchJumps:
                     found.append(_guard(p.rows[i], start.by_state[i], moved, start, start.l_rate[i], value))
         found += self._guards_of_branches(start, self._jumping_branches(start))
         length = float(self._tangents.pieces.tau[0] * self._tangents.ends[0])
-        return [one for one in found if one.off <= AT_ONCE * length]
+        return [one for one in found if one.off <= TANGENT_AT_ONCE * length]
 
     def _jumping_branches(self, side: _Side) -> list[int]:
         """The branches on whose other side the rate is another here; over a kink nothing of S jumps."""
@@ -245,7 +245,7 @@ class SwitchJumps:
         if not moving:
             what = ", ".join(one.name for one in guards) or "what ends the piece"
             raise StepError(f"t = {t:.10g}: {what} touches 0 there, and does not cross it: the run has no derivative")
-        least = max(AT_ONCE * max(length, abs(t)), 2 * moving[0].off)
+        least = max(TANGENT_AT_ONCE * max(length, abs(t)), 2 * moving[0].off)
         return [one for one in moving if one.off <= least]
 
     def _relative_rate(self, before: _Side, guard: Guard) -> float:
@@ -376,11 +376,9 @@ def _guard(name: str, by_state: np.ndarray, own: np.ndarray, before: _Side, rate
     return Guard(name, by_state, own, float(rate), float(abs(off / rate)) if rate else (np.inf if off else 0.0), value)
 
 
-STOP_PART = 1e-10  # Of a piece.
-MAX_PARTS = 200_000
-SHORTEST_PART = 1e-12  # Of its piece.
-ROUNDING_TOLERANCE = 3e-14  # What rounding leaves of the difference between one step and two.
-NOTHING = 1e-300
+STOP_PART = 1e-10  # Of a piece that ends where a block stops: shorter parts at its end are not halved.
+MAX_PARTS = 200_000  # Parts of all pieces of a run together; beyond, a run has no derivative.
+SHORTEST_PART = 1e-12  # Of its piece: a part that would have to be shorter is an error.
 
 
 class Stop(NamedTuple):
@@ -409,7 +407,7 @@ class RunTangents:
             StepError: S moves too fast for any number of parts.
         """
         self.tangents, self.jumps, self.start = tangents, jumps, start
-        self._tolerance = max(0.1 * rtol, ROUNDING_TOLERANCE)
+        self._tolerance = max(TANGENT_SHARE * rtol, TANGENT_ROUNDING)
         self._integrate(_first_parts(tangents, [self.stop(t) for t in times.tolist()]))
 
     def _integrate(self, parts: TangentParts) -> None:

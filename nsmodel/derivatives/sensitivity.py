@@ -14,7 +14,8 @@ from typing import Any, NamedTuple, cast
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object_and_key, checks_keywords
+from nsmodel._utils import EPS, cached_per_object_and_key, checks_keywords
+from nsmodel.codegen.event_driven_spec import TANGENT_SAME
 from nsmodel.derivatives.known_times import KnownTimes
 from nsmodel.derivatives.piece_tangents import PieceTangents
 from nsmodel.derivatives.quantities import read_directions, read_times
@@ -37,10 +38,8 @@ from nsmodel.simulation.run_data import multiplier_names
 from nsmodel.simulation.simulate import bound_model, make_run
 from nsmodel.simulation.trajectory import Trajectory
 
-EPS = float(np.finfo(float).eps)
 LARGE_GROWTH = 1e-3  # Rounding in S, beside the sizes of what it is between: from here on it is warned of.
 NEARLY_GRAZING = 1e-4  # The rate of a guard beside its largest value on the piece over its length, below which that is said.
-SAME_ANSWER = 1e-6  # Two guards at once: answers that differ by less of the largest entry are one.
 
 
 @checks_keywords
@@ -106,7 +105,7 @@ def sensitivity(
 
 
 DERIVATIVE_METHODS = ("event-driven", "differences")
-DEFAULT_RTOL = 1e-8
+DEFAULT_RTOL = 1e-8  # Of a run that is differentiated, where rtol is left out.
 
 
 class Request(NamedTuple):
@@ -323,7 +322,7 @@ class DifferencedModel(_Movable):
         return np.column_stack([*(columns[name] for name in self._outputs), *integrals])
 
 
-MIN_WIDTH = 1e-4  # Of a number.
+MIN_WIDTH = 1e-4  # Relative: the least part of a number by which it is moved for a difference quotient.
 
 
 def width_of(rtol: float | None, step: float | None, t_end: float) -> float:
@@ -441,7 +440,7 @@ def _report(
                 )
         for name, by_state, own in jump.rivals:
             other = (by_state @ S + own)[columns]
-            if np.abs(other - moved).max() > SAME_ANSWER * max(np.abs(moved).max(), np.abs(other).max()):
+            if np.abs(other - moved).max() > TANGENT_SAME * max(np.abs(moved).max(), np.abs(other).max()):
                 warnings.append(
                     f"t = {jump.t:.10g}: '{jump.name}' and '{name}' switch at once, and their times move by {_list(moved)} and "
                     f"{_list(other)} by {', '.join(names)}: each order of the two has its own derivative; here both move "

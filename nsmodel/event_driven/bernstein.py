@@ -17,13 +17,16 @@ from typing import Any
 from nsmodel._utils import sum_in_order
 
 GERM = 1e-9  # Coefficients below this share of the largest are rounding.
-ORDERS, HALF = 6, 3  # Of a germ, and the first ones, which the others are not to exceed.
-PACES, HALVED = 8, 0.5  # Iterations of their unit of time, until it is no more than halved.
+ORDERS = 6  # Highest order of a germ: the coefficients that decide the sign of a condition just after now.
+HALF_ORDERS = 3  # Orders whose coefficients those of higher orders are not to exceed, by choice of the unit of time.
+PACES = 8  # Iterations of that unit of time, at most,
+HALVED = 0.5  # until one changes it by no smaller factor.
 GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ.
-NO_ERRORS = (0.0,) * (ORDERS + 1)
-NONE = 2.0  # Of a root, where there is none.
+NO_ERRORS = (0.0,) * (ORDERS + 1)  # Of the coefficients of a germ: exact ones.
+NONE = 2.0  # Stands for a root in [0, 1] where there is none.
 NARROW = 1e-13  # Two roots that are as near as this are one.
-ITERATIONS, EXACT = 80, 1e-9  # Of Newton's method, and the step after which the next would be rounding.
+ITERATIONS = 80  # Of Newton's method for a root, at most.
+EXACT = 1e-9  # Of [0, 1]: a step of it after which the next would be rounding, as it squares the error.
 
 
 def poly_value(c: list[float], s: float) -> float:
@@ -137,8 +140,10 @@ def shrink_time_share(c: list[float], so_far: float, share: float) -> float:
     """A share of the unit of time in which the later half of orders is not larger than the first, or than ``so_far``."""
     for _ in range(PACES):
         own = [abs(a) * share**k for k, a in enumerate(c[1 : ORDERS + 1], 1)]
-        largest = max(so_far, *own[:HALF])
-        factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
+        largest = max(so_far, *own[:HALF_ORDERS])
+        factor = min(
+            [(largest / a) ** (1 / k) for k, a in enumerate(own[HALF_ORDERS:], HALF_ORDERS + 1) if a > largest > 0], default=1
+        )
         share *= factor
         if factor > HALVED:
             break
@@ -153,9 +158,9 @@ def leading_order(c: list[float], least: float, share: float, known: Sequence[fl
     """
     if known:
         return lowest_order(c, least, known)
-    if len(c) > HALF + 1 and max(map(abs, c[HALF + 1 : ORDERS + 1])) > max(map(abs, c[: HALF + 1])):
+    if len(c) > HALF_ORDERS + 1 and max(map(abs, c[HALF_ORDERS + 1 : ORDERS + 1])) > max(map(abs, c[: HALF_ORDERS + 1])):
         own = shrink_time_share(c, abs(c[0]), share)
-        if max(abs(a) * own**k for k, a in enumerate(c[: HALF + 1])) > least:
+        if max(abs(a) * own**k for k, a in enumerate(c[: HALF_ORDERS + 1])) > least:
             share = own
     decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
     least = max(least, GERM * max(map(abs, decide)))

@@ -161,7 +161,9 @@ def _polynomial_value(p: ExactPolynomial, t: Fraction) -> Fraction:
     return total
 
 
-SMALLEST, COVER_RADIUS, COVER_DEGREE = 2.0**-6, 1.5, 10
+SMALLEST = 2.0**-6  # Of a piece: narrower parts are not tried.
+COVER_RADIUS = 1.5  # Of the disc around a part, in half widths of the part.
+COVER_DEGREE = 10  # Of the polynomials on a disc, at least; what is beyond is bounded by a number.
 
 
 class PieceTolerances(NamedTuple):

@@ -9,8 +9,8 @@ import numpy as np
 
 from nsmodel._utils import short_repr
 from nsmodel.errors import UsageError
+from nsmodel.solvers.step import UNKNOWN_INDEX
 
-UNKNOWN_INDEX = -2  # Code of a row before the first piece.
 RunArrays = Mapping[str, np.ndarray]
 
 

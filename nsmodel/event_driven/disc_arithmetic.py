@@ -17,18 +17,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.mode_series import ModeSeries
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
 from nsmodel.event_driven.recurrences import TaylorRecurrences
 
-EPS = 2.0**-52
 INF = math.inf
 _DISC_DIALECT = PYTHON_DIALECT._replace(choose="pass")  # The sides of branches are given.
 _ROUNDED_DIALECT = _DISC_DIALECT._replace(kept="rounded({0})")
 PRODUCT_ROUNDINGS, FUNCTION_ROUNDINGS = 3, 8  # Roundings of a coefficient beside one for each coefficient.
-MAX_EXPONENT = 700.0  # Exp of less is a double.
+MAX_EXP_ARGUMENT = 700.0  # exp of less is a double: log of the largest one is 709.8.
 
 
 class DiscBall:

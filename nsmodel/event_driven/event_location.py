@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven.bernstein import (
     GERM,
     NONE,
@@ -37,11 +37,9 @@ from nsmodel.event_driven.bernstein import (
     taylor_shift,
     without_rounding,
 )
-from nsmodel.event_driven.disc_arithmetic import EPS, EquationsOnDisc, TaylorForm, form_of_polynomial
+from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc, TaylorForm, form_of_polynomial
 from nsmodel.event_driven.modes import (
     ROW,
-    TIE,
-    ULP,
     GermRounding,
     PieceStart,
     SwitchCondition,
@@ -55,13 +53,15 @@ from nsmodel.event_driven.modes import (
     known_to,
     mode_conditions,
 )
-from nsmodel.event_driven.multipliers import MultiplierSolver
+from nsmodel.event_driven.multipliers import TIE, MultiplierSolver
 from nsmodel.event_driven.step_size import power_of_two_unit
 from nsmodel.event_driven.system import ModeSystem
 
 ALMOST = 0.999  # Of the way to where a sign is no longer proved.
-CLOSER, WIDER = 8.0, 1.5  # By which discs shrink towards a root, and grow beyond it.
-MAX_DISCS, MAX_MULTIPLICITY = 400, 8
+CLOSER = 8.0  # Factor by which discs shrink towards a root.
+WIDER = 1.5  # Factor by which they grow beyond it.
+MAX_DISCS = 400  # Discs on the way to one event, at most.
+MAX_MULTIPLICITY = 8  # Order of a derivative, at most, by whose simple root a multiple root is told.
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
 LOOKED = 16  # Values of a polynomial that is rounding alone.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
@@ -114,7 +114,7 @@ class RootIsolation:
             c, e = self._condition_on_disc(place, own, orders, R)
             s = _positive_until(c, e)
             if s is not None and (s == 0 or place.t + ALMOST * s * R == place.t):
-                if R > ULP * abs(place.t):
+                if R > EPS * abs(place.t):
                     R /= CLOSER
                     continue
                 found = self._sign_beyond(place, own, orders, end)
@@ -139,7 +139,7 @@ class RootIsolation:
 
         None: not up to the end.
         """
-        R = ULP * abs(place.t) or ULP * place.tau
+        R = EPS * abs(place.t) or EPS * place.tau
         while R < end - place.t:
             c, e = self._condition_on_disc(place, own, orders, R)
             if abs(v := float(c.sum())) > e:
@@ -193,7 +193,7 @@ def _crossing_point(c: list[float], e: float) -> float:
 
 def _distance_to_level(c: list[float], level: float) -> float:
     """How far c goes until it is above a level, in doubling steps; NEAR where that is further."""
-    s = ULP
+    s = EPS
     while s < NEAR and poly_value(c, s) <= level:
         s *= 2
     return min(s, NEAR)
@@ -209,12 +209,14 @@ def _positive_until(c: np.ndarray, e: float) -> float | None:
     return s if s <= 1 else None
 
 
-POLISHING = 6  # Expansions at the event.
-POLISHED, ON_ONE = 1e-3, 3  # Of a tie: what is no more is on the event; steps of Newton's method on one expansion.
-TAIL, LOST = 2, 1e-2  # Coefficients that tell a truncation, and the share of the largest that is too much for a root.
-DIP = 64 * 2.0**-52  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
-MIN_PART = 2.0**-200  # Of a piece.
-INSTANT = 8  # Roundings of the time.
+POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last.
+ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event.
+STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew.
+TAIL = 2  # Last coefficients of an expansion, which tell what its truncation errs by.
+LOST = 1e-2  # Of the largest coefficient: a truncation that errs by more has no root to be trusted.
+DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
+MIN_PART = 2.0**-200  # Of a piece: a shorter part is not looked at for rounding that hides a root.
+T_ROUNDING = 8  # In roundings of the time: an event that is as near is now.
 STEEP = 0.5  # Of the slope at a simple root: what it may change by where the sign is not known.
 
 
@@ -312,7 +314,11 @@ class EventLocator:
             own = current_condition(system, place, how, hit, orders)
             if own is None:
                 return IsolatedRoot(how, None, 0.0, 0, True, place.t)
-            c, known, instant = own.coefficients(), TIE * condition_scale(system, own), INSTANT * ULP * abs(place.t) / place.tau
+            c, known, instant = (
+                own.coefficients(),
+                TIE * condition_scale(system, own),
+                T_ROUNDING * EPS * abs(place.t) / place.tau,
+            )
             if not (is_simple_root(c, known, instant) or is_simple_root(c, known := condition_uncertainty(system, own), instant)):
                 found = self._isolation.isolate(
                     place, hit, many, expand, end, lambda how, s: self.first(place, how, many, s, but=hit)[1]
@@ -329,9 +335,9 @@ class EventLocator:
                 how = expand(orders)
                 return found._replace(how=how, own=current_condition(system, place, how, hit, orders))
             d = -c[0] / c[1]
-            if (moved and abs(c[0]) <= POLISHED * known) or abs(d) * place.tau <= ULP * abs(place.t):
+            if (moved and abs(c[0]) <= ON_EVENT * known) or abs(d) * place.tau <= EPS * abs(place.t):
                 break
-            for _ in range(ON_ONE):
+            for _ in range(STEPS_PER_EXPANSION):
                 e = poly_slope(c, d)
                 d -= poly_value(c, d) / e if e and abs(poly_value(c, d) / e) < NEAR else 0.0
             place.x = [poly_value(row[: orders + 1], d) for row in system.x]

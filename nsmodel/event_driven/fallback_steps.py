@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError
 from nsmodel.event_driven.integrator import Integrator
 from nsmodel.event_driven.piece import Piece, StartEvent
@@ -31,13 +32,16 @@ from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, ErrorScale, contr
 from nsmodel.solvers.time_stepper import Stepper
 
 STEP_BUDGET = 100_000  # Steps of a run, over all of its stretches.
-STRICT, TENFOLD = 20_000, 5_000  # Steps from which on more error is allowed, and after which it is ten times as much.
-SMOOTH, SWITCH = 0.1, 0.1  # Of rtol: a smooth step may err by this share times h/t, one across a switch by this.
+STRICT = 20_000  # Steps from which on more error is allowed.
+TENFOLD = 5_000  # Steps more after which it is ten times as much.
+SMOOTH_SHARE = 0.1  # Of rtol: a smooth step may err by this share times h/t,
+SWITCH_SHARE = 0.1  # and one across a switch by this.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
-FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6  # Steps in 2^-j of the time so far: first, least, largest.
-# In place of LEAST where walls call for impulses: v behind one is known to eps |y|/h, its time to h. Steps cannot err by less.
-IMPACT, REACHED = 22, 5e-7
-VELOCITY_ROUNDING = 64 * 2.0**-52  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
+# Steps are 2^-j of the time so far, of these j: the first one, the least, the largest.
+FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6
+IMPACT = 22  # The j of the least step where walls call for impulses: v behind one is known to eps |y|/h, its time to h.
+REACHED = 5e-7  # Relative: what such steps cannot err by less than; a smaller rtol is raised to it.
+VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
 MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
 
@@ -202,8 +206,8 @@ class FallbackSteps:
     def _accept_step(self, at: FallbackState, trial: FallbackTrial) -> list[Piece] | None:
         """Move on, and the two pieces; None where the error is too large."""
         (h, least), both = self._step_length(at), trial.both
-        smooth_share = max(SMOOTH * h / (at.t + h), self._rounded * (at.t + h) / h)
-        allowed = self._more * error_relaxation(self.steps) * (smooth_share if trial.smooth else SWITCH)
+        smooth_share = max(SMOOTH_SHARE * h / (at.t + h), self._rounded * (at.t + h) / h)
+        allowed = self._more * error_relaxation(self.steps) * (smooth_share if trial.smooth else SWITCH_SHARE)
         if trial.error > allowed and not least:
             return None
         state, middle, x, end = self._stepper.layout.state, trial.middle, np.array(at.x), at.t + h
@@ -252,8 +256,9 @@ def backward_euler(p: ContinuousProblem) -> OneStepProblem:
 
 
 RETURNS = 16  # How often a run comes back from a stretch.
-EVERY, RARER = 8, 1.25  # Steps of a stretch after which a mode is looked for first, and by which factor later again.
-GAIN = 4  # A piece must go so many times as far as a step.
+EVERY = 8  # Steps of a stretch after which a mode is looked for first,
+RARER = 1.25  # and the factor in the number of steps after which it is looked for again.
+MIN_PIECE_GAIN = 4  # A piece must go so many times as far as a step.
 SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two.
 
 
@@ -264,7 +269,8 @@ INITIAL_CHECKPOINT: dict[str, Any] = {"stretches": None, "past": [], "look": EVE
 class HybridIntegrator:
     """What goes on: ``advance`` gives the next pieces, ``past`` tells of the stretches so far.
 
-    A stretch ends where a mode is valid, the only one, and its first piece goes GAIN times as far as a step; see RETURNS, SOON.
+    A stretch ends where a mode is valid, the only one, and its first piece goes MIN_PIECE_GAIN times as far as a step; see
+    RETURNS and SOON.
     """
 
     def __init__(self, integrator: Integrator, fallback: FallbackSteps | None) -> None:
@@ -334,7 +340,7 @@ class HybridIntegrator:
         except StepError:
             integrator.restore(before)
             return None
-        if integrator.stopped is not None or piece.end - piece.t < GAIN * at.h:
+        if integrator.stopped is not None or piece.end - piece.t < MIN_PIECE_GAIN * at.h:
             integrator.restore(before)
             return None
         return piece

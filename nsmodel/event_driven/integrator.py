@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven import piece as lines
 from nsmodel.event_driven.bernstein import ORDERS, poly_value, poly_values, without_rounding
@@ -24,8 +25,6 @@ from nsmodel.event_driven.friction_modes import STOPS
 from nsmodel.event_driven.modes import (
     MAX_NUDGES,
     ROW,
-    TIE,
-    ULP,
     UNDECIDED_FIELDS,
     PieceStart,
     Switch,
@@ -47,7 +46,7 @@ from nsmodel.event_driven.modes import (
     uniqueness_verdict,
     update_scales,
 )
-from nsmodel.event_driven.multipliers import MultiplierSolver, RowScales
+from nsmodel.event_driven.multipliers import TIE, MultiplierSolver, RowScales
 from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector
 from nsmodel.event_driven.piece_bounds import MAX_STILL_PIECES, SchwarzBound, piece_end
 from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes, reaches_time
@@ -75,7 +74,8 @@ from nsmodel.event_driven.system import ModeSystem
 from nsmodel.modeling.time_grid import format_value, is_number
 from nsmodel.proof.verdict import not_none
 
-MIN_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
+MIN_RTOL = 1e-14  # Doubles hold no more than 16 digits.
+JUMPS, UPDATES = 2, 8  # At one time: jumps of the state, and changes of what blocks hold.
 NO_SWITCH_TIMES = SwitchTimes()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
@@ -285,7 +285,7 @@ class Integrator:
         def rates(x: list[float]) -> list[float]:
             return f(place.t, x, l)[0]
 
-        at = [0.0 if abs(x) <= ULP * size else x for x, size in zip(place.x, self.sizes.x, strict=True)]
+        at = [0.0 if abs(x) <= EPS * size else x for x, size in zip(place.x, self.sizes.x, strict=True)]
         still = rates(at)
         at = [a if rate == 0 else x for a, rate, x in zip(at, still, place.x, strict=True)]
         moved = [i for i, (a, x) in enumerate(zip(at, place.x, strict=True)) if a != x]

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.event_driven.bernstein import taylor_shift
 from nsmodel.event_driven.interval_series import (
-    EPS,
     IntervalCoefficients,
     IntervalSeries,
     PieceParts,

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.bernstein import taylor_shift
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
@@ -142,8 +143,7 @@ def radius_powers(radius: np.ndarray, orders: int) -> list[Interval]:
     return found
 
 
-HALVINGS, CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often.
-EPS = np.finfo(float).eps
+CELL_OCTAVES, CELL_CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often.
 
 
 def polynomial_lower_bounds(c: IntervalCoefficients, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -168,10 +168,10 @@ def _lower_bounds_towards_0(c: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
     middle = lo / 2 + hi / 2
     radius = np.maximum(hi - middle, middle - lo) * (1 + EPS) + 1e-320
     least, reach = np.full(len(lo), np.inf), np.zeros(len(lo))
-    cells = [(2.0**-j, k) for j in range(1, HALVINGS + 1) for k in range(CUTS)] + [(2.0**-HALVINGS, -1)]
+    cells = [(2.0**-j, k) for j in range(1, CELL_OCTAVES + 1) for k in range(CELL_CUTS)] + [(2.0**-CELL_OCTAVES, -1)]
     for scale, k in cells:
         matrix = (
-            _bernstein_matrix(n, 1 + Fraction(k, CUTS), 1 + Fraction(k + 1, CUTS))
+            _bernstein_matrix(n, 1 + Fraction(k, CELL_CUTS), 1 + Fraction(k + 1, CELL_CUTS))
             if k >= 0
             else _bernstein_matrix(n, Fraction(0), Fraction(1))
         )
@@ -183,7 +183,7 @@ def _lower_bounds_towards_0(c: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
         exact = ~middle.any(axis=1) & ~(radius > 1e-320).any(axis=1)
         low = np.where(exact, 0.0, low * (1 + EPS))
         least = np.minimum(least, low)
-        reach = np.where(low < 0, np.maximum(reach, scale * (1 + (k + 1) / CUTS) if k >= 0 else scale), reach)
+        reach = np.where(low < 0, np.maximum(reach, scale * (1 + (k + 1) / CELL_CUTS) if k >= 0 else scale), reach)
     return least, reach
 
 

@@ -301,7 +301,7 @@ class TracingTape:
         return TracedNumber(self, self._known[key])
 
     def known(self, functions: Mapping[str, Callable[..., float]]) -> dict[str, Callable[..., Any]]:
-        """The functions, and ``where``, ``both`` and ``one`` of `printed.SYMBOLS`: noted where they see a symbol."""
+        """The functions, and ``where``, ``both`` and ``one`` of `SYMBOL_DIALECT`: noted where they see a symbol."""
         found = {
             name: self._traced(f"{name}({{}}{', {}' * (name in ('atan2', 'hypot', 'pow'))})", f) for name, f in functions.items()
         }

@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.event_driven.bernstein import (
-    HALF,
+    HALF_ORDERS,
     ORDERS,
     germs_differ,
     leading_order,
@@ -30,9 +31,9 @@ from nsmodel.event_driven.bernstein import (
     shrink_time_share,
     without_rounding,
 )
-from nsmodel.event_driven.disc_arithmetic import EPS, DiscBall, DiscValues
+from nsmodel.event_driven.disc_arithmetic import DiscBall, DiscValues
 from nsmodel.event_driven.friction_modes import FrictionBlock
-from nsmodel.event_driven.multipliers import ROUNDING, MultiplierSolver, multiplier_solver
+from nsmodel.event_driven.multipliers import TERM_ROUNDING, MultiplierSolver, multiplier_solver
 from nsmodel.event_driven.multipliers import TIE as TIE
 from nsmodel.event_driven.system import MAX_CACHED_MODES, RESTS, ModeSystem
 from nsmodel.solvers import mlcp
@@ -137,7 +138,7 @@ def update_scales(system: ModeSystem, s: float, length: float) -> None:
         largest[:] = [
             max(so_far, abs(v), abs(row[0])) for so_far, v, row in zip(largest, poly_values(rows, s), rows, strict=True)
         ]
-    rounding = [ROUNDING * length / system.t[1] * v for v in system.pushed()]  # What is left of x that held rows let rest.
+    rounding = [TERM_ROUNDING * length / system.t[1] * v for v in system.pushed()]  # What is left of x that held rows let rest.
     of_x = list(map(max, sizes.x, rounding))
     least = system.zero_test(system.t[0], [row[0] for row in system.x], [row[0] for row in system.push], of_x, length)
     sizes.x[:] = map(max, sizes.x, least)
@@ -213,15 +214,15 @@ def _block_conditions(system: ModeSystem, block: FrictionBlock, code: int, known
 
 PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wrong rows at once.
 PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
-INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
-CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
+TINY_STEP = 1e-6  # In units of time: a step whose affine problem has the modes just after now.
+P_ROUNDING = 1e-9  # Of the largest impulse: by so much one may be outside its bounds.
+NONZERO_SHARE = 1e-4  # Of its size: a larger y is 0 in no mode.
 MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
 MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double.
-ULP = 2.0**-52  # Of the time, or of a state: the next double.
-FEW = 9  # Rows whose modes are all tried.
-LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time.
+FEW = 9  # Rows up to which all modes are tried one by one.
+LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time, of the Laplace transforms whose index sets are guesses.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
-FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])
+FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])  # k!, of Laplace transforms of t^k.
 
 
 @dataclass
@@ -278,7 +279,7 @@ def nudge_start(system: ModeSystem, place: PieceStart, times: float) -> None:
     """Move the place, back where ``times`` < 0, by so many times what rounding leaves open of time, or of the fastest state."""
     rates = [row[1] / place.tau if math.isfinite(row[1]) else 0.0 for row in system.x]
     fastest = min((abs(x / rate) for x, rate in zip(place.x, rates, strict=True) if x and rate), default=0.0)
-    time = times * ULP * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MAX_NUDGE) if place.t else 0.0
+    time = times * EPS * abs(place.t) * min(max(fastest / abs(place.t), 1.0), MAX_NUDGE) if place.t else 0.0
     place.t += time
     place.x = [x + rate * time for x, rate in zip(place.x, rates, strict=True)]
 
@@ -344,7 +345,7 @@ def jump_impulse(system: ModeSystem, place: PieceStart) -> np.ndarray | None:
     box = np.array([not system.blocks.is_curved(i) for i in range(system.m)], bool)
     lower, upper = (np.where(np.isinf(end) & box, end, 0.0) for end in (law.lower, law.upper))
     cone = NumericLaw(lower, upper, ())
-    W, start = D / (INSTANT * place.tau) + C @ B, np.zeros(system.m)
+    W, start = D / (TINY_STEP * place.tau) + C @ B, np.zeros(system.m)
     found = mlcp.solve_mlcp(
         W, y, cone, start, np.array(place.codes, np.int8), (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION), False, 1e-6
     )
@@ -357,7 +358,9 @@ def jump_impulse(system: ModeSystem, place: PieceStart) -> np.ndarray | None:
         p[active] = -np.array(through) @ y[active]
     return (
         p
-        if p.any() and (p >= cone.lower - AWAY * np.abs(p).max()).all() and (p <= cone.upper + AWAY * np.abs(p).max()).all()
+        if p.any()
+        and (p >= cone.lower - P_ROUNDING * np.abs(p).max()).all()
+        and (p <= cone.upper + P_ROUNDING * np.abs(p).max()).all()
         else None
     )
 
@@ -432,14 +435,14 @@ def germ_time_share(system: ModeSystem, known: GermRounding) -> float:
     inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
     for acts, rows, sizes in (("x", system.x, system.sizes.x), ("l", system.l, system.sizes.l), ("inside", *inner)):
         for i, (row, so_far) in enumerate(zip(rows, sizes, strict=True)):
-            if acts in known and not any((row := without_rounding(row, known[acts][i]))[1 : HALF + 1]):
+            if acts in known and not any((row := without_rounding(row, known[acts][i]))[1 : HALF_ORDERS + 1]):
                 continue
-            last = row[HALF + 1 : ORDERS + 1]
+            last = row[HALF_ORDERS + 1 : ORDERS + 1]
             if share == 1 and max(last) <= so_far and min(last) >= -so_far:
                 continue
             own = list(map(abs, row[1 : ORDERS + 1]))
-            first = max(so_far, *own[:HALF])
-            if (share == 1 and max(own[HALF:]) <= first) or (acts == "x" and first <= ROUNDING * system.pushed()[i]):
+            first = max(so_far, *own[:HALF_ORDERS])
+            if (share == 1 and max(own[HALF_ORDERS:]) <= first) or (acts == "x" and first <= TERM_ROUNDING * system.pushed()[i]):
                 continue
             share = shrink_time_share(row, so_far, share)
     return share
@@ -572,7 +575,7 @@ def _switch_codes(system: ModeSystem, switch: Switch) -> list[float]:
 def _possible_codes(system: ModeSystem, switch: Switch) -> list[float]:
     """The codes of a switch but those that y_i refuses: where no l acts on it directly, it has its sign in all modes."""
     kind, i = switch
-    if kind != ROW or system.feedthrough[i] or abs(system.y[i][0]) <= CLEAR * system.size_y(i):
+    if kind != ROW or system.feedthrough[i] or abs(system.y[i][0]) <= NONZERO_SHARE * system.size_y(i):
         return _switch_codes(system, switch)
     return [code for code in _switch_codes(system, switch) if code * system.y[i][0] < 0]
 
@@ -629,7 +632,7 @@ def _guess_modes(system: ModeSystem, place: PieceStart) -> Iterator[list[int]]:
             yield [int(code) for code in found.index]
 
 
-NAMED = 4  # Switches that an error names.
+MAX_NAMED_SWITCHES = 4  # Switches that an error names.
 
 
 def switch_name(of: Switch, rows: Sequence[str]) -> str:
@@ -657,5 +660,5 @@ def describe_undecided(record: Sequence[float], rows: Sequence[str], parts: Sequ
 def list_switch_names(switches: Iterable[Switch], rows: Sequence[str]) -> str:
     """The names of switches, a few of many; "" of none."""
     names = list(dict.fromkeys(switch_name(of, rows) for of in sorted(switches, key=lambda of: (of[0] != ROW, of))))
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+    more = f" and {len(names) - MAX_NAMED_SWITCHES} more" if len(names) > MAX_NAMED_SWITCHES else ""
+    return ", ".join(names[:MAX_NAMED_SWITCHES]) + more

@@ -22,6 +22,8 @@ from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import attach_buffers, connected_components
+from nsmodel.solvers.residuals import ROUNDING
+from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
 
 MatrixRows = list[list[float]]
 HIDDEN = 1e-9  # Of the largest l now: where rounding leaves more of one, C does not decide modes, see `ModeSystem.rounding`.
@@ -147,7 +149,7 @@ def clear_rounding(how: MultiplierSolver, x: MatrixRows, y: MatrixRows, k: int) 
 class GeneralisedInverse(NamedTuple):
     """A^+, least in norm in units in which A is near 1, bases of the left and the right null space, and A's condition there.
 
-    ``rounding``: of the entries of A^+, in `ROUNDING`; of a regular A by |A^+| (|I - A A^+| + u |A| |A^+|), entry by entry.
+    ``rounding``: of the entries of A^+, in `TERM_ROUNDING`; of a regular A by |A^+| (|I - A A^+| + u |A| |A^+|), entry by entry.
     """
 
     plus: np.ndarray
@@ -186,9 +188,9 @@ def _block_inverse(A: np.ndarray) -> GeneralisedInverse:
     u, s, vt = np.linalg.svd(A * r[:, None] * c)
     rank = int((s > SINGULAR * s[0]).sum())
     condition = float(s[0] / s[rank - 1])
-    if rows == columns and s[-1] > rows * ROUNDING * s[0] and (own := _regular_inverse(A, rank == rows)) is not None:
+    if rows == columns and s[-1] > rows * TERM_ROUNDING * s[0] and (own := _regular_inverse(A, rank == rows)) is not None:
         return GeneralisedInverse(own[0], np.zeros((rows, 0)), np.zeros((rows, 0)), float(s[0] / s[-1]), own[1])
-    condition *= max([1.0, *(s[rank:] / (ROUNDING * s[0]))])  # What is left out moves the rest, as rounding does.
+    condition *= max([1.0, *(s[rank:] / (TERM_ROUNDING * s[0]))])  # What is left out moves the rest, as rounding does.
     plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
     left, right = (np.where(np.abs(part) > CANCELS, part, 0.0) for part in (u[:, rank:], vt[rank:].T))
     rounding = _rounding_of_largest(np.abs(plus), condition)
@@ -205,7 +207,7 @@ def _regular_inverse(A: np.ndarray, surely: bool) -> tuple[np.ndarray, np.ndarra
     size, missed = np.abs(plus), np.abs(one - A @ plus)
     if not surely and not missed.max() <= SINGULAR:
         return None
-    return plus, size @ (2 / ROUNDING * missed + ENTRY_ROUNDING * len(A) * np.abs(A) @ size)
+    return plus, size @ (2 / TERM_ROUNDING * missed + ENTRY_ROUNDING * len(A) * np.abs(A) @ size)
 
 
 def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -293,7 +295,7 @@ class SlopesAtPoint:
 
 TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
 NEGLIGIBLE_MOTION = 1e-6  # Of what moves a state on a piece.
-ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
+TERM_ROUNDING = ROUNDING * UNIT_ROUND_OFF  # c u of running error analysis: of what a number is the sum of, that much is rounding.
 
 
 @dataclass

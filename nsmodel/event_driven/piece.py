@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.event_driven.modes import ULP
+from nsmodel._utils import EPS
 from nsmodel.event_driven.step_size import ModelEquations
 
 
@@ -73,7 +73,7 @@ COMES_TO = 0.25  # The power of h: the time, in which a state that is 0 at the s
 def trial_lengths(t: float) -> Iterator[tuple[float, int]]:
     """Lengths h to try at a time, and the octaves from the end of each to the next double."""
     if t:
-        yield from ((abs(t) * ULP * 2.0**octaves, octaves) for octaves in ON_THE_WAY)
+        yield from ((abs(t) * EPS * 2.0**octaves, octaves) for octaves in ON_THE_WAY)
     else:
         yield from ((2.0**-octaves, SMALLEST_DOUBLE_OCTAVES - octaves) for octaves in AT_START)
 
@@ -98,7 +98,7 @@ def straight_line(
     times = np.ldexp(h, -np.arange(1, octaves + 1))
     terms = np.array([s * np.abs(np.array(of(t + s, (x + s * v).tolist(), l)[0]) - v) for s in times.tolist()])
     most = terms.max(axis=0)
-    falls = (terms[-1] <= most * FALLS**octaves) | (most <= ULP * size)
+    falls = (terms[-1] <= most * FALLS**octaves) | (most <= EPS * size)
     errs, allowed = terms.sum(axis=0), rtol * size + np.array(atol)
     return StraightLine(v, allowed) if falls.all() and (errs <= allowed).all() and math.isfinite(v.sum()) else None
 

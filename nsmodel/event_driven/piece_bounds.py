@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError
 from nsmodel.event_driven.bernstein import poly_slopes, poly_value, poly_values
 from nsmodel.event_driven.disc_arithmetic import (
@@ -33,7 +34,7 @@ from nsmodel.event_driven.disc_arithmetic import (
     remainder_radius,
 )
 from nsmodel.event_driven.event_location import NO_MARGINS, EventLocator, Margins
-from nsmodel.event_driven.modes import ULP, PieceStart, SwitchCondition
+from nsmodel.event_driven.modes import PieceStart, SwitchCondition
 from nsmodel.event_driven.multipliers import MultiplierSolver
 from nsmodel.event_driven.step_size import LOCAL, MULTIPLIERS, SMALL, ModelEquations, estimate_local_error, zero_start_scales
 from nsmodel.event_driven.system import ModeSystem
@@ -47,7 +48,7 @@ POLE = 1e6  # How much more than its size a state would move at its rate in the 
 SUDDEN = 1e3  # and how much more than itself that rate would.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
 MAX_STILL_PIECES = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
-CANCELLED = 2.0**-50  # Of an entry of P: rounding.
+ENTRY_CANCELLED = 2.0**-50  # An entry of P = I - B N C below this is rounding of its terms.
 FAR, GROWS = 64.0, 4.0  # Times in which time stands still, and how much smaller rates are so far from a pole.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
 
@@ -112,7 +113,7 @@ class SchwarzBound:
             return [abs(place.tau * rate * s) for rate in rates]
 
         here, before, after = ([abs(row[1]) * s for row in system.x], moved(-s), moved(s))
-        least = [ULP * FAR * max(size, abs(row[0])) for row, size in zip(system.x, system.sizes.x, strict=True)]
+        least = [EPS * FAR * max(size, abs(row[0])) for row, size in zip(system.x, system.sizes.x, strict=True)]
         return any(a > least and a > GROWS * max(b, c) for a, b, c, least in zip(here, before, after, least, strict=True))
 
     def singularity_error(self, place: PieceStart) -> StepError:
@@ -237,7 +238,7 @@ def _held_row_projection(how: MultiplierSolver, B: np.ndarray, _: np.ndarray, C:
     rows = list(how.active)
     NC = np.array(how.through) @ C[rows]
     P = np.eye(len(B)) - B[:, rows] @ NC
-    P[np.abs(P) <= CANCELLED] = 0.0
+    P[np.abs(P) <= ENTRY_CANCELLED] = 0.0
     return P, NC
 
 

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object, cached_per_object_and_key
+from nsmodel._utils import EPS, cached_per_object, cached_per_object_and_key
 from nsmodel.errors import EmptyLawError, UsageError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.blocks import model_ticks
@@ -327,7 +327,7 @@ def _derivative_columns(inputs: Mapping[str, Any], t: float) -> Iterator[list[fl
             yield from np.asarray(signal.derivatives(t)).T.tolist()
 
 
-SAME_TIME = 4 * float(np.finfo(float).eps)  # Of a known time: an event that is as near is at it.
+SAME_TIME = 4 * EPS  # Of a known time: an event that is as near is at it.
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """When a mode is stiff: pieces by Radau IIA, where they are many times as long as a series goes.
 
 How far a series goes its own last coefficients say, at each piece. Where stability and not accuracy limits it, the states hardly
-move on it by their first coefficients, and a piece of collocation that is WORTH times as long is tried. Where its error is
-accepted, the next one is longer, then each as long as the error before lets it be; as soon as pieces are less than STAY times a
-series, series go on. After k trials in a row that failed, or that no second piece followed, 2^k series pass before the next one:
-a mode that is not stiff pays next to nothing, and x that leaves an unstable state, to which collocation goes back, does leave it.
-What decides is in the coefficients alone.
+move on it by their first coefficients, and a piece of collocation that is STIFF_START times as long is tried. Where its error is
+accepted, the next one is longer, then each as long as the error before lets it be; as soon as pieces are less than STIFF_STAY
+times a series, series go on. After k trials in a row that failed, or that no second piece followed, 2^k series pass before the
+next one: a mode that is not stiff pays next to nothing, and x that leaves an unstable state, to which collocation goes back, does
+leave it. What decides is in the coefficients alone.
 
 One piece of a stiff mode: the collocation polynomial of Radau IIA, and what it errs by.
 
@@ -31,7 +31,7 @@ nodes. It is an estimate, to a factor of a few.
 
 A problem on one side of each of its switches, as graphs again: f + g, h and what the switches look at, analytic everywhere.
 
-In the dialect `printed.SYMBOLS`: order 0 of the recurrences over CasADi's symbols, with the choices of the branches as inputs.
+In the dialect `SYMBOL_DIALECT`: order 0 of the recurrences over CasADi's symbols, with the choices of the branches as inputs.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ from nsmodel.event_driven.collocation import (
 )
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.event_location import NO_NOISE, EventLocator, current_condition
-from nsmodel.event_driven.modes import TIE, PieceStart, SwitchCondition, condition_scale, germ_rounding
-from nsmodel.event_driven.multipliers import NOTHING, MultiplierSolver
+from nsmodel.event_driven.modes import PieceStart, SwitchCondition, condition_scale, germ_rounding
+from nsmodel.event_driven.multipliers import NOTHING, TIE, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrence_code import SYMBOL_DIALECT, compile_recurrences
 from nsmodel.event_driven.recurrences import TaylorRecurrences
@@ -373,16 +373,16 @@ def _stage_matrices(start: CollocationStart, h: float, rates: np.ndarray) -> np.
     return out
 
 
-WORTH = 8.0  # Series that a first piece of collocation has to be worth.
-STAY = 4.0  # The same of those that go on.
-SMOOTH = 2  # Coefficients of the states that say whether these move.
-INSIDE = 0.1  # Of rtol: what a piece may err by inside; at its end it errs by a power of that.
+STIFF_START = 8.0  # In lengths of a series: as long a first piece of collocation has to be,
+STIFF_STAY = 4.0  # and as long those that go on.
+LOW_ORDERS = 2  # First coefficients of the states, by which they must hardly move on such a piece.
+INNER_SHARE = 0.1  # Of rtol: what a piece may err by inside; at its end it errs by a power of that.
 OCTAVES_MORE = 2  # By which the next piece may be longer.
 SAFE = 0.5  # The share of what is allowed that its error is foretold to be.
 ENDINGS = 8  # How often a piece is made anew to end at an event.
 ENDED = 1e-4  # Of its length: so near its end what it errs by inside counts by the square of that.
 MOVED = 0.1  # By which share of its length a piece may have to be longer than its polynomial told, for that.
-MAX_WAIT_OCTAVES = 6  # Octaves.
+MAX_WAIT_OCTAVES = 6  # After trials that failed, 2^k series pass before the next one, with k up to this.
 
 
 class StiffPiece(NamedTuple):
@@ -406,7 +406,7 @@ class StiffIntegrator:
         residuals: bool
     ) -> None:  # fmt: skip
         self.system, self.roots, self.order = system, roots, order
-        self.rtol, self.atol = INSIDE * rtol, [INSIDE * a for a in atol]
+        self.rtol, self.atol = INNER_SHARE * rtol, [INNER_SHARE * a for a in atol]
         self.radau = RadauMethod(system, on, order, residuals=residuals)
         self.pieces = 0
         self.restart()
@@ -422,7 +422,7 @@ class StiffIntegrator:
         """
         series, first = place.tau * s, not self.length
         length = self._trial_length(place, how, s) if first else self.length
-        least, length = series * (WORTH if first else STAY), min(length, most)
+        least, length = series * (STIFF_START if first else STIFF_STAY), min(length, most)
         if not length or length < least:
             self._record_failure(failed=not first)
             return None
@@ -449,9 +449,9 @@ class StiffIntegrator:
         if self.wait or s >= 1 or place.open or self.system.blocks.all or (how.null is not None and how.null.size):
             return 0.0
         for row, largest in zip(self.system.x, self.system.sizes.x, strict=True):
-            if sum_in_order(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > largest:
+            if sum_in_order(abs(row[k]) * (STIFF_START * s) ** k for k in range(1, LOW_ORDERS + 1)) > largest:
                 return 0.0
-        return power_of_two_unit(WORTH * place.tau * s)
+        return power_of_two_unit(STIFF_START * place.tau * s)
 
     def _record_failure(self, failed: bool) -> None:
         self.length, self.wait = 0.0, max(self.wait - 1, 0)
@@ -472,7 +472,7 @@ class StiffIntegrator:
         tau, s = self.radau.write(start, fit)
         hit, end = self.roots.first(place, how, self.order, s, noise=fit.noise)
         if hit is None and end < s:  # Beyond that a root may hide.
-            return StiffPiece(tau, end, INSIDE * fit.error, [poly_value(row, end) for row in self.system.x], None)
+            return StiffPiece(tau, end, INNER_SHARE * fit.error, [poly_value(row, end) for row in self.system.x], None)
         for _ in range(ENDINGS):
             if hit is None:
                 break
@@ -488,8 +488,8 @@ class StiffIntegrator:
             if end > s and tau * s >= most:
                 hit = None
         if hit is None or end == s or end > (1 + ENDED) * s:
-            return StiffPiece(tau, s, INSIDE * fit.error, fit.last, hit)
-        return StiffPiece(tau, end, INSIDE * fit.error, [poly_value(row, end) for row in self.system.x], hit)
+            return StiffPiece(tau, s, INNER_SHARE * fit.error, fit.last, hit)
+        return StiffPiece(tau, end, INNER_SHARE * fit.error, [poly_value(row, end) for row in self.system.x], hit)
 
     def _condition_beyond_end(
         self, place: PieceStart, how: MultiplierSolver, hit: SwitchCondition, s: float

@@ -9,8 +9,8 @@ A row holds the coefficients c_0, c_1, ... of one scalar function of time about 
 of automatic differentiation (Jorba and Zou, Experimental Mathematics 14, 2005, Proposition 2.1): with D = t d/dt, (D c)_k = k
 c_k, a differential equation of the function, such as D exp(u) = exp(u) D u, gives c_k by a convolution. The same stand in
 `series.c`. A composed operation is written with these (asin: a square, a root, D y = D a / root), its value at order 0 by the
-function itself; a branch that is not taken may be no number. Each operation that the C printer knows has its line in UNARY_ or
-BINARY_RECURRENCES.
+function itself; a branch that is not taken may be no number. Each operation that the C printer knows has its line in
+UNARY_RECURRENCES or BINARY_RECURRENCES.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from nsmodel._utils import sum_in_order
 from nsmodel.proof.expression_graph import OpaqueExpression, apply_operation, fold_graph, operation_codes
 
 SeriesRow = list[float]
-TWO_OVER_ROOT_PI = 2 / math.sqrt(math.pi)
+TWO_OVER_ROOT_PI = 2 / math.sqrt(math.pi)  # The slope of erf at 0.
 
 
 def product(a: SeriesRow, b: SeriesRow, k: int) -> float:
@@ -347,7 +347,7 @@ class _RecurrenceTape:
         return self.side(a, a, self.minus(a))
 
     def is_at_most(self, a: int, b: int) -> int:
-        """1 where a <= b, else 0; LEAST <= b is what is written, and no switch (see `exponentials`)."""
+        """1 where a <= b, else 0; SMALLEST_DOUBLE <= b is what is written, and no switch (see `exponentials`)."""
         if self.numbers.get(a) == SMALLEST_DOUBLE:
             return self.true(self.line("positive", b))
         return self.true(self.side(self.difference(b, a), self.constant(1.0), self.constant(0.0)))

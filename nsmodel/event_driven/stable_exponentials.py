@@ -21,9 +21,12 @@ from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrences import SMALLEST_DOUBLE
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_constants, operation_codes
 
-MAX_SUM_TERMS = 4  # Of a sum; a longer one stays as it is written.
-NEAR_0, CONVERGED, BERNOULLI = 0.5, 2.0, 17  # Of d/(e^d - 1): |d| from which on it is a quotient; its series, see `_bernoulli`.
-VANISHING_WEIGHT = 1e-300  # Beside 1.
+MAX_REWRITTEN_TERMS = 4  # Of a sum; a longer one stays as it is written.
+# The series of d/(e^d - 1), see `_bernoulli`:
+SERIES_BELOW = 0.5  # |d| below which it stands for the quotient.
+SERIES_RADIUS = 2.0  # |d| up to which it errs by rounding alone, with
+SERIES_TERMS = 17  # so many coefficients.
+VANISHING_WEIGHT = 1e-300  # Of a term that is nothing beside 1, but whose root keeps discs within the radius.
 GROWING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_SINH, ca.OP_COSH, ca.OP_POW}
 DIVIDING = {ca.OP_DIV, ca.OP_INV, ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATAN, ca.OP_POW, ca.OP_CONSTPOW}
 PROBLEM_PARTS = ("f", "g", "h", "updates")
@@ -294,14 +297,14 @@ class _ExponentialRewriter:
 def _bernoulli(d: ca.SX, here: ca.SX) -> ca.SX:
     """d/(e^d - 1), 1 at 0, where ``here``: near 0 by its series, sum B_k d^k/k!, |d| < 2 pi.
 
-    The series is cut off where it errs by rounding for |d| < CONVERGED: the root keeps discs of pieces within.
+    The series is cut off where it errs by rounding for |d| < SERIES_RADIUS: the root keeps discs of pieces within.
     """
-    near = ca.logic_and(here, is_positive(NEAR_0**2 - d * d))
+    near = ca.logic_and(here, is_positive(SERIES_BELOW**2 - d * d))
     u, far = ca.if_else(near, d, 0), ca.if_else(ca.logic_and(here, ca.logic_not(near)), d, -1)
     series = ca.SX(0)
-    for coefficient in reversed(_even_bernoulli(BERNOULLI)):
+    for coefficient in reversed(_even_bernoulli(SERIES_TERMS)):
         series = series * u**2 + coefficient
-    within = VANISHING_WEIGHT * ca.sqrt(CONVERGED**2 - u * u)
+    within = VANISHING_WEIGHT * ca.sqrt(SERIES_RADIUS**2 - u * u)
     return ca.if_else(near, series - u / 2 + within, far / ca.expm1(far))
 
 
@@ -328,7 +331,7 @@ def _sum_node(node: ExponentialNode, terms: Sequence[ExponentialTerm]) -> Expone
     found: dict[Exponent, ca.SX] = {}
     for r, s in terms:
         found[s] = found[s] + r if s in found else r
-    if len(found) > MAX_SUM_TERMS or not any(found):
+    if len(found) > MAX_REWRITTEN_TERMS or not any(found):
         return None
     return replace(node, terms=tuple(ExponentialTerm(r, s) for s, r in found.items()), power=1.0)
 

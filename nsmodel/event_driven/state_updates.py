@@ -13,12 +13,12 @@ import numpy as np
 
 from nsmodel.errors import StepError
 from nsmodel.event_driven.bernstein import ORDERS
-from nsmodel.event_driven.modes import ROW, TIE, PieceStart, all_switches, is_condition_zero, mode_conditions, set_switch
-from nsmodel.event_driven.multipliers import ROUNDING, generalised_inverse, least_motion
+from nsmodel.event_driven.modes import ROW, PieceStart, all_switches, is_condition_zero, mode_conditions, set_switch
+from nsmodel.event_driven.multipliers import TERM_ROUNDING, TIE, generalised_inverse, least_motion
 from nsmodel.event_driven.step_size import initial_time_unit
 from nsmodel.event_driven.system import ModeSystem
 
-PROJECTIONS = 3  # Iterations.
+PROJECTIONS = 3  # Iterations of the projection of x onto y = 0.
 
 
 def project_to_held_rows(system: ModeSystem, place: PieceStart, rows: tuple[int, ...]) -> bool:
@@ -38,7 +38,7 @@ def project_to_held_rows(system: ModeSystem, place: PieceStart, rows: tuple[int,
             return iteration > 0
         motion = least_motion(slope, held)
         at = [abs(row[0]) for rows_of in (system.x, system.push) for row in rows_of]
-        if (np.abs(y) <= ROUNDING * (terms @ at)).all():
+        if (np.abs(y) <= TERM_ROUNDING * (terms @ at)).all():
             if any(abs(d) > TIE * max(both) for d, *both in zip(motion.tolist(), at, system.sizes.x, strict=False)):
                 return iteration > 0
         place.x = [x - d for x, d in zip(place.x, motion.tolist(), strict=True)]

@@ -20,13 +20,13 @@ import numpy as np
 from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.bernstein import poly_slope, poly_slopes, poly_values
 from nsmodel.event_driven.modes import PieceStart
-from nsmodel.event_driven.multipliers import NOTHING, ROUNDING, MultiplierSolver
+from nsmodel.event_driven.multipliers import NOTHING, TERM_ROUNDING, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.system import LITTLE, ModeSystem
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
-LARGEST_ORDER = 30
+LARGEST_ORDER = 30  # Of a series, for which C has memory; rtol = 1e-14 asks for 22.
 BEYOND = 3  # Orders of a series beyond -ln(rtol)/2.
 LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.
@@ -45,7 +45,7 @@ def step_size(system: ModeSystem, codes: list[int], how: MultiplierSolver, p: in
     """The length of the piece in tau; a row's size is that on the piece too."""
     sizes, known = system.sizes, p if how.index == 1 else p - 1
     y_floor, l_floor = (SMALL * max(of, default=0.0) for of in (sizes.y, sizes.l))
-    pushed = (ROUNDING * v + NOTHING for v in system.pushed())
+    pushed = (TERM_ROUNDING * v + NOTHING for v in system.pushed())
     rows = [_CoefficientRow(*given) for given in zip(system.x, repeat(p), repeat(rtol), sizes.x, atol, pushed)]
     for i, code in enumerate(codes):
         row, orders, size = system.l[i], known, max(sizes.l[i], l_floor)
@@ -159,7 +159,7 @@ class ModelEquations:
 
     def rounding(self) -> np.ndarray:
         """What f + g may err by (n,) where it was evaluated last, its arguments known to the nearest double."""
-        return ROUNDING * np.array(self._rounding_bound(self._given)).ravel()
+        return TERM_ROUNDING * np.array(self._rounding_bound(self._given)).ravel()
 
 
 def zero_start_scales(system: ModeSystem, place: PieceStart, of: ModelEquations, s: float) -> list[float]:
@@ -227,7 +227,7 @@ def estimate_local_error(
                 goal = MULTIPLIERS * rtol * size
             worst = max(worst, beyond / (goal + NOTHING))
     for block in slipping:
-        rounding = ROUNDING * max(map(system.size_y, block.at))
+        rounding = TERM_ROUNDING * max(map(system.size_y, block.at))
         worst = max(worst, block.law_residual(at, y, rounding) / (MULTIPLIERS * rtol))
     return float(worst)
 

@@ -23,13 +23,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.friction_modes import SlipOnset
 from nsmodel.event_driven.mode_series import ModeSeries, UnrolledOrders, nonzero_terms
 from nsmodel.event_driven.multipliers import (
     NOTHING,
-    ROUNDING,
+    TERM_ROUNDING,
     TIE,
     ErrorPropagation,
     MultiplierSolver,
@@ -49,7 +49,7 @@ from nsmodel.event_driven.recurrences import independent_branches, taylor_decomp
 from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import not_none
 
-TIME_ROUNDING = 2.0**-52 / ROUNDING  # What time is known to, in the rounding of an operation.
+TIME_ROUNDING = EPS / TERM_ROUNDING  # What time is known to, in the rounding of an operation.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 
@@ -75,7 +75,7 @@ def remains_zero(system: ModeSystem, how: MultiplierSolver, orders: Iterable[int
     if how.null is None or not how.null.size:
         return True
     pushed, none = system.pushed(), [0.0] * system.m
-    rounding = ROUNDING * np.abs(how.null.T) @ [system.sum_y_terms(i, pushed, none) for i in how.active]
+    rounding = TERM_ROUNDING * np.abs(how.null.T) @ [system.sum_y_terms(i, pushed, none) for i in how.active]
     for k in orders:
         y = np.array([system.y[i][k] for i in how.active])
         size = max([float(np.abs(y).max()), *(abs(row[k]) for row in system.x)])
@@ -85,10 +85,10 @@ def remains_zero(system: ModeSystem, how: MultiplierSolver, orders: Iterable[int
 
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
-NEWTON_CONVERGED = 1e-14
+NEWTON_CONVERGED = 1e-14  # Relative, for each iteration allowed: a change of l below NEWTON times this is rounding.
 MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
-SOLVED = ROUNDING / TIE  # Of what l of a held row is the sum of: what stands for the rounding of its solve, where TIE of it is.
+SOLVED = TERM_ROUNDING / TIE  # Of what l of a held row is the sum of: TIE of this is the rounding of its solve.
 LITTLE = 1e-6  # Of the largest multiplier, or y, of rows that are tied: a smaller one is measured beside that.
 RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
 AT_ONCE = 2.0**-40  # Of the time: what comes to 0 so soon is at 0.
@@ -244,7 +244,7 @@ class ModeSystem(ModeSeries):
             of_l[a, k] = of.l[0] @ of_x[:, k] + own_l[:, k] + l[a, k]
             of_x[:, k + 1] = (of.x[0] @ of_x[:, k] + own_x[:, k] + rate[:, k]) / part[k]
         of_y = terms + C @ of_x[:, :-1] + D @ of_l
-        u = ROUNDING * (1 + (self.n + self.m) / 4)  # Of sums of so many terms.
+        u = TERM_ROUNDING * (1 + (self.n + self.m) / 4)  # Of sums of so many terms.
         return u * of_x[:, :-1], u * of_l, u * of_y
 
     def _error_propagation(self, how: MultiplierSolver) -> ErrorPropagation:

@@ -3,7 +3,7 @@
 Every file is written beside its target, synced and renamed: a reader finds the old file or the new one, never half a
 file. Equal content gives equal bytes. Each reader and writer raises StorageError, naming the file and what to do.
 
-Files carry STAMP. One without it is of format 1 (nsmodel 0.1); one of a later format is refused. Of format 3 on they carry
+Files carry FORMAT_STAMP. One without it is of format 1 (nsmodel 0.1); one of a later format is refused. Of format 3 on they carry
 digests of all that they hold, see `archive` and `manifest`.
 """
 

@@ -14,14 +14,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS, SpeedBound
 from nsmodel.hypotheses.region import Region
 from nsmodel.modeling.base import Model
 from nsmodel.proof import interval_bounds
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
-from nsmodel.solvers.residuals import EPS
 
 SUM_ROUNDING = 64 * EPS  # relative rounding of a sum of a few terms
 
@@ -139,7 +140,6 @@ def constraint_findings(model: Any, run: Trajectory, c: ca.SX, names: Sequence[s
     ]
 
 
-ROUND_UP_FACTOR = 1 + 1e-12
 PAIR_CONSEQUENCES = ("contraction", "stability")  # They speak of any two solutions.
 
 

@@ -48,6 +48,7 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import Values, describe_argument, split_boxes
 from nsmodel.modeling.signals import Within
 from nsmodel.modeling.signals.base import ParametricSignal
+from nsmodel.modeling.time_grid import SAME_TIME_SHARE
 from nsmodel.modeling.variants import freeze_inputs, parametric_inputs, with_signals
 from nsmodel.proof.expression_graph import OpaqueExpression
 from nsmodel.proof.global_search import quick_searches
@@ -59,7 +60,6 @@ from nsmodel.solvers.structure import read_step_structure
 
 ORDER_ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 ASYMPTOTIC_ORDERS = 0.3, 2.5  # Orders seen outside of this range are chance.
-SAME_TIME_SHARE = 1e-12  # Of the run: rows nearer than this are at one time.
 ROW_RATIO_RANGE = 1.8, 2.2  # Rows of a run beside those with steps twice as long.
 
 

@@ -15,7 +15,6 @@ from nsmodel.modeling.pickling import Picklable
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
 IntervalBox = Mapping[str, tuple[float, float]]
-MAX_WRITTEN_INTERVALS = 6  # Intervals that are written out.
 
 
 @dataclass(frozen=True)

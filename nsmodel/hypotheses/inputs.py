@@ -117,7 +117,7 @@ class InputBounds:
         return found
 
 
-EMPTY_VECTOR = np.zeros(0)
+EMPTY_VECTOR = np.zeros(0)  # Of a model without inputs.
 NO_INPUT_BOUNDS = InputBounds(  # Of a model without inputs.
     ca.SX(0, 1), ca.SX(0, 1), (), (), EMPTY_VECTOR, EMPTY_VECTOR, EMPTY_VECTOR, {}, {}, {}, frozenset(), {}, frozenset()
 )  # fmt: skip

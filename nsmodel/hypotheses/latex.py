@@ -153,7 +153,7 @@ def _mantissa(size: float) -> str:
 
 
 def _shorten_decimal(text: str) -> str:
-    """A decimal cut after DIGITS significant digits, with dots where something was cut."""
+    """A decimal cut after DECIMAL_DIGITS significant digits, with dots where something was cut."""
     head, _, tail = text.partition(".")
     if tail in ("", "0"):
         return head

@@ -18,8 +18,8 @@ from nsmodel.hypotheses.region import Region, depends_on_symbol
 from nsmodel.modeling.laws import Law
 from nsmodel.proof import interval_bounds
 
-NESTED_BOXES = 16
-ROUNDED_DOWN = 1 - 1e-9
+NESTED_BOXES = 16  # Boxes between the start and the whole box, on each of which the speed is bounded by itself.
+ROUNDED_DOWN = 1 - 1e-9  # A time that is formed of doubles is lowered by this: far more than they lose.
 
 Bounds = tuple[np.ndarray, np.ndarray]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from nsmodel._utils import REPR_WIDTH, format_number, join_within_width, truncate_text
+from nsmodel._utils import TEXT_WIDTH, format_number, join_within_width, truncate_text
 
-LABEL_COLUMNS = 14  # Columns of a label.
+LABEL_COLUMNS = 14  # Columns of a label in a description.
 
 
 def model_facts(model: Any) -> dict[str, list[str]]:
@@ -30,10 +30,10 @@ def model_facts(model: Any) -> dict[str, list[str]]:
 
 def describe_model(self: Any) -> str:
     """Return the class, the title and a line for each of its `facts`, of 100 columns."""
-    lines = [truncate_text(f"{type(self).__name__}: {self.title or 'untitled'}", REPR_WIDTH)]
+    lines = [truncate_text(f"{type(self).__name__}: {self.title or 'untitled'}", TEXT_WIDTH)]
     for label, entries in model_facts(self).items():
         head = f"  {label:{LABEL_COLUMNS - 2}}" + (f"{len(entries)}: " if len(entries) > 1 else "")
-        lines.append(head + join_within_width([truncate_text(entry) for entry in entries], REPR_WIDTH - len(head)))
+        lines.append(head + join_within_width([truncate_text(entry) for entry in entries], TEXT_WIDTH - len(head)))
     return "\n".join(lines)
 
 

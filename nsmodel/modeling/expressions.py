@@ -13,6 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.proof.expression_graph import (
     apply_operation,
@@ -168,8 +169,8 @@ def _has_undefined_part(entry: ca.SX, p: ca.SX, values: ca.DM) -> bool:
     return bool(undefined)
 
 
-MAX_TABLE_POINTS = 400
-SAME_SLOPE_TOLERANCE = 8 * np.finfo(float).eps  # Slopes that differ by less than this part of them are one.
+MAX_TABLE_POINTS = 400  # Points of a table that is read off a CasADi interpolant.
+SAME_SLOPE_TOLERANCE = 8 * EPS  # Slopes that differ by less than this part of them are one.
 
 
 class InterpolationTable(NamedTuple):
@@ -243,7 +244,7 @@ def table_expression(table: InterpolationTable, x: ca.SX) -> ca.SX:
 def read_table(function: ca.Function) -> InterpolationTable | None:
     """The table behind a CasADi interpolant: read off its serialised form, and believed only where the function agrees.
 
-    None where it is no linear interpolant of one variable with one value, or has more than MOST_POINTS points.
+    None where it is no linear interpolant of one variable with one value, or has more than MAX_TABLE_POINTS points.
     """
     if function.class_name() != "LinearInterpolant" or not function.n_in() == function.numel_in(0) == function.numel_out(0) == 1:
         return None
@@ -274,4 +275,4 @@ def _reproduces_table(function: ca.Function, table: InterpolationTable) -> bool:
     wanted = np.concatenate([values, (values[1:] + values[:-1]) / 2, beyond])
     given = np.array(function.map(at.size)(at[None, :])).ravel()
     steepest = float(np.abs(np.diff(values) / np.diff(points)).max())
-    return bool((np.abs(given - wanted) <= 64 * np.finfo(float).eps * (np.abs(values).max() + steepest * np.abs(at))).all())
+    return bool((np.abs(given - wanted) <= 64 * EPS * (np.abs(values).max() + steepest * np.abs(at))).all())

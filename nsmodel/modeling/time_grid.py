@@ -19,6 +19,8 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.parameters import step_array
 from nsmodel.modeling.signals.schedule import InputSchedule
 
+WHOLE_STEPS = 1e-9  # Relative: a length that is so near to a whole number of steps is that many.
+SAME_TIME_SHARE = 1e-12  # Part of a run: rows of two runs that are nearer than this are at one time.
 SAME_STEP_TOLERANCE = 1e-12  # Lengths that differ by less than this part are one: matrices, not times.
 
 
@@ -91,7 +93,7 @@ EVENT_DRIVEN_GRID = TimeGrid(1, 1.0, 1.0)  # Of runs that have no steps.
 
 def count_equal_steps(lengths: np.ndarray, h: float) -> np.ndarray:
     """How many equal steps, not longer than h, are of these lengths together."""
-    return np.maximum(np.ceil(lengths / h * (1 - 1e-9)), 1).astype(int)
+    return np.maximum(np.ceil(lengths / h * (1 - WHOLE_STEPS)), 1).astype(int)
 
 
 def subdivide_intervals(ends: np.ndarray, counts: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +147,7 @@ def make_grid(
         raise UsageError("no time step: give the model step=, or the run step=H (--step H)")
     T = float(model.t_end if t_end is None else t_end)
     ratio = T / h
-    if ratio < 1 - 1e-9:
+    if ratio < 1 - WHOLE_STEPS:
         raise UsageError(f"step = {h:g} is longer than the run, which ends at t_end = {T:g}; choose a step of at most {T:g}")
     if ratio > 1e12:
         raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
@@ -153,7 +155,7 @@ def make_grid(
     if drive is not None and (drive.points.size or drive.moving):
         return _with_schedule(_grid_between_ends(np.concatenate([[0.0], drive.points, [T]]), h, drive.moving), drive)
     N = max(round(ratio), 1)
-    if abs(ratio - N) <= 1e-9 * N:
+    if abs(ratio - N) <= WHOLE_STEPS * N:
         return _with_schedule(TimeGrid(N, h, h), drive)
     N = int(np.floor(ratio)) + 1
     return _with_schedule(TimeGrid(N, h, T - (N - 1) * h), drive)
@@ -177,7 +179,7 @@ def _check_edges_hit(times: np.ndarray, points: np.ndarray) -> None:
     """Refuse given steps of which one goes over an edge of an input."""
     k = np.searchsorted(times, points)
     off = np.minimum(np.abs(times[np.minimum(k, len(times) - 1)] - points), np.abs(times[np.maximum(k - 1, 0)] - points))
-    for i in np.flatnonzero(off > 1e-9 * np.abs(points))[:1]:
+    for i in np.flatnonzero(off > WHOLE_STEPS * np.abs(points))[:1]:
         raise UsageError(
             f"steps: step {k[i] - 1} goes over t = {points[i]:.10g}, where an input jumps or bends, or a block ticks; "
             "let a step end there, or give step= instead: its grid ends at each"

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 PRESSURE_COLOURS = "YlOrBr"
 CALM_COLOUR = "#B9CDE0"  # A disc of a run that knows no pressure.
 DOOR_COLOUR = "#009E73"
-PRESSURE_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 MAX_CONTACT_WIDTH = 4.0  # Line of a contact at the end of the scale, points.
 
 
@@ -119,7 +118,7 @@ def row_of_most_pressure(run: Trajectory) -> int:
 def pressure_scale(pressure: np.ndarray | None) -> float:
     """The pressure that 99.5 % of those pressed are below, over all rows; 1 where nobody ever is."""
     pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
-    return float(np.percentile(pressed, PRESSURE_PERCENTILE)) if pressed.size else 1.0
+    return float(np.percentile(pressed, style.PRESSURE_PERCENTILE)) if pressed.size else 1.0
 
 
 def draw_room(ax: Axes, run: Trajectory) -> None:
@@ -246,7 +245,7 @@ def velocity(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = No
 def _draw_map(found: Maps, values: np.ndarray, title: str, label: str, colours: str, run: Any, ax: Axes | None) -> Axes:
     ax = style.get_axes(ax, 7, 5.5)
     known = values[np.isfinite(values)]
-    top = float(np.percentile(known, PRESSURE_PERCENTILE)) if known.size and known.max() > 0 else 1.0
+    top = float(np.percentile(known, style.PRESSURE_PERCENTILE)) if known.size and known.max() > 0 else 1.0
     image = ax.pcolormesh(found.x, found.y, values, cmap=colours, vmin=0, vmax=top or float(known.max()), rasterized=True)
     style.colour_bar(ax, image, label, shrink=0.85, extend="max")
     ax.set(aspect="equal")

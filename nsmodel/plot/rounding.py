@@ -81,7 +81,7 @@ def _energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
     return np.array(function.map(len(run.t))(run.t[None], x.T)).ravel()
 
 
-ROUNDING_FACTOR = 64  # Times UNIT: rounding, and what a run makes of it.
+ROUNDING_FACTOR = 64  # Times the unit round-off: rounding, and what a run makes of it.
 SAMPLED_ROWS = 200  # Rows at which rows are evaluated.
 MAX_MODEL_SIZE = 200  # States or multipliers up to which the model is asked.
 OSCILLATING_SHARE, MIN_CHANGES = 0.2, 8  # Share of the changes that turn back, of so many at least.

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     StateLabels = dict[int, tuple[str, str]]  # index-set code: (colour, words)
 
-MAX_ROWS = 30
-MAX_BUCKETS, MAX_MAP_ROWS = 800, 600  # about a pixel each
+MAX_ROWS = 30  # Bands of a strip; of more rows, those that change most.
+MAX_BUCKETS, MAX_MAP_ROWS = 800, 600  # Columns and rows of a map: about a pixel each.
 NO_CODE = 127  # No code of an index set.
 CHATTER_LABEL = "split band: changes within a pixel"
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from nsmodel.simulation.trajectory import Trajectory
 
-MAX_POINTS = 20_000
+MAX_POINTS = 20_000  # Points of a picture; of more, some are left out.
+PRESSURE_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 STEADY_TOLERANCE = 1e-13  # The part of themselves by which values change that stand still.
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")

@@ -307,19 +307,19 @@ def _cell_places(variable: Variable, name: str) -> np.ndarray:
     return np.broadcast_to(variable.coords[name].astype(float).reshape(at), variable.values.shape).ravel()
 
 
-def _shown_cells(variable: Variable) -> tuple[np.ndarray, np.ndarray, str]:
+def _drawn_cells(variable: Variable) -> tuple[np.ndarray, np.ndarray, str]:
     """Which of the values are there, the numbers of those that are drawn, and a note where these are not all."""
     done = variable.done.ravel()
     rows = np.flatnonzero(done)
-    shown = rows[style.evenly_spread(len(rows), style.MAX_POINTS)]
-    return done, shown, style.selection_note(len(shown), len(rows), "evenly spread")
+    drawn = rows[style.evenly_spread(len(rows), style.MAX_POINTS)]
+    return done, drawn, style.selection_note(len(drawn), len(rows), "evenly spread")
 
 
 def _draw_map_dots(ax: Axes, variable: Variable, x: str, y: str, where: str) -> Axes:
     """A dot a sample, over two coordinates of samples; crosses where there is no result."""
     place = [_cell_places(variable, name) for name in (x, y)]
     values = variable.values.ravel().astype(float)
-    done, rows, note = _shown_cells(variable)
+    done, rows, note = _drawn_cells(variable)
     dots = ax.scatter(
         place[0][rows], place[1][rows], c=values[rows], cmap=MAP_COLOURS, norm=_colour_norm(values[done]),
         s=18 if len(rows) < 1000 else 6, linewidths=0, rasterized=True,
@@ -341,9 +341,9 @@ def _draw_map_dots(ax: Axes, variable: Variable, x: str, y: str, where: str) -> 
 
 
 MAX_ERROR_BARS = 12  # So many points have error bars, more a band.
-MAX_SWEEP_LINES = 60
-MAX_LEGEND_LINES = 8
-SPREAD_QUANTILES = (0.05, 0.5, 0.95)
+MAX_SWEEP_LINES = 60  # Lines of a picture; of more values, so many, evenly spread.
+MAX_LEGEND_LINES = 8  # Lines that a legend names one by one; numbers of more are a colour bar.
+SPREAD_QUANTILES = (0.05, 0.5, 0.95)  # The band, in which nine of ten values are, and the line in it.
 SHOW_OPTIONS = ("mean", "median", "spread")
 ATOM_SHARE = 0.02  # A value that this part of the cells has is drawn as one.
 ATOM_TOLERANCE = 1e-9  # Values nearer than this part of their range are one value.
@@ -517,7 +517,7 @@ def _line_colour_bar(ax: Axes, variable: Variable, hue: str, colours: Sequence[A
 def _draw_line_dots(ax: Axes, variable: Variable, x: str) -> Axes:
     """A dot a cell, over a coordinate of samples."""
     found, where = last_rows(variable, ())
-    places, (done, rows, note) = _cell_places(found, x), _shown_cells(found)
+    places, (done, rows, note) = _cell_places(found, x), _drawn_cells(found)
     y = found.values.ravel()[rows]
     size, alpha = (2, 0.35) if len(rows) > 500 else (4, 0.8)
     ax.plot(places[rows], y, "o", color=style.LINES[0], markersize=size, alpha=alpha, markeredgewidth=0, rasterized=True)

@@ -52,7 +52,7 @@ class AsymptoticOrder(NamedTuple):
         return int(self.low > 0) - int(self.high < 0)
 
 
-ZERO_ORDER = AsymptoticOrder(Fraction(0), Fraction(0), 0.0, 0.0)
+ZERO_ORDER = AsymptoticOrder(Fraction(0), Fraction(0), 0.0, 0.0)  # Of what is 0.
 
 
 def constant_order(low: float, high: float | None = None) -> AsymptoticOrder:
@@ -136,7 +136,7 @@ def bring_to_common_order(
     return large.p, large.l, parts[0], parts[1]
 
 
-START_EXPONENTS = (6, 20, 60)  # T = 2^k.
+START_EXPONENTS = (6, 20, 60)  # Estimates hold from T = 2^k on, for one of these.
 
 
 def asymptotic_orders(expr: ca.SX, z: ca.SX, inputs: Sequence[AsymptoticOrder | None], k: int) -> list[AsymptoticOrder | None]:

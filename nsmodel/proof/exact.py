@@ -15,7 +15,8 @@ import numpy as np
 
 from nsmodel.proof.verdict import connected_components
 
-MACHINE_EPSILON = float(np.finfo(float).eps)
+MACHINE_EPSILON = float(np.finfo(float).eps)  # 2^-52, relative: from 1 to the next double.
+ROUND_UP_FACTOR = 1 + 1e-12  # Bounds formed of a few doubles are raised by it: it is more than a thousand operations lose.
 ZERO = Fraction(0)
 MIN_CHOLESKY_SIZE = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
 

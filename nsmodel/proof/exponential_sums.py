@@ -21,8 +21,9 @@ from nsmodel.proof import polynomial
 from nsmodel.proof.exact import round_down
 from nsmodel.proof.leading_terms import GrowthRank, LeadingTerm, LocalTerm, find_leading_term
 
-MAX_SUM_TERMS, MAX_DERIVATIVES, MAX_SUM_DEGREE = 12, 60, 80
-MAX_BISECTIONS, FLINT_PRECISION = 160, 320
+MAX_SUM_TERMS, MAX_DERIVATIVES, MAX_SUM_DEGREE = 12, 60, 80  # Beyond these a sign is left open.
+MAX_BISECTIONS = 160  # Of the place of a root; two roots that are nearer are not told apart.
+FLINT_PRECISION = 320  # Bits of numbers: twice the bisections, so that their values keep as many bits again.
 ExponentialKey = tuple[tuple[tuple[tuple[Fraction, ...], Fraction], ...], tuple[Fraction, ...]]  # ((u, p), ...), 0 < p < 1; q
 ExponentialSum = dict[ExponentialKey, tuple[Any, Any]]  # R = numerator / denominator, polynomials of FLINT
 Enclosure = tuple[Fraction, Fraction]

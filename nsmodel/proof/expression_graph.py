@@ -15,6 +15,18 @@ import numpy as np
 
 T = TypeVar("T")
 RewriteRule = Callable[[int, list[ca.SX], ca.SX], ca.SX | None]
+# Operations that are defined and continuous everywhere.
+CONTINUOUS_OPERATIONS = {
+    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
+    ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
+    ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
+}  # fmt: skip
+# Operations of which polynomials are made.
+POLYNOMIAL_OPERATIONS = {
+    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
+    ca.OP_TWICE,
+}  # fmt: skip
+KINK_OPERATIONS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)  # Continuous, with a slope that jumps.
 TRUTH_VALUED_OPERATIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 
 
@@ -147,8 +159,8 @@ class _RewrittenNode(NamedTuple):
     holds: bool
 
 
-MAX_STORED_NUMBERS = 4_000_000  # Numbers kept at once while a program runs.
-UNIT_FACTOR = Fraction(1)
+MAX_NUMBERS_AT_ONCE = 4_000_000  # Numbers kept at once while a program runs.
+UNIT_FACTOR = Fraction(1)  # Of a power that is not multiplied by a number.
 POWER_OPERATIONS = {ca.OP_SQ, ca.OP_NEG, ca.OP_TWICE, ca.OP_MUL, ca.OP_ADD, ca.OP_SUB}
 MAX_POWER = 64  # Powers beyond this are left as they are.
 
@@ -183,7 +195,7 @@ class Program:
     @property
     def boxes_per_run(self) -> int:
         """How many boxes are worth running together."""
-        return max(16, MAX_STORED_NUMBERS // (2 * len(self.steps) + 1))
+        return max(16, MAX_NUMBERS_AT_ONCE // (2 * len(self.steps) + 1))
 
 
 def program(expr: ca.SX, z: ca.SX) -> Program:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.affine_reduction import ReducedExpression, reduce_coordinates
-from nsmodel.proof.expression_graph import MAX_STORED_NUMBERS, Program, program, stack_column, symbol_hashes
+from nsmodel.proof.expression_graph import MAX_NUMBERS_AT_ONCE, Program, program, stack_column, symbol_hashes
 from nsmodel.proof.interval_arithmetic import IntervalPair, add, mul, sub
 from nsmodel.proof.interval_bounds import (
     MeanValueBounds,
@@ -260,7 +260,7 @@ def _choose_coordinate(
 
 
 QUICK_SAMPLES, FULL_SAMPLES = 256, 2048  # Sample points of a quick and of a full search.
-MAX_LOCAL_SEARCHES = 4  # Local searches.
+MAX_LOCAL_SEARCHES = 4  # Sample points from which a local search starts.
 MAX_SEARCH_BOXES, MAX_SEARCH_WORK = (
     20_000,
     2_000_000,
@@ -445,7 +445,7 @@ def search_supremum(goal: SearchGoal, space: SearchSpace, enough: float) -> Supr
 
 def bound_without_search(goal: SearchGoal, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return a rigorous bound (k,) of a goal over each of several boxes (k, n) as a whole: what a quick search bounds it by."""
-    code, at_once = program(goal.held, z), max(1, MAX_STORED_NUMBERS // goal.held.numel())
+    code, at_once = program(goal.held, z), max(1, MAX_NUMBERS_AT_ONCE // goal.held.numel())
     less = reduce_coordinates(code, z, lower, upper)
     if less is not None:
         code, lower, upper = program(ca.reshape(less.expr, *goal.held.shape), less.d), less.lower, less.upper

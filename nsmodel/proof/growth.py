@@ -29,10 +29,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval_bounds, polynomial
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import Instruction, Program, program
 
-MAX_BOUND_TERMS = 60  # Terms of a bound.
-ROUNDING_FACTOR = 1 + 1e-12  # One operation on coefficients is rounded by less.
+MAX_BOUND_TERMS = 60  # Terms of a bound; one of more is none.
 AtomMonomial = tuple[tuple[int, Fraction], ...]  # ((atom, power), ...), atoms increasing, powers not 0
 MonomialSum = tuple[tuple[float, AtomMonomial], ...]
 
@@ -54,13 +54,13 @@ def _multiply_monomials(a: AtomMonomial, b: AtomMonomial) -> AtomMonomial:
 
 def scale_sum(a: MonomialSum, number: float) -> MonomialSum:
     """number times the sum, rounded down."""
-    return tuple((size * number / ROUNDING_FACTOR, monomial) for size, monomial in a)
+    return tuple((size * number / ROUND_UP_FACTOR, monomial) for size, monomial in a)
 
 
 def multiply_lower_sums(a: MonomialSum, b: MonomialSum) -> MonomialSum:
     """The product, rounded down; empty where it is too long."""
     return (
-        tuple((x * y / ROUNDING_FACTOR, _multiply_monomials(m, k)) for x, m in a for y, k in b)
+        tuple((x * y / ROUND_UP_FACTOR, _multiply_monomials(m, k)) for x, m in a for y, k in b)
         if len(a) * len(b) <= MAX_BOUND_TERMS
         else ()
     )
@@ -88,7 +88,7 @@ def multiply_terms(a: tuple[QuotientTerm, ...] | None, b: tuple[QuotientTerm, ..
     if a is None or b is None or len(a) * len(b) > MAX_BOUND_TERMS:
         return None
     return tuple(
-        QuotientTerm(x.size * y.size * ROUNDING_FACTOR, _multiply_monomials(x.monomial, y.monomial), x.below + y.below)
+        QuotientTerm(x.size * y.size * ROUND_UP_FACTOR, _multiply_monomials(x.monomial, y.monomial), x.below + y.below)
         for x in a
         for y in b
     )
@@ -115,7 +115,7 @@ def raise_terms(a: tuple[QuotientTerm, ...] | None, q: Fraction) -> tuple[Quotie
     )  # fmt: skip
 
 
-LOG_2 = 0.6931471805599454
+LOG_2 = 0.6931471805599454  # Above log 2 in its last digit: log(a + b) <= log 2 + max(log a, log b).
 
 
 class PowerBound(NamedTuple):
@@ -204,8 +204,8 @@ class _GrowthCalculus:
         if p is not None and not polynomial.is_constant(p):
             number, atom = self._affine_atom(p, max(abs(low), abs(high)))
             lower, upper = (
-                ((number / ROUNDING_FACTOR, ((atom, Fraction(1)),)),),
-                (QuotientTerm(number * ROUNDING_FACTOR, ((atom, Fraction(1)),)),),
+                ((number / ROUND_UP_FACTOR, ((atom, Fraction(1)),)),),
+                (QuotientTerm(number * ROUND_UP_FACTOR, ((atom, Fraction(1)),)),),
             )
         else:
             lower, upper = self._operation_bounds(step, [out[j] for j in step.sources])
@@ -229,11 +229,11 @@ class _GrowthCalculus:
         if key not in self.known:
             self.known[key] = len(self.atoms)
             size = abs(float(first))
-            alpha = float(np.linalg.norm([float(number / first) for j, number in linear_part if j < self.n])) * ROUNDING_FACTOR
-            self.atoms.append(AffineAtom(alpha, abs(float(offset / first)) * ROUNDING_FACTOR, most / size * ROUNDING_FACTOR))
+            alpha = float(np.linalg.norm([float(number / first) for j, number in linear_part if j < self.n])) * ROUND_UP_FACTOR
+            self.atoms.append(AffineAtom(alpha, abs(float(offset / first)) * ROUND_UP_FACTOR, most / size * ROUND_UP_FACTOR))
             if any(j >= self.n for j, _ in linear_part):  # other symbols, bounded ones
                 own = math.fsum(self._symbol_bound(j) * abs(float(number / first)) for j, number in linear_part if j >= self.n)
-                self.atoms[-1] = AffineAtom(alpha, self.atoms[-1].gamma + own * ROUNDING_FACTOR, most / size * ROUNDING_FACTOR)
+                self.atoms[-1] = AffineAtom(alpha, self.atoms[-1].gamma + own * ROUND_UP_FACTOR, most / size * ROUND_UP_FACTOR)
         return abs(float(first)), self.known[key]
 
     def _symbol_bound(self, slot: int) -> float:
@@ -257,13 +257,13 @@ class _GrowthCalculus:
         numbers = [1.0] if op == ca.OP_LOG1P else numbers
         if len(exponents) == 1 and len(numbers) == 1 and numbers[0] > 0:
             u = self.found[self.code.steps[exponents[0]].sources[0]].upper
-            return add_terms(u, (QuotientTerm((abs(float(np.log(numbers[0]))) + LOG_2) * ROUNDING_FACTOR, ()),))
+            return add_terms(u, (QuotientTerm((abs(float(np.log(numbers[0]))) + LOG_2) * ROUND_UP_FACTOR, ()),))
         if op == ca.OP_LOG1P:
             return raise_terms(a.upper, Fraction(1, 2)) if a.low >= 0 else None
         if not a.low > 0:
             return None
         return add_terms(
-            raise_terms(a.upper, Fraction(1, 2)), (QuotientTerm(max(-float(np.log(a.low)), 0.0) * ROUNDING_FACTOR, ()),)
+            raise_terms(a.upper, Fraction(1, 2)), (QuotientTerm(max(-float(np.log(a.low)), 0.0) * ROUND_UP_FACTOR, ()),)
         )
 
     def resolved(self, term: QuotientTerm) -> PowerBound | None:

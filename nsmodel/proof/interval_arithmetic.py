@@ -17,10 +17,10 @@ import numpy as np
 Array = np.ndarray
 IntervalPair = tuple[Array, Array]
 
-LARGEST_DOUBLE = np.finfo(float).max
+LARGEST_DOUBLE = np.finfo(float).max  # Some 1.8e308.
 LIBRARY_ERROR = 2e-15  # Relative error allowed to a library function: 9 ulps or more.
 DOMAIN_ROUNDING = 4 * np.finfo(float).eps  # An argument outside a domain by less, beside its other end or 1, counts as rounded.
-PI_BELOW, PI_ABOVE = np.nextafter(np.pi, 0), np.nextafter(np.pi, 4)
+PI_BELOW, PI_ABOVE = np.nextafter(np.pi, 0), np.nextafter(np.pi, 4)  # Doubles below and above pi.
 HALF_PI = PI_ABOVE / 2
 ONE, ZERO = (np.ones(1), np.ones(1)), (np.zeros(1), np.zeros(1))
 MINUS_ONE = (-np.ones(1), -np.ones(1))

@@ -253,7 +253,7 @@ def _either_case(r: IntervalPair, fine: list[Array], c: IntervalPair, v: Interva
 # -- the table ---------------------------------------------------------------------------------------------------------
 
 _TWO = point_interval(2.0)
-_ERF_SLOPE = (np.array([1.1283791670955125]), np.array([1.1283791670955128]))  # 2 / sqrt(pi)
+_ERF_SLOPE = (np.array([1.1283791670955125]), np.array([1.1283791670955128]))  # Doubles below and above 2/sqrt(pi).
 
 
 def _one_minus_square(x: IntervalPair) -> IntervalPair:

@@ -31,7 +31,7 @@ OTHER_JUMP_OPERATIONS = (
     ca.OP_AND,
     ca.OP_OR,
 )
-SURFACE_SAMPLES = 4096
+SURFACE_SAMPLES = 4096  # Points of the box between pairs of which a switch is bisected.
 
 
 class ExpressionJump(NamedTuple):
@@ -125,7 +125,10 @@ def find_jump(
     return ExpressionJump(x[k], float(size[k]), below[k], above[k])
 
 
-PAIRS_TRIED, MAX_SWITCH_CASES, SEGMENT_WIDENING, POINT_SEPARATION = 24, 64, 8.0, 1e-13
+PAIRS_TRIED = 24  # Pairs of points at which a jump is to be proved, those with the largest differences among them.
+MAX_SWITCH_CASES = 64  # Combinations of values that switches take between two points; more are not looked at.
+SEGMENT_WIDENING = 8.0  # By how many times their distance two points are moved apart, at each end.
+POINT_SEPARATION = 1e-13  # Beside 1 and the points: how far they are moved apart where they do not show a jump as they are.
 _REWRITTEN_OPERATIONS = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
 
 

@@ -19,7 +19,9 @@ from nsmodel.proof.expression_graph import program
 from nsmodel.proof.interval_arithmetic import interval_matrix_product, widen_sums
 from nsmodel.proof.interval_bounds import MeanValueBounds, mean_value_form
 
-MAX_NEWTON_STEPS, MAX_WIDENINGS, WIDENING_GROWTH = 30, 12, 4.0
+MAX_NEWTON_STEPS = 30  # Of Newton's method for the middle of the box.
+MAX_WIDENINGS = 12  # Boxes that are tried.
+WIDENING_GROWTH = 4.0  # Each has at least so many times the width of the last.
 MAX_EQUATIONS = 60  # Equations; more are left alone.
 SINGULAR_PIVOT_RATIO = 1e-12  # Pivots below this part of the largest belong to a matrix that is singular to rounding.
 

@@ -15,15 +15,15 @@ import numpy as np
 
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.expression_graph import (
+    KINK_OPERATIONS,
     additive_terms,
     is_double,
     is_same_expression,
     rewrite_nodes,
 )
 
-SWITCHING_KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
-MAX_MONOTONE_PIECES = 32
+MAX_MONOTONE_PIECES = 32  # Pieces of a function of one variable; more are left open.
 
 
 def extract_constant_factor(term: ca.SX) -> tuple[Fraction, ca.SX]:
@@ -169,7 +169,7 @@ def _recentre_switch(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX
     def collect(op: int, args: list[ca.SX], old: ca.SX) -> None:
         arguments.extend(polynomial.read_polynomials(args[0] if len(args) == 1 else args[0] - args[1], s))
 
-    rewrite_nodes(h, collect, (*SWITCHING_KINKS, *SWITCHING_STEPS), s, "expression")
+    rewrite_nodes(h, collect, (*KINK_OPERATIONS, *SWITCHING_STEPS), s, "expression")
     itself: polynomial.Polynomial = {((0, 1),): Fraction(1)}
     first = next((p for p in arguments if p is not None and set(p) - {()} == set(itself)), itself)
     slope, offset = first[((0, 1),)], first.get((), Fraction(0))
@@ -232,7 +232,7 @@ def _resolve_switches(
         if op == ca.OP_IF_ELSE_ZERO:
             return (args[1] if float(args[0]) else ca.SX(0)) if args[0].is_constant() else None
         (p,) = polynomial.read_polynomials(args[0] if len(args) == 1 else args[0] - args[1], s)
-        if p is None or polynomial.degree(p) > 1 or op not in (*SWITCHING_KINKS, *SWITCHING_STEPS):
+        if p is None or polynomial.degree(p) > 1 or op not in (*KINK_OPERATIONS, *SWITCHING_STEPS):
             failed.extend([] if cuts else [op])
             return None
         slope = p.get(((0, 1),), Fraction(0))
@@ -252,7 +252,7 @@ def _resolve_switches(
         return args[int((value < 0) == (op == ca.OP_FMAX))]
 
     others = (ca.OP_FLOOR, ca.OP_CEIL, ca.OP_EQ, ca.OP_NE, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
-    resolved = rewrite_nodes(h, rule, (*SWITCHING_KINKS, *SWITCHING_STEPS, ca.OP_IF_ELSE_ZERO, *others), s, "expression")
+    resolved = rewrite_nodes(h, rule, (*KINK_OPERATIONS, *SWITCHING_STEPS, ca.OP_IF_ELSE_ZERO, *others), s, "expression")
     return resolved, (cuts[0] if cuts else None), bool(failed) and not cuts
 
 

@@ -16,12 +16,12 @@ from nsmodel.proof import interval_bounds, univariate
 from nsmodel.proof.asymptotics import asymptotic_orders, multiply_orders, polynomial_order, value_interval
 from nsmodel.proof.convex.directions import DirectionPart, part_infimum
 from nsmodel.proof.convex.piecewise import split_by_cases
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.exponential_sums import ball_lower_bound
 from nsmodel.proof.expression_graph import additive_terms, program
 
 SECTOR_WIDENINGS = (0.0, 2.0**-20, 2.0**-8)  # What slopes are enlarged by, where h lies beyond the line at infinity.
 CELLS_PER_OCTAVE = 16  # Parts of each octave of [-T, T].
-REACH_ROUNDING = 1 + 1e-12
 
 
 class Sector(NamedTuple):
@@ -84,7 +84,7 @@ def _sector_reach(h: ca.SX, s: ca.SX, edges: np.ndarray, least: float, most: flo
             right, left = interval_bounds.mean_value_form(program(gap, s), low[:, None], high[:, None]).hi
             out = max(out, float(np.where(low >= 0, right, left).max()), float(right[0] if edges.size == 1 else 0.0))
             out = max(out, float(np.where(high <= 0, left, right).max()))
-    return out * REACH_ROUNDING if np.isfinite(out) else None
+    return out * ROUND_UP_FACTOR if np.isfinite(out) else None
 
 
 def exact_sector(h: ca.SX, s: ca.SX, low: float, high: float) -> Sector | None:

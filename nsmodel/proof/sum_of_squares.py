@@ -18,10 +18,9 @@ import numpy as np
 from nsmodel.proof import conic, exact, polynomial
 from nsmodel.proof.polynomial import Polynomial
 
-MAX_GRAM_MONOMIALS = 45
-MAX_KERNEL_REDUCTIONS = 4
-CLEAR_EIGENVALUE = 1e-7  # A least eigenvalue above this, of scaled data, survives rounding.
-ROUNDING_BITS = 40
+MAX_GRAM_MONOMIALS = 45  # Rows of the Gram matrix of a semidefinite program: more are not tried.
+MAX_KERNEL_REDUCTIONS = 4  # Times that the kernel of a Gram matrix, known in doubles, is taken out of it.
+ROUNDING_BITS = 40  # Of the rational numbers that a Gram matrix in doubles is rounded to, where 20 are too few.
 MonomialPowers = tuple[int, ...]
 
 

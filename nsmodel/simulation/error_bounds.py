@@ -42,7 +42,7 @@ from nsmodel.event_driven.piece import Piece
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrences import taylor_decompose
 from nsmodel.proof import dissipation, exact, interval_bounds
-from nsmodel.proof.dissipation import least_rate
+from nsmodel.proof.dissipation import ZERO_RATE_TOLERANCE, least_rate
 from nsmodel.proof.expression_graph import rewrite_nodes
 from nsmodel.proof.interval_arithmetic import next_up
 from nsmodel.proof.interval_functions import Interval, interval_function, point_intervals
@@ -51,7 +51,6 @@ from nsmodel.proof.storage_matrix import find_storage_matrix, well_conditioned_b
 BOXES_PER_PIECE = 8  # Boxes that each piece is covered by.
 METRIC_SAMPLES = 8  # Jacobians for which P is chosen.
 TUBE_HALF_WIDTHS = (1e-6, 1e-3, 1e-1)  # Half widths of tubes that are tried, beside the largest of each state.
-NEGLIGIBLE_OMEGA = 1e-9  # omega beside f_x below which omega = 0 is tried.
 SUM_ROUNDING_SHARE = 1e-12  # What sums in doubles may err by: every bound is raised by this share.
 
 
@@ -125,7 +124,7 @@ class _QuadraticMetric:
         about, scale = dissipation.growth_rate(self.doubles, middle), float(np.abs(middle).max(initial=0.0))
         PJ = exact.matrix_product(self.P, exact.rational(middle))
         for lift in (0.0, 1e-15, 1e-13, 1e-11, 1e-9, 1e-6, 1e-3):
-            omega = about + lift * scale if abs(about) > NEGLIGIBLE_OMEGA * scale else lift * scale
+            omega = about + lift * scale if abs(about) > ZERO_RATE_TOLERANCE * scale else lift * scale
             if exact.is_psd(Fraction(omega) * self.P - PJ):
                 return next_up(np.array(omega + more)).item()
         return np.inf

@@ -11,17 +11,17 @@ across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accept
   cone whose l is 0. On the surface of a cone it leaves by the curvature, of size |d|^2, which the next step takes back. What the
   scheme carries of the multipliers (gamma < 1) stays that of the step: on a row that is held it may alternate about its mean,
   which d would magnify;
-- else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
-  set changes: that error falls like h, whatever the order.
+- else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH_ERROR_SHARE and the
+  index set changes: that error falls like h, whatever the order.
 
 The rows of the run are the half steps. Each is verified; its multipliers and outputs are those of its step, and
 ``correction`` tells how far extrapolation has then moved the state, in units of what is allowed.
 
-Steps are L/2^j, at most T/2^LARGEST, and start at multiples of themselves, L the length of the span between two known times
-(``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of a
-refused step is the next trial. At L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run
-goes on; where walls call for impulses at L/2^IMPACT, as a velocity behind one is known to eps |y|/h alone: shorter steps would
-give a point at rest a speed that rtol sees, and follow its hops. Where a state must jump at a cone it does not go on
+Steps are L/2^j, at most T/2^COARSEST_LEVEL, and start at multiples of themselves, L the length of the span between two known
+times (``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of
+a refused step is the next trial. At L/2^FINEST_LEVEL every verified step is accepted, and counted: at an accumulation of switches
+a run goes on; where walls call for impulses at L/2^IMPACT, as a velocity behind one is known to eps |y|/h alone: shorter steps
+would give a point at rest a speed that rtol sees, and follow its hops. Where a state must jump at a cone it does not go on
 (`impacts.refusal`): y is certified beside |y|, which is not small on the surface of a cone, and what y may be off is any velocity
 over such a step.
 
@@ -49,6 +49,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
 from nsmodel.event_driven.fallback_steps import IMPACT, REACHED, STEP_BUDGET, error_relaxation
 from nsmodel.event_driven.integrator import checked_atol
@@ -64,21 +65,21 @@ from nsmodel.simulation.propagator import PERCENT_PROGRESS, find_runaway_state, 
 from nsmodel.simulation.step_inputs import SpanInputs
 from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import OneStepProblem, state_before_short_step, state_constraints
-from nsmodel.solvers.residuals import EPS, numeric_law
-from nsmodel.solvers.step import UNSET_INDEX, RowRecord, StepResult, WarmStart, verified_step
+from nsmodel.solvers.residuals import numeric_law
+from nsmodel.solvers.step import UNKNOWN_INDEX, RowRecord, StepResult, WarmStart, verified_step
 from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, controlled_step, error_scale_groups, extrapolation_error
 
 COARSEST_LEVEL, FINEST_LEVEL = 4, 40  # Steps are L/2^j with j between these.
 FIRST_LEVEL = 7  # j of the first step where none is given.
 SWITCH_ERROR_SHARE = 0.25  # Part of the allowed error that a step across a switch may use.
 STEP_DOUBLING_LIMIT = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
-CONTROL_CONSTANTS = {"largest": COARSEST_LEVEL, "crossing": SWITCH_ERROR_SHARE, "grow": STEP_DOUBLING_LIMIT}  # Of the C too.
+CONTROL_CONSTANTS = {"largest": COARSEST_LEVEL, "crossing": SWITCH_ERROR_SHARE, "grow": STEP_DOUBLING_LIMIT}  # Of C.
 OPEN_CONE_CODE = -1  # The index of a cone whose l is 0: y is inside.
 UNSOLVED_HALVINGS = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MAX_ACCEPTED_STEPS = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
 MISSED_TOLERANCE_FACTOR = 10  # Times what rtol allows: where errors add up to more, a warning says so.
 LOOSENING_INTERVAL = 500  # Accepted steps after which what is allowed may grow.
-INITIAL_ROW_CAPACITY = 4096
+INITIAL_ROW_CAPACITY = 4096  # Rows for which there is memory at first.
 
 
 class StepState(NamedTuple):
@@ -181,7 +182,7 @@ class ErrorControlledPropagator(SchemePropagator):
 
     @property
     def _coarsest_level(self) -> int:
-        """The j of the longest step of a span: of the whole run L/2^LARGEST, of a short span all of it."""
+        """The j of the longest step of a span: of the whole run L/2^COARSEST_LEVEL, of a short span all of it."""
         return max(0, COARSEST_LEVEL + math.ceil(math.log2(self._length / self.T)))
 
     def _begin_next_span(self) -> None:
@@ -563,7 +564,7 @@ def turning_point_warnings(
         return []
     rows, index = record.rows[:filled], record.index[:filled, : law.size]
     start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
-    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET_INDEX))
+    held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNKNOWN_INDEX))
     free = held.copy()
     for i, j in zip(*problem.jacobians[3].sparsity().get_triplet(), strict=True):
         free[:, i] &= ~held[:, j]

@@ -27,6 +27,7 @@ from nsmodel.modeling import laws
 from nsmodel.proof.verdict import attach_buffers
 from nsmodel.simulation.piece_sources import PieceBuffer, PieceLayout
 from nsmodel.simulation.propagator import CHUNK_BYTES
+from nsmodel.solvers.step import UNKNOWN_INDEX
 
 
 @dataclass(frozen=True)
@@ -319,7 +320,7 @@ class PieceRows:
             for name in ("multipliers", "y", "residual", "error_estimate", "reactions"):
                 if name in arrays:
                     arrays[name][0] = np.nan
-            arrays["index_set"][0], arrays["stepped"][0] = dense_output.UNKNOWN_INDEX, False
+            arrays["index_set"][0], arrays["stepped"][0] = UNKNOWN_INDEX, False
         return arrays | lists
 
     def _start_row(self) -> dict[str, np.ndarray]:
@@ -331,7 +332,7 @@ class PieceRows:
         return {
             "t": np.zeros(1), "x": own.x0[None, : p.states].copy(), **records,
             **{name: np.full((1, own.visible_multipliers), np.nan) for name in of_law},
-            "index_set": np.full((1, own.m), dense_output.UNKNOWN_INDEX, np.int8), "stepped": np.zeros(1, bool), **unknown,
+            "index_set": np.full((1, own.m), UNKNOWN_INDEX, np.int8), "stepped": np.zeros(1, bool), **unknown,
         }  # fmt: skip
 
     def _piece_lists(self, block: PieceBuffer) -> dict[str, np.ndarray]:

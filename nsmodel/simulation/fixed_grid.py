@@ -43,10 +43,8 @@ from nsmodel.solvers.initial_checks import UNIQUENESS_WARNING, check_start, star
 from nsmodel.solvers.one_step_problem import initial_rows, one_step_problem, state_before_short_step, state_constraints
 from nsmodel.solvers.plan import REPEATED_PATH, CompilationCost, build_seconds, interpreted_step_seconds, is_fixed_code_faster
 from nsmodel.solvers.step import PackedStep, RowRecord, WarmStart
-from nsmodel.solvers.structure import is_eigenvalue_nonnegative
+from nsmodel.solvers.structure import MAX_STEP_SIZES, is_eigenvalue_nonnegative
 from nsmodel.solvers.time_stepper import ModewiseStepper, ReactionInitialiser, Stepper, completed_start_state, mode_state_indices
-
-MAX_FACTORED_STEP_SIZES = 8  # Different step sizes up to which constant matrices are factored once for each.
 
 
 def make_stepper(
@@ -100,9 +98,7 @@ class SchemePropagator:
         self._first = h
         self.known = initial_rows(model, h)
         self.k, self.state = len(self.known) - 1, completed_start_state(self.problem, self.known[-1][0], h, tolerance)
-        few = grid.steps is None or (
-            np.unique(grid.steps).size <= MAX_FACTORED_STEP_SIZES and not (grid.drive and grid.drive.moving)
-        )
+        few = grid.steps is None or (np.unique(grid.steps).size <= MAX_STEP_SIZES and not (grid.drive and grid.drive.moving))
         self.stepper: Any = make_stepper(model, options.solver, tolerance, h=h, state=self.state, few_steps=few)
         self.warm = self.stepper.cold_start()
         self.last_index: np.ndarray | None = None

@@ -392,7 +392,7 @@ def option_names(keywords: Any) -> tuple[str, ...]:
 
 F = TypeVar("F", bound=Callable[..., Any])
 ENTRIES, NAMES = "{entries}", "{names}"
-DOC_WIDTH = 126
+DOC_WIDTH = 126  # Columns of the docstrings that are made of options.
 
 
 def takes_options(keywords: Any, before: str | None = None) -> Callable[[F], F]:

@@ -28,11 +28,10 @@ from nsmodel.simulation.options import Options
 from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.plan import Plan
-from nsmodel.solvers.step import RowLayout
+from nsmodel.solvers.step import RUNAWAY_LIMIT, RowLayout
 
 PERCENT_PROGRESS = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
 CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
-RUNAWAY_LIMIT = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
 
 
 ResumedBackend = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
@@ -179,7 +178,7 @@ def plan_with_inputs(plan: Plan, drive: InputSchedule | None) -> Plan:
 
 
 def find_runaway_state(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:
-    """Name and value of the largest of x (n,), where it is beyond RUNAWAY or no number."""
+    """Name and value of the largest of x (n,), where it is beyond RUNAWAY_LIMIT or no number."""
     i = int(np.argmax(np.nan_to_num(np.abs(x), nan=np.inf)))
     return None if abs(x[i]) <= RUNAWAY_LIMIT else (names[i], float(x[i]))
 

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import TEXT_WIDTH, sum_in_order
 from nsmodel.simulation.run_data import RunData, model_type, multiplier_names, state_names, units_of
 from nsmodel.solvers import impacts
 
-_SUMMARY_TABLE_WIDTH = 100
 _LABEL_WIDTH = 18  # The column of labels.
-_MAX_STATES = 8
-_MAX_CONTACTS = 8
-_MAX_ARCH_BODIES = 8
-_MAX_SPANS = 4
+_MAX_STATES = 8  # States at the end that are written out,
+_MAX_CONTACTS = 8  # contacts,
+_MAX_ARCH_BODIES = 8  # bodies behind an arch,
+_MAX_SPANS = 4  # and intervals of time.
 STANDSTILL_REASONS = {  # How a run of many bodies knows that nothing will ever change again.
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
@@ -205,11 +204,11 @@ def summary_lines(summary: dict[str, Any]) -> dict[str, list[str]]:
 
 def summary_text(summary: dict[str, Any]) -> str:
     """What `summary` returned as a table of at most 100 columns."""
-    table = textwrap.wrap(summary["title"], _SUMMARY_TABLE_WIDTH)
+    table = textwrap.wrap(summary["title"], TEXT_WIDTH)
     for label, texts in summary_lines(summary).items():
         for i, line in enumerate(texts):
             first, rest = f"  {label if i == 0 else '':{_LABEL_WIDTH - 2}}", " " * (_LABEL_WIDTH + 2)
-            table += textwrap.wrap(line, _SUMMARY_TABLE_WIDTH, initial_indent=first, subsequent_indent=rest)
+            table += textwrap.wrap(line, TEXT_WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
 
 

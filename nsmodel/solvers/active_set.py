@@ -10,7 +10,8 @@ from itertools import combinations, product
 
 import numpy as np
 
-from nsmodel.solvers.residuals import EPS, NumericLaw
+from nsmodel._utils import EPS
+from nsmodel.solvers.residuals import NumericLaw
 from nsmodel.solvers.rounding_errors import INSIDE, SUM_ERROR, equilibrate_matrix
 
 MAX_INDEX_SETS = 20000  # More are not tried one by one.

@@ -15,11 +15,12 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import ModelError, StepError
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.one_step_problem import OneStepProblem, Prediction
 from nsmodel.solvers.plan import Plan
-from nsmodel.solvers.residuals import EPS, STRICTER, NumericLaw, law_residual, numeric_law
+from nsmodel.solvers.residuals import STRICTER, NumericLaw, law_residual, numeric_law
 from nsmodel.solvers.rounding_errors import SUM_ERROR
 from nsmodel.solvers.step import RowLayout, StepResult, WarmStart
 from nsmodel.solvers.time_stepper import Stepper

@@ -106,8 +106,8 @@ def regular_inverse(E_z: np.ndarray) -> np.ndarray:
     """The inverse of E_z.
 
     Raises:
-        numpy.linalg.LinAlgError: E_z is singular, or rounding its entries moves z by more than UNDETERMINED in the best units:
-            by 2 u times the spectral radius of |E_z^-1| |E_z|.
+        numpy.linalg.LinAlgError: E_z is singular, or rounding its entries moves z by more than MAX_UNKNOWN_ERROR in the best
+            units: by 2 u times the spectral radius of |E_z^-1| |E_z|.
     """
     scaled, rows, columns = equilibrate_matrix(E_z)
     inverse = columns[:, None] * np.linalg.inv(scaled) * rows

@@ -25,11 +25,11 @@ from nsmodel.solvers.structure import StepStructure, is_eigenvalue_nonnegative, 
 JUMP_ADVICE = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
 MIN_OPPOSING_ANGLE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
 DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
-NEIGHBOURHOOD, JUMP_SAMPLES = 10, 64  # Times the state: where jumps are looked for, between so many points.
+NEIGHBOURHOOD, ROOT_SAMPLES = 10, 64  # Times the state: where jumps are looked for, between so many points.
 MAX_NAMES = 12  # Contacts that a message names.
 MODERATE = 1e-4  # Of the largest: parts of W and friction beside which linear programmes tell what is infeasible.
 MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one.
-OPEN, STICK, INFEASIBLE = "open", "stick", 2  # The last: what linprog says.
+OPEN, STICK, INFEASIBLE = "open", "stick", 2  # Modes of a contact, and the status of linprog where nothing is feasible.
 LIFTED = 1e12  # So many times what is violated a row that is farther off says nothing: contacts that do not act.
 FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
@@ -227,7 +227,7 @@ def _find_jump(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -
     from nsmodel.proof.jumps import find_jump  # Runs that do not fail need not load it.
 
     try:
-        return find_jump(equations, unknown, -reach, reach, lambda points: np.ones(len(points), bool), JUMP_SAMPLES) is not None
+        return find_jump(equations, unknown, -reach, reach, lambda points: np.ones(len(points), bool), ROOT_SAMPLES) is not None
     except OpaqueExpression:
         return False
 

@@ -24,10 +24,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.modeling.laws import Box, Law
 from nsmodel.proof.verdict import suppress_output
 from nsmodel.solvers.one_step_problem import OneStepProblem
-from nsmodel.solvers.residuals import EPS, NumericLaw
+from nsmodel.solvers.residuals import NumericLaw
 
 PARALLEL_TOLERANCE = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it.
 

@@ -18,11 +18,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.modeling.laws.base import CurvedSet, safe_norm
 from nsmodel.proof.verdict import suppress_output
 from nsmodel.solvers import active_set, friction_contacts
 from nsmodel.solvers.active_set import equilibrate_problem, row_scale, solve_or_least_squares
-from nsmodel.solvers.residuals import EPS, ROUNDING, NumericLaw, law_residual, output_scale
+from nsmodel.solvers.residuals import ROUNDING, NumericLaw, law_residual, output_scale
 from nsmodel.solvers.rounding_errors import SUM_ERROR, UNIT_ROUND_OFF, dense_solution_errors, row_maxima
 
 QP_OPTIONS = {

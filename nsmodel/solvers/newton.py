@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.verdict import attach_buffers, not_none
 from nsmodel.solvers import mlcp
@@ -30,7 +31,6 @@ from nsmodel.solvers.linearisation import NEWTON_ITERATIONS, IndexSetNewton, Ite
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import (
     CASADI_OPERATIONS,
-    EPS,
     GROWTH,
     NEGLIGIBLE_MULTIPLIER,
     ROUNDING,
@@ -48,7 +48,7 @@ from nsmodel.solvers.structure import StepStructure, least_eigenvalue
 UNSOLVED = 3  # Affine problems with friction that no solver solves, each by the whole chain, after which a step is given up.
 GAIN = 10  # Factor by which an iteration must better the residual for another one to follow.
 EXTRA_ROW_OPERATIONS = 4  # Operations of a row beside those with its unknowns.
-WORKING_SET_ABOVE = 24
+WORKING_SET_ABOVE = 24  # Rows of a symmetric complementarity law from which on only those that act are solved for.
 
 
 def uses_working_set(structure: StepStructure, law: NumericLaw) -> bool:
@@ -208,7 +208,7 @@ class NewtonSolver(IndexSetNewton):
 
 MAX_GRAPH_UNKNOWNS = 20  # Unknowns and multipliers up to which a graph has the linear algebra of a step.
 MAX_GRAPH_OPERATIONS = 12_000  # Operations of a graph from which on it is of no use.
-MAX_GRAPH_ITERATIONS = 6
+MAX_GRAPH_ITERATIONS = 6  # Of Newton's method that a graph has written out.
 ROUNDING_MARGIN = 1e3  # So many times its rounding a row must be on its side.
 
 

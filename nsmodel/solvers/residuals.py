@@ -26,12 +26,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import EPS, cached_per_object
 from nsmodel.modeling.laws import CurvedSet, Law
 from nsmodel.modeling.laws.base import safe_norm
 from nsmodel.solvers.rounding_errors import INSIDE
 
-EPS = np.finfo(float).eps
 ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
 NEGLIGIBLE_MULTIPLIER = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.

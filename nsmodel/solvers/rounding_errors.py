@@ -17,9 +17,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes, stack_column, symbol_hashes
 
-UNIT_ROUND_OFF = 2.0**-53  # u
+UNIT_ROUND_OFF = EPS / 2  # u, relative: what one operation is rounded by, at most.
 MAX_BOUND_NODES = (
     10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
 )

@@ -30,13 +30,14 @@ from scipy.linalg.lapack import dgbtrf, dgbtrs  # pyrefly: ignore[missing-module
 from scipy.sparse.csgraph import breadth_first_order, connected_components, reverse_cuthill_mckee
 from scipy.sparse.linalg import LinearOperator, splu
 
+from nsmodel._utils import EPS
 from nsmodel.solvers import active_set, mlcp
 from nsmodel.solvers.linearisation import REFINEMENTS, BufferedStepFunction, Iterate
 from nsmodel.solvers.one_step_problem import OneStepProblem
-from nsmodel.solvers.residuals import CLEAR, EPS, ROUNDING, STRICTER, UNRESOLVED, NumericLaw
+from nsmodel.solvers.residuals import CLEAR, ROUNDING, STRICTER, UNRESOLVED, NumericLaw
 from nsmodel.solvers.rounding_errors import INSIDE, UNIT_ROUND_OFF, rounding_error_bound, row_maxima, ruiz_scales, solution_errors
 from nsmodel.solvers.step import extra_columns
-from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, StepStructure
+from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, MAX_STEP_SIZES, StepStructure
 
 MAX_BANDWIDTH = 48  # Diagonals above or below the main one up to which a band is factored.
 SINGULAR_PIVOT = 1e-13  # Pivots below this, of entries of about 1, are round-off.
@@ -210,7 +211,6 @@ def step_jacobian_function(p: OneStepProblem) -> Callable[[float], sp.csr_matrix
 PIVOTED_SETS = 200  # Index sets that are tried in a step.
 PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer.
 SHIFT = 1e-8  # Added to the diagonal of Y_l where a pivot is round-off; refinement takes its effect away.
-MAX_KEPT_STEP_SIZES = 8  # Step sizes whose matrices are kept.
 
 
 class SparseStepSolver:
@@ -241,7 +241,7 @@ class SparseStepSolver:
             numpy.linalg.LinAlgError: E_z is singular at this h.
         """
         if h not in self._steps:
-            if len(self._steps) >= MAX_KEPT_STEP_SIZES:
+            if len(self._steps) >= MAX_STEP_SIZES:
                 self._steps.pop(next(iter(self._steps)))
             self._steps[h] = FactoredJacobian(self._J(h), self.structure.n, next(iter(self._steps.values()), None))
         return self._steps[h]

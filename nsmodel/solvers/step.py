@@ -138,7 +138,8 @@ def verified_step(step: PackedStep, t: float, h: float, state: np.ndarray, warm:
 
 
 ROWS_PER_BLOCK = 4096  # Rows that are taken apart at a time.
-UNSET_INDEX = -2  # Index-set code of a row that no step has computed.
+RUNAWAY_LIMIT = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
+UNKNOWN_INDEX = -2  # Index-set code, else -1, 0 or 1, of a row that no step and no piece has computed.
 INNER_COLUMNS = frozenset({"state", "l", "y", "residual", "newton", "multipliers", "outputs"})
 VECTOR_COLUMNS = frozenset(
     "v gap defect selection inputs inputs_begin".split()
@@ -175,7 +176,7 @@ class RowRecord:
     def known(self, k: int, t: float, h_next: float, state: np.ndarray, records: dict[str, np.ndarray]) -> None:
         """Add a row that no step computed: the start."""
         r = self.filled
-        self.rows[r], self.index[r] = np.nan, UNSET_INDEX
+        self.rows[r], self.index[r] = np.nan, UNKNOWN_INDEX
         self.rows[r, self.layout.newton] = 0.0
         self.rows[r, : state.size] = state
         for name, value in records.items():

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import EPS, cached_per_object
 from nsmodel.proof.expression_graph import stack_column, stored_entries
 from nsmodel.solvers.one_step_problem import OneStepProblem
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
-EPS = np.finfo(float).eps
+MAX_STEP_SIZES = 8  # Step sizes whose matrices are kept: with more, dense steps go without, sparse ones and C drop the oldest.
 MAX_DENSE_UNKNOWNS = 1500  # Unknowns and multipliers up to which dense matrices are tried.
 MAX_FULL_SPECTRUM_ROWS = 300  # Rows up to which all eigenvalues are computed.
 MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue.
@@ -186,7 +186,7 @@ def _find_rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[in
 def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
     """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0.
 
-    Of an operator of more than EIGENVALUES_UP_TO rows, scaled already, it is what Lanczos' method finds: not below the true one.
+    Of an operator of more than MAX_FULL_SPECTRUM_ROWS rows, scaled already, it is what Lanczos finds: not below the true one.
     """
     if not isinstance(W, np.ndarray):
         if W.shape[0] > MAX_FULL_SPECTRUM_ROWS:

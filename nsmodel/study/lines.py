@@ -154,7 +154,7 @@ class Line:
         """Return what the error ``target`` costs here, by interpolation of the logarithms; None where it is not reached.
 
         ``own``, the reference's own error, is added to the errors: they are at most that. Errors beyond the last point are
-        extrapolated, to a FURTHER-th of it at most, where it is resolved and the error still falls.
+        extrapolated, to 1/EXTRAPOLATION_LIMIT of it at most, where it is resolved and the error still falls.
         """
         points = [p for p in self.points if p.drawn]
         errors, seconds = np.array([p.error + own for p in points]), np.array([p.seconds for p in points])

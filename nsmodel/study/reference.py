@@ -17,7 +17,7 @@ import numpy as np
 from nsmodel._utils import former_names, short_repr
 from nsmodel.errors import StepError, UsageError
 from nsmodel.modeling.base import Model
-from nsmodel.modeling.time_grid import input_schedule
+from nsmodel.modeling.time_grid import SAME_TIME_SHARE, input_schedule
 from nsmodel.modeling.variants import block_input_entries
 from nsmodel.proof.verdict import not_none
 from nsmodel.simulation.fixed_grid import FixedGridPropagator, make_stepper
@@ -33,7 +33,6 @@ from nsmodel.study.lines import Point
 from nsmodel.study.reference_steps import REFERENCE_STEP
 
 MAX_SINGLE_STEPS = 300  # Steps that are taken for one question; what is left stays on its line, or is not known.
-EQUAL_TIME_TOLERANCE = 1e-12  # Of the run: times that are nearer than this are one.
 
 StateAt = Callable[[int, float], np.ndarray]  # (row, h) -> what a step of h from there starts from
 StepFromRow = Callable[
@@ -100,7 +99,7 @@ class RunAtRows:
 
     def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the states (k, n) at ``times``, NaN where they are not known, and what they err by besides the run."""
-        near = EQUAL_TIME_TOLERANCE * self.t[-1]
+        near = SAME_TIME_SHARE * self.t[-1]
         row = np.searchsorted(self.t, times + near, side="right") - 1
         x, ahead = self.x[row].copy(), times - self.t[row]
         between = np.flatnonzero(ahead > near)
@@ -150,7 +149,7 @@ NEGLIGIBLE_STATE_SIZE = 1e-9  # A state smaller than this part of its group is n
 ORDER_RANGE = 0.5, 2.0  # The schemes' orders; outside of them an order seen on three runs is chance.
 REGULARITY_TOLERANCE = 1e-10  # Least singular value, relative to the largest, of a matrix that determines its multipliers.
 PIECE_SUBDIVISIONS = 8  # Parts in which a piece is compared.
-MAX_INDEX_SETS = 60  # So many different index sets of a run are looked at.
+MAX_CHECKED_INDEX_SETS = 60  # So many different index sets of a run are looked at.
 
 
 @dataclass(frozen=True)
@@ -400,7 +399,7 @@ def nonuniqueness_reason(model: Model, problem: OneStepProblem, run: Trajectory)
     newton = NewtonSolver(problem, read_step_structure(problem), law, run.metadata["tolerance"])
     n, m, codes = len(model.names), law.size, run.index_set
     _, rows = np.unique(codes, axis=0, return_index=True)
-    for k in [k for k in np.sort(rows) if codes[k].min() >= -1][:MAX_INDEX_SETS]:
+    for k in [k for k in np.sort(rows) if codes[k].min() >= -1][:MAX_CHECKED_INDEX_SETS]:
         held = np.flatnonzero(codes[k] == 0)
         state = np.zeros(problem.state.numel())
         state[:n] = run.x[k - 1]

@@ -3,12 +3,13 @@
 Nothing here comes from the solvers or their certificate: the expressions of the *model* are evaluated at the rows of the run,
 and the scheme is written down once more. Each judge returns {what: largest misfit beside what is allowed}, <= 1 if right.
 What is allowed is stated here, before any run: a tolerance times what moves or acts in the step, source terms and single
-multipliers included, and ROUNDING times the running error bound of what is evaluated here (`majorant`), its inputs
+multipliers included, and EVALUATION_ROUNDING times the running error bound of what is evaluated here (`majorant`), its inputs
 known to the last digit:
 
-- an equation: EQUATION times its terms, and the rounding of the positions;
-- a law -y ∈ N_K(l): LAW times what moves y, what acts on it through the states, and l;
-- a projection: the distance to the exact one, bounded by the duality gap <l, y>, at most PROJECTION times the step's motion;
+- an equation: EQUATION_TOLERANCE times its terms, and the rounding of the positions;
+- a law -y ∈ N_K(l): LAW_TOLERANCE times what moves y, what acts on it through the states, and l;
+- a projection: the distance to the exact one, bounded by the duality gap <l, y>, at most PROJECTION_TOLERANCE times the
+  step's motion;
 - a minimum: no other velocity among the probes may be better by more than rounding.
 
 What the judges share: expressions at rows, running error bounds, what is allowed, laws and potentials by their definition.
@@ -30,6 +31,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.laws import Law, LawFactor, complementarity
 from nsmodel.modeling.laws.coulomb import excess_at_rows, rivals_at_rows, shifted_at_rows
@@ -119,10 +121,10 @@ class CoulombAtRows:
 
 
 HALF_LINE = complementarity(1).blocks[0]
-EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8
-PROJECTION_TOLERANCE = 1e-6
-EVALUATION_ROUNDING = 64 * np.finfo(float).eps
-UNDERFLOW_SIZE = 1e-290
+EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8  # Relative: what a formula, and a law, may be violated by.
+PROJECTION_TOLERANCE = 1e-6  # Of the way moved: what a projection may be off by.
+EVALUATION_ROUNDING = 64 * EPS  # Relative: of a number that takes a few dozen operations.
+UNDERFLOW_SIZE = 1e-290  # Smaller misfits are lost among the smallest doubles, and count as 0.
 PROBE_LENGTHS = (1e-6, 1e-3, 1.0)  # lengths of the probes, beside the velocity
 
 StepResiduals = dict[str, float]
@@ -191,7 +193,7 @@ def worst_ratio(misfit: np.ndarray, allowed: np.ndarray) -> float:
 
 
 def rounding_allowance(*sizes: np.ndarray) -> np.ndarray:
-    """ROUNDING times sizes (N, k, 1); where a slope is infinite (a norm at 0) nothing is allowed."""
+    """EVALUATION_ROUNDING times sizes (N, k, 1); where a slope is infinite (a norm at 0) nothing is allowed."""
     return EVALUATION_ROUNDING * np.sum([np.where(np.isfinite(size), size, 0.0)[:, :, 0] for size in sizes], axis=0)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, html_repr, labelled_lines, one_line, wrap_lines
+from nsmodel._utils import TEXT_WIDTH, display, escape_invisible, html_repr, labelled_lines, one_line, wrap_lines
 from nsmodel.errors import UsageError
 from nsmodel.files.storage import write_csv
 from nsmodel.modeling.pickling import Picklable
@@ -31,12 +31,11 @@ from nsmodel.study.lines import (
 from nsmodel.study.reference import CLOSED_FORM_ROUNDING, RESOLVED_FACTOR, Reference, ReferenceRows
 
 POINT_NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
-STUDY_TEXT_WIDTH = 100
 COLUMN_HEADINGS = {
     "max": "largest", "end": "at end", "l2": "rms", "multipliers": "multipl.", "outputs": "outputs", "seconds": "seconds",
     "setup": "set-up", "residual": "residual", "violation": "violated", "energy": "energy",
 }  # fmt: skip
-MAX_TABLE_COLUMNS = 9  # Of a table, in WIDTH.
+MAX_TABLE_COLUMNS = 9  # Columns of a table that fit into a line.
 SOLVER_TABLE_STEPS = 8  # Steps side by side in the table of solvers.
 EQUAL_ERROR_TOLERANCE = 1e-6  # Errors that differ by less than this part are those of the same steps.
 
@@ -212,7 +211,7 @@ def study_text(study: Study) -> str:
     """Return the study for a person."""
     unit = f" {study.time_unit}" if study.time_unit else ""
     size = f"{study.states} state{'' if study.states == 1 else 's'}"
-    out = textwrap.wrap(study.title, STUDY_TEXT_WIDTH)
+    out = textwrap.wrap(study.title, TEXT_WIDTH)
     out += _entry_lines("model class", f"{study.model_class}, {size}, t = 0 to {study.t_end:.6g}{unit}")
     if study.status != POINT_DONE:
         out += _entry_lines("status", f"{study.status}: what follows was measured before")
@@ -235,7 +234,7 @@ def study_text(study: Study) -> str:
     if study.lines:
         out += ["", *_summary_table(study)]
     if study.target is not None:
-        out += ["", *textwrap.wrap(cost_text(study, study.target), STUDY_TEXT_WIDTH, subsequent_indent="  ")]
+        out += ["", *textwrap.wrap(cost_text(study, study.target), TEXT_WIDTH, subsequent_indent="  ")]
     return "\n".join(out)
 
 
@@ -300,7 +299,7 @@ def _line_table(line: Line, keys: Sequence[str]) -> list[str]:
     done = [point for point in line.points if point.status == POINT_DONE]
     width = max([12, *(len(point.label) for point in done)]) + 1
     out = [line.name + (" (measured elsewhere)" if line.kind == PEER_LINE else "")]
-    out += textwrap.wrap(line.note, STUDY_TEXT_WIDTH, initial_indent="  ", subsequent_indent="  ")
+    out += textwrap.wrap(line.note, TEXT_WIDTH, initial_indent="  ", subsequent_indent="  ")
     if any(point.step for point in done):
         out.append(f"  {order_text(line.order())}")
     if done:
@@ -319,7 +318,7 @@ def _missing_point_lines(line: Line) -> list[str]:
         if points:
             labels, joint = ", ".join(point.label for point in points), " for " if status == POINT_LEFT_OUT else ": "
             text = f"{labels}: {status}{joint}{points[0].message}"
-            out += textwrap.wrap(text, STUDY_TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
+            out += textwrap.wrap(text, TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
     return out
 
 
@@ -342,7 +341,7 @@ def _solver_table(lines: Sequence[Line], all_lines: Sequence[Line]) -> list[str]
         failed = [point for point in line.points if point.status == POINT_FAILED]
         if failed:
             text = f"{line.name}, {failed[0].label}: {failed[0].message}"
-            out += textwrap.wrap(text, STUDY_TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
+            out += textwrap.wrap(text, TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
     return out
 
 

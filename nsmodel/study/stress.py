@@ -32,8 +32,9 @@ from nsmodel.study.reference_steps import EVALUATION_ROUNDING, formula_residuals
 from nsmodel.study.stress_result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
 from nsmodel.study.units import in_units
 
-STEPS_PER_CELL = 24
-STEP_FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)
+STEPS_PER_CELL = 24  # Steps of a run of the stress test.
+STEP_FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)  # Steps, in those of the model.
+# Units of states and of time, in those of the model.
 UNIT_SCALES = ((1.0, 1.0), (1e-9, 1.0), (1e9, 1.0), (1.0, 1e-9), (1.0, 1e9), (1e-9, 1e9), (1e9, 1e-9))
 AGREEMENT_TOLERANCE = 1e-7  # Largest difference of two runs that must be equal, beside the motion.
 PREMISES = ("S-convex", "O-theta", "O-g", "4.1", "5.1", "5.2", "M-T", "M-C")  # Where one is violated nothing is promised.

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel._utils import display, escape_invisible, html_repr, labelled_lines, one_line, short_repr, wrap_lines
+from nsmodel._utils import TEXT_WIDTH, display, escape_invisible, html_repr, labelled_lines, one_line, short_repr, wrap_lines
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
-_STRESS_TEXT_WIDTH = 100
-_MAX_LISTED_CELLS = 12
+_MAX_LISTED_CELLS = 12  # Wrong runs, and runs that stopped, that the table names.
 _CELL_LABELS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG", LEFT_OUT: "-"}
 
 
@@ -128,7 +127,7 @@ class Stress:
             lines.append("Stopped")
             for cell in stopped[:_MAX_LISTED_CELLS]:
                 text = f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}"
-                lines += textwrap.wrap(text, _STRESS_TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
+                lines += textwrap.wrap(text, TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
             lines += [f"  ... {len(stopped) - _MAX_LISTED_CELLS} more"] * (len(stopped) > _MAX_LISTED_CELLS) + [""]
         return escape_invisible("\n".join(lines).rstrip())
 

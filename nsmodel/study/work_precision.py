@@ -48,11 +48,11 @@ from nsmodel.study.result import Study, StudyInterrupted, short_number
 REFINEMENT, MIN_REFINEMENT = (
     8,
     2,
-)  # The reference has REFINED steps for one of the finest run; LEAST where there is no time for more.
+)  # Steps of the reference for one of the finest run; where there is no time for more.
 EVENT_DRIVEN_RTOLS = 1e-9, 1e-11  # The rtol of a rougher run and of the reference.
 MIN_STEP_COUNTS = 3  # So many numbers of steps are measured whatever their reference costs.
 RUNS_WORK_RATIO = 1 + 1 / 2 + 1 / 4  # Steps of the three runs behind a reference, for one of the last.
-MAX_REFERENCE_BYTES = 1 << 30  # Bytes that they may take.
+MAX_REFERENCE_BYTES = 1 << 30  # Bytes that the three runs behind a reference may take.
 MIN_PROBE_SECONDS = 0.02  # s: a run that takes so long tells what a step takes.
 
 
@@ -199,13 +199,13 @@ class ReferenceSearch:
         return replace(best, run=calm.run, rows=rows, own={**best.own, "multipliers": calm.own["multipliers"]})
 
 
-DEFAULT_BUDGET = 60.0  # s
+DEFAULT_BUDGET = 60.0  # Seconds for a whole study, where none are given.
 PHASE_DEADLINES = {"schemes": 0.7, "variable steps": 0.85}  # Parts of what the reference leaves, after which none is begun.
 ALWAYS_MEASURED_SECONDS = 0.05  # s: a point that takes less is measured even where its line has used up its share.
-COARSEST_FACTOR, FINEST_FACTOR = 16, 8  # The default steps: from COARSEST h to h / FINEST, halved each time.
+COARSEST_FACTOR, FINEST_FACTOR = 16, 8  # The default steps: from COARSEST_FACTOR h to h / FINEST_FACTOR, halved each time.
 MIN_COARSEST_STEPS = 8  # Steps of the coarsest run, at least, where the model's own has more.
 TOLERANCE_WORK_RATIO = 10.0**0.5  # Steps that a tolerance ten times smaller takes for one, where order is two.
-EVENT_DRIVEN_WORK_RATIO = 2.0  # Of pieces.
+EVENT_DRIVEN_WORK_RATIO = 2.0  # Pieces that an rtol ten times smaller takes for one, at most, when time is planned.
 BUDGET_SHARES = {"reference": 1 / 3, SCHEME_LINE: 1 / 4, SOLVER_LINE: 1 / 16}  # Parts of the budget that one of these may take.
 
 

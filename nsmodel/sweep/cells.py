@@ -31,6 +31,7 @@ from nsmodel.simulation.simulate import make_run, simulate
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.plan import build_seconds, interpreted_step_seconds
+from nsmodel.solvers.step import UNKNOWN_INDEX
 from nsmodel.solvers.structure import read_step_structure
 from nsmodel.sweep.request import (
     ALONE_BACKEND,
@@ -47,7 +48,6 @@ from nsmodel.sweep.request import (
 )
 from nsmodel.sweep.variable import CELL_DONE, CELL_FAILED, CELL_NOT_RUN, CELL_REFUSED
 
-UNKNOWN_INDEX_SET = -2  # Index set of a row that is not there.
 MAX_OPEN_GROUPS = 8  # Models that a process keeps ready.
 StopCheck = Callable[[], bool]
 
@@ -88,7 +88,7 @@ def never_stop() -> bool:
 
 
 def run_chunk(request: SweepRequest, tasks: Sequence[CellTask], stop: StopCheck = never_stop) -> CellResults:
-    """Run the cells of a chunk; those that were not reached when ``stop`` said so have the status NOT_RUN."""
+    """Run the cells of a chunk; those that were not reached when ``stop`` said so have the status CELL_NOT_RUN."""
     parts = [(task.at, _run_task(request, task, stop)) for task in tasks]
     size = sum(len(at) for at, _ in parts)
     arrays: dict[str, np.ndarray] = {}
@@ -130,11 +130,11 @@ def unrun_facts(size: int, facts: Mapping[str, tuple[str, Any]] = CELL_FACTS) ->
 def missing_value(name: str, kind: np.dtype) -> Any:
     """The value of a quantity where a cell has none."""
     facts = {**CELL_FACTS, **EVENT_DRIVEN_FACTS}
-    return facts[name][1] if name in facts else np.nan if kind.kind == "f" else UNKNOWN_INDEX_SET
+    return facts[name][1] if name in facts else np.nan if kind.kind == "f" else UNKNOWN_INDEX
 
 
 def _run_task(request: SweepRequest, task: CellTask, stop: StopCheck) -> CellResults:
-    """The cells of one group; of those that are run together, what C does not go on with has the status NOT_RUN."""
+    """The cells of one group; of those that are run together, what C does not go on with has the status CELL_NOT_RUN."""
     if isinstance(task.group, str):
         return failed_cells(len(task.at), CELL_REFUSED, task.group)
     group = open_group(request, task.group)
@@ -154,7 +154,7 @@ class OpenGroup:
         self.why = found if isinstance(found, str) else ""
 
     def together(self, request: SweepRequest, values: np.ndarray, stop: StopCheck) -> CellResults:
-        """Cells in C; what C does not go on with has the status NOT_RUN."""
+        """Cells in C; what C does not go on with has the status CELL_NOT_RUN."""
         rows, number = self.group.rows, CELL_BACKENDS.index(request.way)
         reduced = {name: one for name, one in request.outputs.items() if isinstance(one, Reduction)}
         all_rows = any(one.needed_rows is None for one in reduced.values())
@@ -366,7 +366,7 @@ def _column_at_rows(run: Trajectory, name: str, rows: RowSelection, *, done: boo
         if rows.every == 0:
             return _column_at_times(run, name, np.where(is_found, t[at], times))
         is_found |= times > t[-1]  # It ended early, as nothing changes any more.
-    out = np.full((len(times), *values.shape[1:]), np.nan if values.dtype.kind == "f" else UNKNOWN_INDEX_SET, values.dtype)
+    out = np.full((len(times), *values.shape[1:]), np.nan if values.dtype.kind == "f" else UNKNOWN_INDEX, values.dtype)
     out[is_found] = values[at[is_found]]
     return out
 

@@ -43,11 +43,11 @@ _forked_requests: dict[
 def run_timed_chunk(
     request: SweepRequest | int, tasks: Sequence[CellTask], attempt: int = 0, stop: StopCheck | None = None
 ) -> tuple[CellResults, float]:
-    """A chunk and the seconds it took; ``asked`` may be the number under which a forked worker has it."""
+    """A chunk and the seconds it took; ``request`` may be the number under which a forked worker has it."""
     del attempt  # tells engines that keep results by their arguments that this is another one
     began = time.perf_counter()
-    asked = _forked_requests[request] if isinstance(request, int) else request
-    found = run_chunk(asked, tasks, stop or never_stop)
+    whole = _forked_requests[request] if isinstance(request, int) else request
+    found = run_chunk(whole, tasks, stop or never_stop)
     return found, time.perf_counter() - began
 
 
@@ -214,7 +214,7 @@ def _init_worker(parent: int, forked: bool) -> None:
 
 
 TARGET_CHUNK_SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
-MAX_CHUNK_BYTES = 16 << 20  # And holds at most so much.
+MAX_CHUNK_BYTES = 16 << 20  # Bytes of results that a chunk holds, at most.
 MAX_ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
 POLL_SECONDS = 0.2  # Seconds between two looks at signals.
 

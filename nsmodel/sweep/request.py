@@ -124,7 +124,7 @@ class SweepRequest:
     """What is asked of every cell.
 
     Attributes:
-        keep: columns to keep over time; every: each how many steps, None: so that there are about ABOUT.
+        keep: columns to keep over time; every: each how many steps, None: so that there are about TARGET_ROWS.
         outputs: numbers of a run by name.
         options: of `simulate`: solver, tolerance, compiled, rtol, atol, method, t_end, times.
         way: how cells are run: in C with others, by steps or by pieces, or each alone by `simulate`.
@@ -250,7 +250,7 @@ class RowSelection:
 
 @dataclass(frozen=True)
 class CellResults:
-    """What cells gave: ``arrays`` {name: (K, ...)}, FACTS among them; ``messages`` of those that are not done."""
+    """What cells gave: ``arrays`` {name: (K, ...)}, CELL_FACTS among them; ``messages`` of those that are not done."""
 
     arrays: Mapping[str, np.ndarray]
     messages: Mapping[int, str]

@@ -88,7 +88,7 @@ def sweep_dataset(sweep: Sweep) -> Any:
     return found
 
 
-MAX_FAILURE_KINDS = 4
+MAX_FAILURE_KINDS = 4  # Kinds of failures that a summary counts, the most frequent first.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

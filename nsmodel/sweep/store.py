@@ -222,7 +222,7 @@ CODE_CHECKS = {
 
 
 _PART_NAME_PATTERN = re.compile(r"part-(\d+)\.npz")
-_BLOCK_BYTES = 1 << 22
+_BLOCK_BYTES = 1 << 22  # Bytes that are read or written at a time.
 _REMOVE_HINT = "take it out of the folder, or give another folder"
 QuantityTypes = Mapping[str, tuple[str, tuple[int, ...]]]
 
@@ -281,7 +281,7 @@ class SweepStore:
         return path_inside(self.folder, name, "nsmodel")
 
     def status(self) -> np.ndarray:
-        """The status (size,) of each cell, NOT_RUN where it is not there."""
+        """The status (size,) of each cell, CELL_NOT_RUN where it is not there."""
         status = np.full(self.size, CELL_NOT_RUN, np.int8)
         for cells, arrays, _ in self._read_parts():
             status[cells] = arrays["status"]

@@ -20,6 +20,7 @@ from nsmodel._utils import did_you_mean, display, one_line
 from nsmodel.errors import UsageError
 from nsmodel.files.archive import ArrayPartOnDisk
 
+# Statuses of a cell, as files have them.
 CELL_NOT_RUN, CELL_DONE, CELL_FAILED, CELL_INTERRUPTED, CELL_REFUSED = -1, 0, 1, 2, 3
 STATUS_NAMES = {
     CELL_DONE: "done",

@@ -14,6 +14,7 @@ import pytest
 from conftest import optimised
 from fuzz_models import share
 
+from nsmodel._utils import EPS
 from nsmodel.codegen import fragments, laws, structs
 from nsmodel.codegen.fragments import prune_unused, read_fragment
 from nsmodel.modeling.laws import Law, ball, box, product, second_order_cone
@@ -21,7 +22,7 @@ from nsmodel.solvers import active_set, mlcp
 from nsmodel.solvers import mlcp as curved
 from nsmodel.solvers.constant_matrices import _multiplier_map
 from nsmodel.solvers.friction_contacts import MAX_MODES, is_in_the_plane, mode_count
-from nsmodel.solvers.residuals import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
+from nsmodel.solvers.residuals import ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
 from tests.solvers.test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 

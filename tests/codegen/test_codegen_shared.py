@@ -32,9 +32,19 @@ OTHERS = {  # by file, with the reason
     "block_ldl.c": {"3": "tiles of 4 x 4, written out", "4": "the same", "3.0": "the sum of squares up to n is n^3/3"},
     "bodies.c": {"3": "dimensions of a grid of cells", "3.0": "so many cells below the first one no neighbour is in one"},
     "bodies_main.c": {"10": "decimal"},
-    "curved.c": {"4": "two starts, twice each"},
+    "coulomb.c": {"3": "rows of a contact in space", "4": "a matrix of 2 x 2", "9": "a matrix of 3 x 3", "10": "decades"},
+    "curved.c": {
+        "3": "choices of a contact",
+        "4": "two starts, twice each",
+        "5": "five starts, by their places",
+        "10": "decades",
+    },
     "example_main.c": {"10": "decimal"},
     "guard.c": {"1e-25": "lost beside 1"},
+    "pieces_api.c": {"3": "four times side by side, written out", "4": "the same"},
+    "pieces_expand.c": {"3": "four times side by side, written out"},
+    "pieces_roots.c": {"4": "half of an interval twice, and part of a coefficient"},
+    "pieces_tangents.c": {"3": "rows are as long as a multiple of four numbers", "4": "the same"},
     "rounding.c": {"13": "shifts of the hash", "15": "the same", "16": "the same", "0xFFFFFFFFUL": "32 bits"},
 }
 
@@ -56,14 +66,19 @@ def test_a_number_in_c_has_a_name(name):
 @pytest.mark.parametrize("name", sorted(FRAGMENTS))
 def test_a_number_that_the_c_alone_has_is_none_of_python(name):
     own = re.findall(r"^#define (\w+) \S*\d", FRAGMENTS[name], re.MULTILINE)
-    table = BODIES_CONSTANTS if name in OF_BODIES else fragments.STEP_CONSTANTS
-    assert [(key, module) for key in own for module, _ in table if hasattr(import_module(f"nsmodel.{module}"), key)] == []
+    tables = [BODIES_CONSTANTS] if name in OF_BODIES else [fragments.STEP_CONSTANTS, fragments.PIECE_CONSTANTS]
+    modules = dict.fromkeys(module for table in tables for module, _ in table)
+    assert [(key, module) for key in own for module in modules if hasattr(import_module(f"nsmodel.{module}"), key)] == []
 
 
 @pytest.mark.parametrize(
     ("table", "files"),
-    [(fragments.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES), (BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"})],
-    ids=["steps", "bodies"],
+    [
+        (fragments.STEP_CONSTANTS, FRAGMENTS.keys() - OF_BODIES),
+        (fragments.PIECE_CONSTANTS, FRAGMENTS.keys() - OF_BODIES),
+        (BODIES_CONSTANTS, OF_BODIES | {"bodies_api.c"}),
+    ],
+    ids=["steps", "pieces", "bodies"],
 )
 def test_the_c_has_the_constants_of_python(table, files):
     used = set(re.findall(r"\w+", " ".join(code_of(FRAGMENTS[name]) for name in files)))

@@ -3,8 +3,8 @@
 @CELLS@
 
 enum { TO_DO = -1, PAUSED = -2 }; /* statuses of a cell that is not at its end */
-#define LONGEST 65536 /* steps between two looks at the clock, at most: as many as take a part of the time */
-#define PART 16
+#define LOOK_AFTER 65536 /* steps between two looks at the clock, at most, */
+#define LOOKS_PER_CALL 16 /* and so many looks in the time of a call */
 
 /* Go on with a batch in the memory s for about `seconds`; 1 where all of it is done. The memory must be this batch's own, and
    nothing of a cell is left in it when the next one begins. */
@@ -19,9 +19,9 @@ static int is_late(pace *p)
         return 0;
     const clock_t now = clock();
     const double spent = (double)(now - p->last)/CLOCKS_PER_SEC;
-    if (spent < p->seconds/PART && p->between < LONGEST)
+    if (spent < p->seconds/LOOKS_PER_CALL && p->between < LOOK_AFTER)
         p->between *= 2;
-    else if (spent > 2*p->seconds/PART && p->between > 1)
+    else if (spent > 2*p->seconds/LOOKS_PER_CALL && p->between > 1)
         p->between /= 2;
     p->last = now;
     p->left = p->between;

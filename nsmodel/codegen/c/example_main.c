@@ -36,8 +36,6 @@ static void print_row(const model_solver *s, int with_multipliers)
 
 #if STRETCHES
 #if PULSES
-#define WHOLE 1e-9 /* part of a step that may be missing */
-
 /* Between two edges of the caller's inputs, which go from begin to end in straight lines. */
 static const struct stretch {
 #if GIVEN
@@ -129,7 +127,7 @@ int main(int argc, char **argv)
 #endif
             next = model_next_tick(&solver);
             next = next < at->t_end ? next : at->t_end;
-            const int steps = (int)fmax(ceil((next - t)/MODEL_STEP - WHOLE), 1);
+            const int steps = (int)fmax(ceil((next - t)/MODEL_STEP*(1 - @WHOLE_STEPS@)), 1);
             const double h = (next - t)/steps;
             model_set_step(&solver, h);
             for (int j = 0; j < steps; j++, k++) {

@@ -7,15 +7,15 @@
 #endif
 #define COLUMNS @MAP_COLUMNS@ /* of a map: the places of the state that a step depends on, and 1 */
 #define BARE @BARE@ /* unknowns that are exact without the z where nothing moves */
-#define SHORT 1024 /* steps, and looks at lanes one by one, between two looks at the clock */
-#define LOOKS 16
+#define LOOK_AFTER 1024 /* steps between two looks at the clock, */
+#define LANES_PER_LOOK 16 /* or looks at lanes one by one */
 #define HOPELESS 1e-3 /* residual of the law from which on rounding is not asked: it is another index set */
 
 #if defined __clang__ || defined __GNUC__
 #define LANE_LOOP _Pragma("omp simd")
 #define LANE_LOOP_OR _Pragma("omp simd reduction(|:look)")
 #define IN_LINE static inline __attribute__((always_inline))
-#define ALIGNED __attribute__((aligned(64)))
+#define ALIGNED __attribute__((aligned(@ALIGNMENT@)))
 #else
 #define LANE_LOOP
 #define LANE_LOOP_OR
@@ -473,7 +473,7 @@ static int run_group(model_lanes *g, model_cells *b, const lane_code *code, cloc
 {
     while (b->step < b->steps && any_on(g)) {
         const long next = b->next < b->steps ? b->next : b->steps;
-        long to = next - 1 < b->step + SHORT ? next - 1 : b->step + SHORT;
+        long to = next - 1 < b->step + LOOK_AFTER ? next - 1 : b->step + LOOK_AFTER;
         const long k = code->take_steps(g, b, b->step, to);
         const int clear = k == to && to < next - 1;
         b->step = k;
@@ -481,7 +481,7 @@ static int run_group(model_lanes *g, model_cells *b, const lane_code *code, cloc
             look_at_lanes(g, b, code, k);
             b->step += 1;
         }
-        if ((clear || ++g->looks % LOOKS == 0) && is_over(begin, seconds))
+        if ((clear || ++g->looks % LANES_PER_LOOK == 0) && is_over(begin, seconds))
             return 0;
     }
     return 1;

@@ -1,4 +1,4 @@
-/* One piece after another: pieces/integrator.py, lengths.py, defect.py. */
+/* One piece after another: event_driven/integrator.py, step_size.py, piece_bounds.py. */
 
 /* What a piece is, as numbers: the last state; an event with its jump; the sizes that rows are measured beside; coefficients. */
 enum {
@@ -98,7 +98,7 @@ static double length_of(model_pieces *s)
     int begins = 0;
     pushes(s, s->pushed);
     for (int i = 0; i < N; i++)
-        rows[i] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i], ROUNDING*s->pushed[i] + NOTHING};
+        rows[i] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i], TERM_ROUNDING*s->pushed[i] + NOTHING};
 #if LAW
     const int known = HOW.through ? p - 1 : p;
     double y_floor = 0, l_floor = 0;
@@ -342,7 +342,7 @@ static void grow(model_pieces *s, double length, double time)
 #endif
     pushes(s, s->pushed);
     for (int i = 0; i < N; i++) /* and what is left of x that held rows let rest */
-        of_x[i] = max_of(s->at.size_x[i], ROUNDING*time/s->at.tau*s->pushed[i]);
+        of_x[i] = max_of(s->at.size_x[i], TERM_ROUNDING*time/s->at.tau*s->pushed[i]);
     s->now[0] = s->c[0][T];
     moves(s, s->now, s->c[0], s->c[0] + L, of_x, moved);
     for (int i = 0; i < N; i++)
@@ -364,7 +364,7 @@ static int moves_by_rounding(const model_pieces *s, int n, const int *a, const d
     for (int j = 0; j < M; j++)
         of_l[j] = fabs(s->c[0][L + j]);
     for (int i = 0; i < n; i++)
-        if (!(fabs(s->c[0][Y + a[i]]) <= ROUNDING*terms_of(s, a[i], of_x, of_l)))
+        if (!(fabs(s->c[0][Y + a[i]]) <= TERM_ROUNDING*terms_of(s, a[i], of_x, of_l)))
             return 0;
     for (int j = 0; j < N; j++)
         if (fabs(motion[j]) > TIE*max_of(of_x[j], s->at.size_x[j]))
@@ -1013,7 +1013,7 @@ static void take_sides(model_pieces *s)
 #endif
     for (int i = 0; i < M; i++) {
         const double y = s->c[0][Y + i];
-        const int clear = !feeds[i] && fabs(y) > CLEAR*size_y(s, i);
+        const int clear = !feeds[i] && fabs(y) > NONZERO_SHARE*size_y(s, i);
         s->at.codes[i] = !clear ? 0 : y > 0 ? -is_finite(lower[i]) : is_finite(upper[i]);
     }
 }

@@ -1,8 +1,7 @@
-/* Many runs of one model, each with parameters of its own: their rows at given times (codegen/piece_batch.py). */
+/* Many runs of one model, each with parameters of its own: their rows at given times (codegen/event_driven_batch.py). */
 #include <time.h>
 
 #define LOOK 32 /* pieces between two looks at the clock */
-#define WIDEST 1e100 /* a state beyond this has diverged */
 
 #if HELD
 #define FREE (N - MODEL_PIECES_HELD)

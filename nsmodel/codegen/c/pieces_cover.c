@@ -1,4 +1,4 @@
-/* What a piece of collocation errs by inside: pieces/cover.py. */
+/* What a piece of collocation errs by inside: event_driven/collocation.py. */
 
 #if STIFF
 #define SIDES MODEL_PIECES_SIDES
@@ -122,9 +122,9 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
                 disc_sum(sum, sum, factor, missed, m);
         }
 #if LAW
-        allowed = j < N ? rtol*size[j] + INSIDE*s->atol[j] : MULTIPLIERS*rtol*size[L + HOW.active[j - N]];
+        allowed = j < N ? rtol*size[j] + INNER_SHARE*s->atol[j] : MULTIPLIERS*rtol*size[L + HOW.active[j - N]];
 #else
-        allowed = rtol*size[j] + INSIDE*s->atol[j];
+        allowed = rtol*size[j] + INNER_SHARE*s->atol[j];
 #endif
         worst = beside(worst, on_real(sum, m), rounding[j], 1, allowed);
     }

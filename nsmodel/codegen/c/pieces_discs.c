@@ -1,8 +1,8 @@
-/* Analytic functions on a disc, as in pieces/discs.py: c[0] + ... + c[m] w^m + rest, |w| <= 1; of degree 0 a ball. */
+/* Analytic functions on a disc, as in event_driven/disc_arithmetic.py: c[0] + ... + c[m] w^m + rest, |w| <= 1; of degree 0 a ball. */
 
 @KINDS@
 typedef struct {
-    unsigned char kind, last; /* see codegen/piece_discs.py; whether no other line reads it */
+    unsigned char kind, last; /* see codegen/recurrences.py; whether no other line reads it */
     short choice; /* of its branch */
     int y, a, b; /* rows */
     double number;
@@ -11,7 +11,7 @@ typedef struct {
 @TABLE@
 #define REST (m + 1) /* of a row: its place behind the coefficients */
 #define DEGREES (MOST_ORDERS + 2)
-#define ROW(i) (s->discs + (size_t)(i)*DEGREES) /* t, x and l first; then those of codegen/piece_discs.py */
+#define ROW(i) (s->discs + (size_t)(i)*DEGREES) /* t, x and l first; then those of codegen/recurrences.py */
 
 static double moves_of(const double *u, int m)
 {

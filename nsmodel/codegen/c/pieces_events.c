@@ -1,4 +1,4 @@
-/* Conditions of a mode, their first roots, and the mode after an event: pieces/switches.py, bernstein.py, roots.py, modes.py. */
+/* Conditions of a mode, their first roots, and the mode after an event: event_driven/modes.py, bernstein.py, event_location.py. */
 
 enum { NOBODY, OF_Y, OF_L };
 enum { OPEN = 1, TURNS, CROSSED }; /* of a switch: to be turned when all are known; no l acts on it, and its side is proved */
@@ -100,9 +100,9 @@ static double shrunk(int n, const double *c, double size, double share)
             own[k] = fabs(c[k])*raised;
             raised *= share;
         }
-        for (int k = 1; k <= HALF && k < last; k++)
+        for (int k = 1; k <= HALF_ORDERS && k < last; k++)
             largest = max_of(largest, own[k]);
-        for (int k = HALF + 1; k < last; k++)
+        for (int k = HALF_ORDERS + 1; k < last; k++)
             if (own[k] > largest && largest > 0)
                 factor = min_of(factor, pow(largest/own[k], 1.0/k));
         share *= factor;
@@ -112,19 +112,19 @@ static double shrunk(int n, const double *c, double size, double share)
     return share;
 }
 
-/* By how much the unit of time is to shrink for a column not to grow from order to order; one that begins beyond HALF does not. */
+/* By how much the unit of time is to shrink for a column not to grow from order to order; one that begins beyond HALF_ORDERS does not. */
 static double pace_of(const model_pieces *s, int column, double size, double rounding, double share)
 {
     double first = size, later = 0;
     if (share == 1) {
         int below = 1;
-        for (int k = HALF + 1; k <= ORDERS; k++)
+        for (int k = HALF_ORDERS + 1; k <= ORDERS; k++)
             below &= fabs(s->c[k][column]) <= size;
         if (below)
             return share;
     }
     for (int k = 1; k <= ORDERS; k++)
-        if (k <= HALF)
+        if (k <= HALF_ORDERS)
             first = max_of(first, fabs(s->c[k][column]));
         else
             later = max_of(later, fabs(s->c[k][column]));
@@ -142,7 +142,7 @@ static double pace(const model_pieces *s)
     double share = 1, pushed[N];
     pushes(s, pushed);
     for (int i = 0; i < N; i++)
-        share = pace_of(s, i, s->at.size_x[i], ROUNDING*pushed[i], share);
+        share = pace_of(s, i, s->at.size_x[i], TERM_ROUNDING*pushed[i], share);
 #if LAW
     for (int i = 0; i < M; i++)
         share = pace_of(s, L + i, s->at.size_l[i], -1, share);
@@ -153,7 +153,7 @@ static double pace(const model_pieces *s)
 /* The order of the first coefficient that is not rounding, of those that decide a germ; -1 where all of them are. */
 static int leading(int n, const double *c, double least, double share)
 {
-    const int decide = n < ORDERS + 1 ? n : ORDERS + 1, half = decide < HALF + 1 ? decide : HALF + 1;
+    const int decide = n < ORDERS + 1 ? n : ORDERS + 1, half = decide < HALF_ORDERS + 1 ? decide : HALF_ORDERS + 1;
     double own[ORDERS + 1], raised = 1, largest = 0;
     if (largest_of(decide - half, c + half) > largest_of(half, c)) { /* the condition itself needs a shorter one */
         const double shorter = shrunk(n, c, fabs(c[0]), share);
@@ -510,7 +510,7 @@ static int codes_of(const model_pieces *s, int of, double *codes)
 #if LAW
     if (of < M) {
         const double y = s->c[0][Y + of];
-        const int clear = !feeds[of] && fabs(y) > CLEAR*size_y(s, of);
+        const int clear = !feeds[of] && fabs(y) > NONZERO_SHARE*size_y(s, of);
         if (!clear)
             codes[count++] = 0;
         if (is_finite(lower[of]) && !(clear && y <= 0))
@@ -689,7 +689,7 @@ static void creep(model_pieces *s, double times)
         if (rates[i] != 0 && s->at.x[i] != 0)
             fastest = min_of(fastest, fabs(s->at.x[i]/rates[i]));
     }
-    const double t = fabs(s->at.t), time = times*ULP*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
+    const double t = fabs(s->at.t), time = times*EPS*max_of(t, fastest < INFINITY ? min_of(fastest, MOST_CREEP*t) : 0);
     s->at.t += time;
     for (int i = 0; i < N; i++)
         s->at.x[i] += rates[i]*time;

@@ -1,4 +1,4 @@
-/* Taylor coefficients of x, l and y in a mode: pieces/system.py. */
+/* Taylor coefficients of x, l and y in a mode: event_driven/system.py. */
 
 /*
  * The values at s of count polynomials of two orders or more, which lie stride apart. Even and odd orders apart, in s^2, and two
@@ -363,7 +363,7 @@ static int stays(const model_pieces *s, int k)
         size = max_of(size, fabs(s->c[k][i]));
     for (int a = 0; a < n; a++) {
         size = max_of(size, fabs(y[HOW.active[a]]));
-        rounding[a] = ROUNDING*terms_of_x(s, HOW.active[a], pushed);
+        rounding[a] = TERM_ROUNDING*terms_of_x(s, HOW.active[a], pushed);
     }
     for (int z = 0; z < HOW.null; z++) {
         double sum = 0, least = 0;
@@ -631,7 +631,7 @@ static int hides_l(const model_pieces *s)
         for (int i = 0; i < M; i++)
             if (row_group[i] == row_group[HOW.active[a]])
                 largest = max_of(largest, of_l[i]);
-        if (ULP*sum > HIDDEN*largest && largest > 0)
+        if (EPS*sum > HIDDEN*largest && largest > 0)
             return 1;
     }
     return 0;

@@ -1,4 +1,4 @@
-/* How multipliers follow in a mode: pieces/multipliers.py. */
+/* How multipliers follow in a mode: event_driven/multipliers.py. */
 
 static void exchange(double *a, double *b)
 {
@@ -231,7 +231,7 @@ static int generalised_inverse(int n, double *A, double *plus, double *U, double
             U[i*n + j] = A[i*n + j]*r[i]*c[j];
     const int rank = singular_values(n, U, sigma, V);
     memcpy(plus, A, n*n*sizeof *plus);
-    if (sigma[n - 1] > n*ROUNDING*sigma[0] && inverse_of(n, plus) && (rank == n || is_inverse(n, A, plus)))
+    if (sigma[n - 1] > n*TERM_ROUNDING*sigma[0] && inverse_of(n, plus) && (rank == n || is_inverse(n, A, plus)))
         return n;
     memset(plus, 0, n*n*sizeof *plus);
     for (int i = 0; i < n; i++)

@@ -40,5 +40,4 @@
 #define FNV_BASIS 14695981039346656037ULL /* Fowler, Noll, Vo: a hash */
 #define FNV_PRIME 1099511628211ULL
 #define WORK_OF_PIECE 1000000L /* of a piece */
-#define MOST_PIECES 1000000L /* of a call */
 @CONSTANTS@

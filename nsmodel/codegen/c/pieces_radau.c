@@ -1,12 +1,12 @@
 #if STIFF
-/* One piece of a stiff mode: pieces/radau.py. */
+/* One piece of a stiff mode: event_driven/radau.py. */
 
 #define UNKNOWN MODEL_PIECES_UNKNOWN
 #define STAGES MODEL_PIECES_STAGES
 #define OCTAVES_KEPT MODEL_PIECES_OCTAVES
 #define WIDE 4 /* columns */
 
-/* The matrices of s stages, see pieces/collocation.py. */
+/* The matrices of s stages, see event_driven/collocation.py. */
 typedef struct {
     int stages;
     double share;
@@ -260,7 +260,7 @@ static double error_of_fit(model_pieces *s, const collocation *of, double h, dou
     round_off(s, h, of->share, inverse, size, rounding);
     for (int j = 0; j < stages; j++)
         for (int i = 0; i < N; i++) {
-            const double allowed = rtol*size[i] + INSIDE*s->atol[i];
+            const double allowed = rtol*size[i] + INNER_SHARE*s->atol[i];
             worst = beside(worst, off[j*q + i], rounding[i], of->weights[j], allowed);
             if (s->residuals)
                 worst = beside(worst, s->missed[j*q + i]*of->weights[j], STAGE_ROUNDING*size[i], 1, allowed);
@@ -319,7 +319,7 @@ static void iterate(model_pieces *s, const collocation *of, double h, const doub
     for (int j = 0; j < stages; j++) {
         double *row = s->nodal + j*SIDES;
         for (int i = 0; i < N; i++) {
-            const double size = max_of(max_of(s->at.size_x[i], fabs(s->first[i])) + INSIDE*s->atol[i], NOTHING);
+            const double size = max_of(max_of(s->at.size_x[i], fabs(s->first[i])) + INNER_SHARE*s->atol[i], NOTHING);
             row[i] += step[j*q + i];
             moved[0] = worse_of(moved[0], fabs(step[j*q + i])/max_of(size, fabs(row[i] - s->first[i])));
         }
@@ -338,7 +338,7 @@ static double fit(model_pieces *s, double h, double *estimate)
 {
     const collocation of = collocation_of(s->order);
     const int stages = of.stages, q = N + count_held(s);
-    const double rtol = INSIDE*(s->rtol/LOCAL);
+    const double rtol = INNER_SHARE*(s->rtol/LOCAL);
     const double *inverses = inverses_for(s, &of, h);
     double moved[2] = {INFINITY, INFINITY};
     *estimate = INFINITY;

@@ -1,4 +1,4 @@
-/* Where a piece ends, and the same to rounding: pieces/roots.py, isolation.py. */
+/* Where a piece ends, and the same to rounding: event_driven/event_location.py. */
 
 /* A condition is at least this on a piece of this length. */
 static double least_on(const model_pieces *s, const condition *of, double length)
@@ -305,8 +305,8 @@ static SELDOM double crossing_in(model_pieces *s, int n, const double *c, double
 /* How far on the sign is known again; *root: where on the way it changes, NONE where it does not. 0: not up to the end. */
 static SELDOM double beyond_root(model_pieces *s, const condition *of, double end, double *root)
 {
-    double c[MOST_ORDERS + 1], e, R = ULP*fabs(s->at.t);
-    for (R = R > 0 ? R : ULP*s->at.tau; R < end - s->at.t && spend_on(s); R *= WIDER) {
+    double c[MOST_ORDERS + 1], e, R = EPS*fabs(s->at.t);
+    for (R = R > 0 ? R : EPS*s->at.tau; R < end - s->at.t && spend_on(s); R *= WIDER) {
         const int n = about_place(s, of, R/s->at.tau, c, &e);
         const double v = value_of(n, c, 1);
         if (fabs(v) > e) {
@@ -335,7 +335,7 @@ static SELDOM int isolate(model_pieces *s, const condition *hit, double end, iso
         const double at = positive_until(s, n, c, e);
         double step = at > 1 ? R : ALMOST*at*R;
         if (at <= 1 && s->at.t + step == s->at.t) {
-            if (R > ULP*fabs(s->at.t)) {
+            if (R > EPS*fabs(s->at.t)) {
                 R /= CLOSER;
                 continue;
             }
@@ -369,7 +369,7 @@ static SELDOM int isolate(model_pieces *s, const condition *hit, double end, iso
 /* How far c, or -c, goes until it is above a level, in doubling steps; NEAR where that is further. */
 static SELDOM double until(int n, const double *c, double level, double sign)
 {
-    double at = ULP;
+    double at = EPS;
     while (at < NEAR && sign*value_of(n, c, sign > 0 ? -at : at) <= level)
         at *= 2;
     return min_of(at, NEAR);
@@ -415,7 +415,7 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             return status;
         n = own.orders + 1;
         coefficients(s, &own, c);
-        const double instant = INSTANT*ULP*fabs(s->at.t)/s->at.tau;
+        const double instant = T_ROUNDING*EPS*fabs(s->at.t)/s->at.tau;
         tie = TIE*size_of(s, &own);
         if (!is_simple(n, c, tie, instant) && !is_simple(n, c, tie = tie_of(s, &own, TIE), instant)) {
             if ((status = isolate(s, hit, end, found)))
@@ -430,9 +430,9 @@ static int polish(model_pieces *s, const condition *hit, double end, isolated *f
             return expand_finite(s, AROUND);
         }
         double d = -c[0]/c[1];
-        if ((pass && fabs(c[0]) <= POLISHED*tie) || fabs(d)*s->at.tau <= ULP*fabs(s->at.t))
+        if ((pass && fabs(c[0]) <= ON_EVENT*tie) || fabs(d)*s->at.tau <= EPS*fabs(s->at.t))
             break;
-        for (int i = 0; i < ON_ONE; i++) {
+        for (int i = 0; i < STEPS_PER_EXPANSION; i++) {
             const double e = slope_of(n, c, d), v = value_of(n, c, d);
             d -= e != 0 && fabs(v/e) < NEAR ? v/e : 0;
         }

@@ -1,6 +1,5 @@
-/* How far a piece is proved: pieces/schwarz.py. */
+/* How far a piece is proved: event_driven/piece_bounds.py. */
 
-#define TIERS 3
 #define DISC_T ROW(0)
 #define DISC_X(i) ROW(1 + (i))
 #define DISC_L(i) DISC_X(N + (i))
@@ -184,7 +183,7 @@ static double beside_multipliers(model_pieces *s, const sizes_at_end *of, const 
         }
         add_push(s, unit, along);
         for (int i = 0; i < N; i++)
-            if (fabs(unit[i]) > CANCELLED)
+            if (fabs(unit[i]) > ENTRY_CANCELLED)
                 moved[i] += fabs(unit[i])*without[j];
     }
     for (int i = 0; i < N; i++)
@@ -204,7 +203,7 @@ static const double *bound_of(model_pieces *s, int *known)
     if (!*known) {
         rounding(s, s->now, s->value, s->value + N, s->bound);
         for (int i = 0; i < N; i++)
-            s->bound[i] *= ROUNDING*s->at.tau;
+            s->bound[i] *= TERM_ROUNDING*s->at.tau;
         *known = 1;
     }
     return s->bound;
@@ -294,7 +293,7 @@ static SELDOM int grows_about(model_pieces *s, double time)
     moved_in(s, -time, before);
     moved_in(s, time, later);
     for (int i = 0; i < N; i++) {
-        const double here = fabs(s->c[1][i])*time, least = ULP*FAR*max_of(fabs(s->c[0][i]), s->at.size_x[i]);
+        const double here = fabs(s->c[1][i])*time, least = EPS*FAR*max_of(fabs(s->c[0][i]), s->at.size_x[i]);
         if (here > least && here > GROWS*max_of(before[i], later[i]))
             return 1;
     }
@@ -317,7 +316,7 @@ static SELDOM int rests_here(model_pieces *s)
 /* The length that is proved, at most the one given, and the bound of the error there in units of rtol. */
 static int prove(model_pieces *s, double *length, double *error)
 {
-    static const double radius[TIERS] = {RADIUS_OF_BALL, WIDE_RADIUS, CLOSE_RADIUS};
+    static const double radius[] = {RADIUS_OF_BALL, WIDE_RADIUS, CLOSE_RADIUS};
     const int p = s->order;
     const double still = AS_NOW*fabs(s->at.t)/s->at.tau;
     double disc = *length, best = 0, bound = 0;
@@ -328,7 +327,7 @@ static int prove(model_pieces *s, double *length, double *error)
     for (int k = 0; k < SHRINKINGS; k++) {
         sizes_at_end of;
         find_sizes(s, disc, &of);
-        for (int tier = 0; tier < TIERS && best < PROVED*disc; tier++) {
+        for (int tier = 0; tier < (int)(sizeof radius/sizeof *radius) && best < PROVED*disc; tier++) {
             const double w = worst_on_disc(s, &of, radius[tier]*disc, disc, tier ? p - 1 : 0, &known);
             const double proved = w <= 1 ? disc : w < INFINITY ? disc*NEARLY*pow(w, -1.0/p) : 0;
             if (!spend_on(s))

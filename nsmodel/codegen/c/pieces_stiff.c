@@ -1,4 +1,4 @@
-/* When a mode is stiff: pieces/stiff.py. */
+/* When a mode is stiff: event_driven/radau.py. */
 
 enum { NEXT_LENGTH, FAILED, WAIT, COLLOCATED }; /* of at.stiff */
 
@@ -13,12 +13,12 @@ static double trial(const model_pieces *s, double length)
 #endif
     for (int i = 0; i < N; i++) {
         double moved = 0, power = 1;
-        for (int k = 1; k <= SMOOTH; k++)
-            moved += fabs(s->c[k][i])*(power *= WORTH*length);
+        for (int k = 1; k <= LOW_ORDERS; k++)
+            moved += fabs(s->c[k][i])*(power *= STIFF_START*length);
         if (moved > s->at.size_x[i])
             return 0;
     }
-    return unit_of(WORTH*s->at.tau*length);
+    return unit_of(STIFF_START*s->at.tau*length);
 }
 
 /* Let series go on, for a while where a piece has failed. */
@@ -96,7 +96,7 @@ static int collocate(model_pieces *s, double *length, double most, condition *hi
 {
     double *of = s->at.stiff;
     const int first = of[NEXT_LENGTH] == 0;
-    const double least = s->at.tau**length*(first ? WORTH : STAY);
+    const double least = s->at.tau**length*(first ? STIFF_START : STIFF_STAY);
     double h = min_of(first ? trial(s, *length) : of[NEXT_LENGTH], most);
     if (h == 0 || h < least) {
         let_series(s, !first);
@@ -121,7 +121,7 @@ static int collocate(model_pieces *s, double *length, double most, condition *hi
     of[WAIT] = 0;
     of[COLLOCATED] += 1;
     *length = ended(s, h, most, hit, found, error);
-    *error *= INSIDE;
+    *error *= INNER_SHARE;
     return 1;
 }
 #endif

@@ -16,11 +16,7 @@
 #define TANGENT_WIDTH ((TANGENT_UNKNOWNS + BY + 3)/4*4) /* of a row of the equations of a step, right sides behind */
 #endif
 #define TANGENT_PARTS (200000L/N) /* halvings in a run, at most */
-#define TANGENT_SHARE 0.1 /* of rtol: what steps of two orders may differ by, beside the largest entry of a column */
-#define TANGENT_LOOSEST 1e-9 /* the most of that: up to here few stages do, and what they err by is far below it */
-#define TANGENT_ROUNDING 3e-14 /* what rounding leaves of it */
-#define TANGENT_AT_ONCE 1e-9 /* of the time of the motion: what is nearer to 0 than that comes at once */
-#define TANGENT_SAME 1e-6 /* of a time's derivative: answers that differ by less are one */
+#define TANGENT_LOOSEST 1e-9 /* the most of TANGENT_SHARE rtol: up to here few stages do, and what they err by is far below it */
 #define TANGENT_OFF 1e-9 /* of its terms: rows of S that are nearer to 0 lie on the surface */
 
 /* Which equations give the multipliers of the rows with code 0: mix (n, n) times y of these, from the row `rank` on times its rate. */

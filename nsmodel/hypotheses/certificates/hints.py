@@ -144,8 +144,8 @@ class _ProgramWriter:
 # Numbers are stated with so much room, relative: they were rounded to doubles; more where a cover of the box would take too
 # many parts, as a bound that is attained is told from its violation only by small ones.
 ROUNDING_ALLOWANCES = ROUNDING_ALLOWANCE, *_ = Fraction(1, 2**40), Fraction(1, 2**10), Fraction(1, 2**5)
-MAX_COVER_PARTS, MAX_COVER_DEPTH = 1000, 40  # Parts of a cover.
-ROUND_DOWN, KEEP_EXACT, ROUND_UP = -1, 0, 1
+MAX_COVER_PARTS, MAX_COVER_DEPTH = 1000, 40  # Of a cover of a box: parts, and cuts of one part.
+ROUND_DOWN, KEEP_EXACT, ROUND_UP = -1, 0, 1  # Which way a stated number may be off.
 
 
 class UnprovedFinding(verify.Unproved):

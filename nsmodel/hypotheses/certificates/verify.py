@@ -26,11 +26,13 @@ from fractions import Fraction as Q
 from itertools import accumulate, pairwise, product
 from typing import Any
 
-FORMAT = 4
+FORMAT = 4  # Of the certificates that this file reads.
 BITS = 80  # Intervals are rounded outwards to so many bits.
 CONTEXT = decimal.Context(prec=60)
+# BIG: larger numbers are rounded to infinity, smaller ones than 1/BIG to 0 or 1/BIG.
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
 PI = Q("3.14159265358979323846264338327950288")  # To 1e-35.
+# More than these is not checked: exponents, powers multiplied out, terms and bits of a polynomial, operations in all.
 MAX_EXPONENT, MAX_EXPANDED_POWER, MAX_TERMS, MAX_BITS, MAX_WORK, SPENT = 1000, 16, 20000, 200000, 5 * 10**7, [-INF]
 YES, NO, UNCHECKED = "yes", "no", "not checkable"
 Matrix = list[list[Q]]
@@ -42,7 +44,7 @@ NUMBER = re.compile(r"-?[0-9]{1,4000}(/[1-9][0-9]{0,3999})?", re.ASCII)
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,40}", re.ASCII)
 UP, DOWN = decimal.ROUND_CEILING, decimal.ROUND_FLOOR
 FIRST_UNIT, FIRST_ATOM = 10**5, 10**6  # Variables of polynomials: inputs 0, 1, ..., units and atoms from here on.
-MAX_PARAMETERS, MAX_CORNERS = 1000, 4096
+MAX_PARAMETERS, MAX_CORNERS = 1000, 4096  # Of a statement, and of a box: more are not checked.
 
 
 class Unproved(Exception):

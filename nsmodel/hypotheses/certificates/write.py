@@ -40,7 +40,7 @@ from nsmodel.modeling.laws import Law
 from nsmodel.modeling.parts import Part
 
 Data = dict[str, Any]
-MAX_CORNER_PARAMETERS = 6
+MAX_HINT_PARAMETERS = 6  # Parameters for which hints look at all 2^6 corners of the box.
 
 
 class CertificateSubject(NamedTuple):
@@ -141,7 +141,7 @@ def _array_text(model: Model, value: Any, ranges: IntervalBox) -> Any:
 
 def _end_text(model: Model, end: ca.SX, ranges: IntervalBox) -> str | Data:
     """An end of an interval; what is infinite at all corners of the parameters' box is infinite."""
-    corners = [ca.DM(corner) for corner in product(*ranges.values())] if len(ranges) <= MAX_CORNER_PARAMETERS else []
+    corners = [ca.DM(corner) for corner in product(*ranges.values())] if len(ranges) <= MAX_HINT_PARAMETERS else []
     value = ca.Function("end", [model.p], [end])
     found = {float(value(corner)) for corner in corners} if model.p.numel() else set()
     return exact_number_text(found.pop()) if found in ({np.inf}, {-np.inf}) else entry_text(model, end)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import checks_keywords, short_repr
+from nsmodel._utils import EPS, checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.laws.base import (
     STATE_UPPER,
@@ -30,7 +30,6 @@ from nsmodel.modeling.laws.base import (
 from nsmodel.modeling.laws.box import make_box_law
 from nsmodel.proof.verdict import not_none
 
-EPS = np.finfo(float).eps
 MULTIPLIER_ITERATIONS = 100  # Of Newton's method for mu; a dozen are usual.
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Never, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import checks_keywords, describe_shortly, short_repr
+from nsmodel._utils import EPS, checks_keywords, describe_shortly, short_repr
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.modeling.pickling import Picklable
 
@@ -67,8 +67,8 @@ class SignalJump(NamedTuple):
     after: np.ndarray
 
 
-NEAR_TOLERANCE = 16 * np.finfo(float).eps  # Times that are nearer than this part of the larger are one.
-ROUND_UP_FACTOR = 1 + 16 * np.finfo(float).eps  # More than a quotient and a few sums lose.
+NEAR_TOLERANCE = 16 * EPS  # Times that are nearer than this part of the larger are one.
+SLOPE_ROUND_UP = 1 + 16 * EPS  # More than a quotient and a few sums lose.
 
 
 class Signal(Picklable):

@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel._utils import cached_per_object, checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
-    ROUND_UP_FACTOR,
+    SLOPE_ROUND_UP,
     Signal,
     SignalJump,
     Within,
@@ -131,8 +131,7 @@ class Expression(EdgeDeclaredSignal):
             return None
         rates = ca.vertsplit(ca.jacobian(self.column, self.time))
         fastest = (
-            np.array([max(extremum.supremum(s * one, self.time, *ends).bound for s in (-1, 1)) for one in rates])
-            * ROUND_UP_FACTOR
+            np.array([max(extremum.supremum(s * one, self.time, *ends).bound for s in (-1, 1)) for one in rates]) * SLOPE_ROUND_UP
         )
         smooth = interval_bounds.is_continuous(self.column, self.time, *ends) and bool(np.isfinite(fastest).all())
         return Within(np.array(low), np.array(high), np.maximum(fastest, 0.0) if smooth else None, self.after(np.zeros(1))[0])

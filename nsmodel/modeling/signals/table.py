@@ -14,7 +14,7 @@ from nsmodel._utils import cached_per_object, checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.signals.base import (
     NEAR_TOLERANCE,
-    ROUND_UP_FACTOR,
+    SLOPE_ROUND_UP,
     Signal,
     SignalJump,
     Within,
@@ -29,7 +29,7 @@ from nsmodel.modeling.signals.base import (
 
 TABLE_KINDS = ("hold", "linear", "cubic")
 AFTER_RULES = ("hold", "error", "periodic")
-MIN_SPLINE_ROWS = 4  # Rows of a cubic table.
+MIN_SPLINE_ROWS = 4  # Rows of a cubic table, at least: a cubic has four coefficients.
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ class Table(Signal):
         else:
             low, high = self.values.min(axis=0), self.values.max(axis=0)
             run, rise = np.diff(self.t), np.diff(self.values, axis=0)
-            slope = np.abs(rise[run > 0] / run[run > 0, None]).max(axis=0, initial=0.0) * ROUND_UP_FACTOR
+            slope = np.abs(rise[run > 0] / run[run > 0, None]).max(axis=0, initial=0.0) * SLOPE_ROUND_UP
         if (low == high).all():
             return constant_bounds(low)
         return Within(low, high, slope if smooth else None, first)
@@ -225,8 +225,8 @@ def _spline_extremes(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             np.append(own[np.isfinite(own)], table.t) for own in (column.derivative(d).roots(extrapolate=False) for d in (1, 2))
         ]
         values, slopes = column(turning_points[0]), column(turning_points[1], 1)
-        room = (ROUND_UP_FACTOR - 1) * np.abs(values).max()
-        found.append((values.min() - room, values.max() + room, np.abs(slopes).max() * ROUND_UP_FACTOR))
+        room = (SLOPE_ROUND_UP - 1) * np.abs(values).max()
+        found.append((values.min() - room, values.max() + room, np.abs(slopes).max() * SLOPE_ROUND_UP))
     low, high, slope = np.array(found).T
     return low, high, slope
 

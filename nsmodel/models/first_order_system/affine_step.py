@@ -442,7 +442,7 @@ def _law_slack(
 
 
 def _sample_states(step: AffineStep, rng: np.random.Generator, W, N, b_0, graph: bool) -> np.ndarray:
-    """States (n, SAMPLES): with a solution that was drawn, or with any b of that size."""
+    """States (n, STATE_SAMPLES): with a solution that was drawn, or with any b of that size."""
     m, n = N.shape
     width, held = _multiplier_widths(step), _finite_bounds(step)
     side = np.where(np.isfinite(step.lower), 1.0, -1.0)

@@ -32,7 +32,7 @@ from nsmodel.models.first_order_system import unique_step
 from nsmodel.models.first_order_system.linearisation import SystemLinearisation, constant_matrix_values, linearise_system
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.models.first_order_system.step_matrix import (
-    ENTRY_ROUNDING,
+    MATRIX_ROUNDING,
     ROUNDING_LABEL,
     change_at_step,
     change_by_rounding,
@@ -242,7 +242,7 @@ def _check_step_limit(at: SystemLinearisation, quick: bool) -> Finding:
             F_STEP, verdict, f"A and K are constant, but {why}: h* by eigenvalues in floating point.", value, witness
         )
     if change >= 1 and exact.rank(at.exact_W(h)) == len(at.M):
-        before = regular_steps(at.M, at.exact_G(), h * (1 - ENTRY_ROUNDING)).regular
+        before = regular_steps(at.M, at.exact_G(), h * (1 - MATRIX_ROUNDING)).regular
         if before:
             how = "Exactly, on these doubles, h* <= h: by less than rounding (64 eps)."
             return make_finding(F_STEP, SAMPLED, how, value | {ROUNDING_LABEL: change}, witness)

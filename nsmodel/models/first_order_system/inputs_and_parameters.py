@@ -51,6 +51,7 @@ from nsmodel.models.first_order_system.linearisation import linearise_system, st
 from nsmodel.models.first_order_system.model import FirstOrderSystem
 from nsmodel.models.lure_system import domains
 from nsmodel.proof import exact, extremum, interval_bounds
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.jumps import jump_nodes
 from nsmodel.proof.parameter_hull import matrix_corners
 from nsmodel.simulation.trajectory import Trajectory
@@ -58,7 +59,7 @@ from nsmodel.simulation.trajectory import Trajectory
 FIELDS_OF_SYSTEM = ("M", "f", "h", "g", "law")
 JACOBIAN_IDS = (F_JACOBIANS.id, F_W.id, F_MLCP.id, F_STEP.id)
 MAX_INVERSE_STATES = 6  # Up to so many M is inverted in symbols.
-STEP_ROUNDING = 1e-9
+STEP_ROUNDING = 1e-9  # Relative: h |M^-1 G| is below 1 by more than it and its bound are rounded by.
 MAX_CORNER_STEPS, MAX_MLCP_STATES, MAX_MLCP_ROWS = (
     5,
     6,
@@ -305,7 +306,6 @@ F_INPUTS = Hypothesis(
 STEP_DEPENDENT_IDS = (F_MLCP.id, F_UNIQUE.id)
 SHORTER_STEPS_TEXT = "Steps that end at an edge of an input may be shorter than the one looked at."
 DEFAULT_RANGE = 1.0  # Of multipliers that neither K nor a run bounds.
-RATE_ROUND_UP = 1 + 1e-12
 INPUT_JUMP_SAMPLES = 64  # Where a jump of h or g is looked for.
 
 
@@ -384,7 +384,7 @@ def _input_rate_finding(
     if not interval_bounds.is_continuous(ca.vertcat(model.h, model.g, *rates.values()), z, *ends):
         return make_finding(F_INPUTS, UNKNOWN, "h and g are not seen to be continuous along the inputs")
     tops = {name: extremum.supremum(ca.sumsqr(rate), z, *ends, quick=quick).bound for name, rate in rates.items()}
-    value = {f"|{name}'| at most": float(np.sqrt(max(top, 0.0))) * RATE_ROUND_UP for name, top in tops.items()}
+    value = {f"|{name}'| at most": float(np.sqrt(max(top, 0.0))) * ROUND_UP_FACTOR for name, top in tops.items()}
     if not np.isfinite(list(value.values())).all():
         return make_finding(F_INPUTS, UNKNOWN, "no bound was found of how fast h and g move with the inputs")
     box = {name: (float(a), float(b)) for name, a, b in zip(at.names[1:], low[1:], high[1:], strict=True)}

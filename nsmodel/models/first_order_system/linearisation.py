@@ -26,10 +26,10 @@ from nsmodel.proof.jumps import ExpressionJump, find_jump, jump_nodes
 from nsmodel.proof.verdict import HOLDS, UNKNOWN
 from nsmodel.simulation.trajectory import Trajectory
 
-MAX_SAMPLED_RUN_ROWS = 100  # of the runs that are looked at
+MAX_SAMPLED_RUN_ROWS = 100  # Rows of the runs that are looked at.
 MAX_FACE_SETS = 500  # Sets of faces of a polyhedron that are looked at.
 MIN_ENCLOSED_STATES, MAX_ENCLOSED_CONDITION = 64, 1e12  # From so many states on W^{-1} is enclosed, where it is not too large.
-REGION_SAMPLES = 32  # points where there is no run
+REGION_SAMPLES = 32  # Points of the region that are looked at where there is no run.
 
 
 class Jacobians(NamedTuple):

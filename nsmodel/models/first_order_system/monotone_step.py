@@ -33,7 +33,7 @@ from nsmodel.models.lure_system.hypomonotone import simplify_factors
 from nsmodel.models.lure_system.passivity import decide_storage
 from nsmodel.proof import conic, exact, extremum, interval_bounds
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.expression_graph import operation_codes
+from nsmodel.proof.expression_graph import CONTINUOUS_OPERATIONS, operation_codes
 from nsmodel.proof.storage_matrix import well_conditioned_block
 
 MAX_FORM_BOXES, MAX_PART_BOXES = 2000, 300  # in which the form is bounded, on the whole box and on a part of it
@@ -282,13 +282,8 @@ def _stack_triangle(S: np.ndarray) -> np.ndarray:
     return np.where(i == j, S[i, j], np.sqrt(2) * S[i, j])
 
 
-MAX_REGION_PARTS = 10  # of the box that are looked at
-MAX_FORM_UNKNOWNS = 9  # states and multipliers
-EVERYWHERE_CONTINUOUS = {
-    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
-    ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
-    ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
-}  # Operations that are continuous everywhere.  # fmt: skip
+MAX_REGION_PARTS = 10  # Parts of the box that are looked at; more are left open.
+MAX_FORM_UNKNOWNS = 9  # States and multipliers together; of more a form is not looked for.
 
 
 class UniquenessProof(NamedTuple):
@@ -308,7 +303,7 @@ def prove_unique_on_region(at: SystemLinearisation, regular: bool) -> Uniqueness
     if at.model.law.size + len(at.model.names) > MAX_FORM_UNKNOWNS or len(at.steps) > 3:
         return None
     if not (
-        operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval_bounds.is_continuous(stacked, at.z, at.lower, at.upper)
+        operation_codes(stacked) <= CONTINUOUS_OPERATIONS or interval_bounds.is_continuous(stacked, at.z, at.lower, at.upper)
     ):
         return None
     found: list[UniquenessProof] = []

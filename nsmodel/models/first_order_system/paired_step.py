@@ -22,7 +22,6 @@ import numpy as np
 from nsmodel.modeling.laws.base import Halfspaces, Intervals, RoundSet
 from nsmodel.models.first_order_system.linearisation import SystemLinearisation
 from nsmodel.models.first_order_system.monotone_step import (
-    EVERYWHERE_CONTINUOUS,
     MonotoneForm,
     UniquenessProof,
     is_form_definite,
@@ -32,15 +31,17 @@ from nsmodel.models.first_order_system.monotone_step import (
 )
 from nsmodel.proof import conic, exact, interval_bounds, polynomial
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.expression_graph import is_same_expression, operation_codes, rewrite_nodes
+from nsmodel.proof.expression_graph import (
+    CONTINUOUS_OPERATIONS,
+    POLYNOMIAL_OPERATIONS,
+    is_same_expression,
+    operation_codes,
+    rewrite_nodes,
+)
 from nsmodel.proof.polynomial import Monomial
 
-MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # states, and step lengths
-MAX_CANCELLATION = 1e4
-POLYNOMIAL_OPERATIONS = {
-    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
-    ca.OP_TWICE,
-}  # fmt: skip
+MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # States, and step sizes, of a model that is looked at; more are left open.
+MAX_TERM_RATIO = 1e4  # Terms of a sum beside the sum: more digits are not lost to rounding.
 
 
 class PairedForm(NamedTuple):
@@ -170,7 +171,7 @@ def prove_unique_paired(at: SystemLinearisation, regular: bool) -> UniquenessPro
     """
     stacked = ca.vertcat(at.model.f, at.model.h, at.model.g)
     if len(at.model.names) > MAX_PAIRED_STATES or not (
-        operation_codes(stacked) <= EVERYWHERE_CONTINUOUS or interval_bounds.is_continuous(stacked, at.z, at.lower, at.upper)
+        operation_codes(stacked) <= CONTINUOUS_OPERATIONS or interval_bounds.is_continuous(stacked, at.z, at.lower, at.upper)
     ):
         return None
     parts = read_paired_form(at)
@@ -240,7 +241,7 @@ def _prove_at_step(at: SystemLinearisation, parts: PairedForm, h: float, regular
 def _has_no_cancellation(
     at: SystemLinearisation, parts: PairedForm, W: ca.SX, S: ca.SX, lower: np.ndarray, upper: np.ndarray
 ) -> bool:
-    """Whether the terms of S'W are no more than TERMS times what they add up to: far from what the room of the form leaves."""
+    """Whether the terms of S'W are at most MAX_TERM_RATIO times their sum: far from what the room of the form leaves."""
     _, terms = interval_bounds.enclose(parts.terms, at.z, lower, upper)
     low, high = interval_bounds.enclose(ca.densify(W), at.z, lower, upper)
     ends = np.where(np.isfinite(lower) & np.isfinite(upper), [lower, upper], 0.0)
@@ -248,7 +249,7 @@ def _has_no_cancellation(
     size = np.abs(np.array(middle)).max()
     if not all(np.isfinite(end).all() for end in (terms, low, high)):
         return False
-    return bool((terms.T @ np.maximum(np.abs(low), np.abs(high))).max() <= MAX_CANCELLATION * size)
+    return bool((terms.T @ np.maximum(np.abs(low), np.abs(high))).max() <= MAX_TERM_RATIO * size)
 
 
 def _is_maximal_monotone(at: SystemLinearisation, parts: PairedForm) -> bool:

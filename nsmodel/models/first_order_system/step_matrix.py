@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.modeling.laws import Law
 from nsmodel.modeling.laws.base import Halfspaces, Intervals
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof.verdict import not_none
 
-ENTRY_ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
+MATRIX_ROUNDING = 64 * EPS  # Relative changes of the entries of M and G that are no more than rounding.
 ROUNDING_LABEL = "change by rounding, 1 where singular"
 MAX_P_MATRIX_ROWS = 12  # Rows up to which all principal minors are looked at: 2^12.
 MAX_ROOT_STATES = 12  # States up to which the roots of det(M - s G) are counted exactly.
@@ -234,7 +235,7 @@ def change_at_step(M: np.ndarray, G: np.ndarray, s: float) -> float:
     except np.linalg.LinAlgError:
         return np.inf
     size = np.abs(inverse) @ (np.abs(M) + abs(s) * np.abs(G))
-    return ENTRY_ROUNDING * float(np.abs(np.linalg.eigvals(size)).max()) if np.isfinite(size).all() else np.inf
+    return MATRIX_ROUNDING * float(np.abs(np.linalg.eigvals(size)).max()) if np.isfinite(size).all() else np.inf
 
 
 def least_singular_step(X: np.ndarray) -> tuple[float, np.ndarray | None]:

@@ -18,26 +18,28 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.models.first_order_system.linearisation import SystemLinearisation
 from nsmodel.models.first_order_system.step_modes import StepMode, StepModes
 from nsmodel.proof import interval_bounds, krawczyk
 
-MAX_STEP_MODES = 2500  # that are tried at one state
+MAX_STEP_MODES = 2500  # Modes of a step that are tried at one state.
 MODE_SAMPLES, TRIED_STATES, TRIED_ROWS = (
     300,
     12,
     4,
 )  # points of modes; states of them, and of the runs, at which all modes are tried
 NEWTON_STARTS = 6  # of Newton's method on a mode where a ball or a cone is touched
-MAX_NEWTON_RUNS = 2500  # runs of Newton's method, in all
-MAX_MODE_ITERATIONS, MODE_NEWTON_TOLERANCE = 14, 1e-11
+MAX_NEWTON_RUNS = 2500  # Runs of Newton's method, in all.
+MAX_MODE_ITERATIONS = 14  # Of Newton's method on a mode.
+MODE_NEWTON_TOLERANCE = 1e-11  # Relative: its last step.
 INEQUALITY_SLACK, DATA_MARGIN = (
     1e-7,
     1e-9,
 )  # An inequality counts where it holds by this part of its size, for all data this near to the model's.
 SAME_SOLUTION = 1e-6  # Two solutions are one if they differ by less than this part of what x moves in a step.
-SINGULAR_DETERMINANT = 1e-10
-UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps  # Below it products with h underflow.
+SINGULAR_DETERMINANT = 1e-10  # Of a matrix whose rows have a largest entry of 1: below it its sign is not told.
+UNDERFLOW_LIMIT = np.finfo(float).tiny / EPS  # Below it products with h underflow.
 
 
 class TwoSolutions(NamedTuple):

@@ -15,6 +15,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.hypotheses.findings import (
     HOLDS,
     SAMPLED,
@@ -217,7 +218,7 @@ def _check_steps(model: FrictionOscillator, runs: Sequence[Trajectory]) -> Findi
     least = min(float(steps.min()) for _, steps, _ in grids)
     for whose, steps, _ in grids:
         # Equal steps recovered from times differ by rounding.
-        fall = np.flatnonzero(np.diff(steps) < -64 * np.finfo(float).eps * steps[:-1])
+        fall = np.flatnonzero(np.diff(steps) < -64 * EPS * steps[:-1])
         if fall.size:
             n = int(fall[0]) + 1
             how = f"{whose} steps decrease, first at step {n}"

@@ -7,12 +7,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import cached_per_object
+from nsmodel._utils import EPS, cached_per_object
 from nsmodel.models.friction_oscillator.model import FrictionOscillator
 from nsmodel.models.friction_oscillator.schemes import slope_at_zero
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.one_step_problem import subdifferential
-from nsmodel.solvers.residuals import EPS, NumericLaw, numeric_law
+from nsmodel.solvers.residuals import NumericLaw, numeric_law
 
 REST_MARGIN_ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import sum_in_order
+from nsmodel._utils import EPS, sum_in_order
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, common_scope, make_consequence
 from nsmodel.hypotheses.region import Region, box_middle, depends_on_symbol, potential_without_domain
 from nsmodel.models.friction_oscillator import friction_law
@@ -34,9 +34,10 @@ from nsmodel.proof.parameter_hull import mixture_corners
 
 FrictionElements = Sequence[tuple[float, np.ndarray]]  # r_j > 0 and H_j
 MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius.
-MAX_LOCAL_STARTS = 20  # Local searches.
-MAX_CELLS, CELL_BATCH, CELL_TOLERANCE = 60_000, 2048, 1e-10
-MACHINE_EPS = float(np.finfo(float).eps)
+MAX_LOCAL_STARTS = 20  # Points from which a local search starts.
+MAX_CELLS = 60_000  # Cells that are looked at; then the radius has the bounds found so far.
+CELL_BATCH = 2048  # Cells that are cut at once.
+CELL_TOLERANCE = 1e-10  # Relative: the gap between bound and value that ends it.
 
 
 class RadiusBound(NamedTuple):
@@ -113,7 +114,7 @@ def _singular_value_bound(elements: FrictionElements, n: int) -> float:
         *(float(np.trace(exact.doubles(G))) * 10.0**-k for k in range(8, 40, 4)),
     ):
         if guess > 0 and exact.is_psd(G - Fraction(guess) * exact.eye(n)):
-            return float(np.sqrt(guess)) * (1 - 2 * MACHINE_EPS)
+            return float(np.sqrt(guess)) * (1 - 2 * EPS)
     return 0.0
 
 
@@ -213,13 +214,13 @@ def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarra
     found = np.full(len(middle), -np.inf)
     for g in (plain, firm + (S @ u[:, :, None])[:, :, 0]):
         found = np.maximum(found, ((corners @ g[:, :, None])[:, :, 0] / lengths).min(axis=1))
-    return np.maximum(found, 0.0) - (64 + 8 * (n + rows)) * MACHINE_EPS * size
+    return np.maximum(found, 0.0) - (64 + 8 * (n + rows)) * EPS * size
 
 
 MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
 THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.
-SLOPE_MARGIN = 1e-9
-REAL_LINE = -np.inf, np.inf
+SLOPE_MARGIN = 1e-9  # Beside 1 and the radius: a slope below the radius by more is so beyond rounding.
+REAL_LINE = -np.inf, np.inf  # A box without bounds.
 
 
 class RestInterval(NamedTuple):

@@ -30,7 +30,7 @@ import numpy as np
 
 from nsmodel._utils import cached_per_object
 from nsmodel.errors import UsageError
-from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven, SlipGrowth
+from nsmodel.event_driven.problem import TINY_SPEED, ContinuousProblem, NotEventDriven, SlipGrowth
 from nsmodel.modeling.laws import ball, complementarity, product
 from nsmodel.modeling.parameters import numbered_row_names
 from nsmodel.models.friction_oscillator.model import Friction, FrictionOscillator
@@ -46,8 +46,6 @@ from nsmodel.solvers.initial_checks import (
     symbolic_term_weights,
 )
 from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, stationary_parts, subdifferential, with_carried_inputs
-
-SMALLEST_SPEED = 1e-150
 
 
 def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
@@ -108,7 +106,7 @@ def slope_at_zero(element: Friction, s: ca.SX, moved: ca.SX | None = None) -> ca
     if moved is not None and ca.depends_on(element.theta, moved) and not ca.depends_on(slope := ca.gradient(element.theta, s), s):
         return slope
     at_zero, near_zero, further = (
-        ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, SMALLEST_SPEED, 1e10 * SMALLEST_SPEED)
+        ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, TINY_SPEED, 1e10 * TINY_SPEED)
     )
     return ca.if_else(ca.fabs(further - near_zero) <= 1e-9 * ca.fabs(near_zero), near_zero, at_zero)
 
@@ -121,7 +119,7 @@ def smooth_friction(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
         return curvature * u
     # The least size keeps derivatives finite at u = 0, in any unit of length.
     scalar = u.numel() == 1
-    size = ca.fmax(ca.fabs(u), SMALLEST_SPEED) if scalar else ca.sqrt(ca.sumsqr(u) + SMALLEST_SPEED**2)
+    size = ca.fmax(ca.fabs(u), TINY_SPEED) if scalar else ca.sqrt(ca.sumsqr(u) + TINY_SPEED**2)
     direction = ca.sign(u) if scalar else u / size
     return (ca.substitute(slope, s, size) - slope_at_zero(element, s)) * direction
 

@@ -31,7 +31,7 @@ from nsmodel.proof import conic, exact, interval_bounds, polynomial
 from nsmodel.proof.conic import ConicSystem
 from nsmodel.proof.convex import rules
 
-TAU_COLUMN = [0]  # the column of tau
+TAU_COLUMN = [0]  # The column of tau.
 ColumnPart = tuple[list[int], Any]  # columns and the matrix (., columns) that they are multiplied with
 
 

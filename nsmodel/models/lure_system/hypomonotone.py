@@ -22,7 +22,14 @@ from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.dissipation import ProvedRate, least_rate
 from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.exact import MACHINE_EPSILON
-from nsmodel.proof.expression_graph import operation_codes, rewrite_nodes, stack_column, stored_entries, symbol_hashes
+from nsmodel.proof.expression_graph import (
+    CONTINUOUS_OPERATIONS,
+    operation_codes,
+    rewrite_nodes,
+    stack_column,
+    stored_entries,
+    symbol_hashes,
+)
 from nsmodel.proof.jumps import find_jump, jump_nodes
 from nsmodel.proof.storage_matrix import condition_number, matrix_witness, rational_cholesky, well_conditioned_block
 from nsmodel.proof.verdict import not_none
@@ -41,7 +48,7 @@ class JacobianHull(NamedTuple):
 def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> JacobianHull | None:
     """Return the hull from interval bounds over a box of x of the varying entries of J (n, n), +-equal entries together.
 
-    None where there are more than VARYING of them, or more than STATES states.
+    None where there are more than MAX_VARYING_ENTRIES of them, or more than MAX_HULL_STATES states.
     """
     n = J.shape[0]
     if n > MAX_HULL_STATES:
@@ -120,12 +127,6 @@ HYPOMONOTONE = Hypothesis(
     "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{LURE_PAPER}, Assumption 5.2"
 )
 P_OMEGA = "P_omega"  # of the P of this assumption; 5.1 has another one
-# Operations that are defined and continuous everywhere.
-CONTINUOUS_OPERATIONS = {
-    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
-    ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
-    ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
-}  # fmt: skip
 
 
 class HypomonotoneBound(NamedTuple):

@@ -73,8 +73,9 @@ HYPOTHESIS_FIELDS = {
     "5.4b": ("D", *LAW_FIELDS), "5.4c": ("D", *LAW_FIELDS), "5.x0": ("C", "D", "e", "x0", *LAW_FIELDS),
     "7.1": ("D", "e", "f", *LAW_FIELDS),
 }  # fmt: skip
-MAX_CORNER_COLUMNS = 64  # Of all corners of B together.
-MAX_MINOR_SIZE, OMEGA_TRIES = 6, 12
+MAX_CORNER_COLUMNS = 64  # Columns of B at all corners together, for which one P is looked for.
+MAX_MINOR_SIZE = 6  # Rows of a leading minor that is written out.
+OMEGA_TRIES = 12  # Values of omega above the one in doubles, by 4^k 1e-15 of it, that are tried exactly.
 
 
 class EnergyMatrix(NamedTuple):
@@ -355,7 +356,7 @@ def _has_moving_half_line(model: LureSystem, motion: InputBounds) -> bool:
     return any(not model.D[:, i].is_zero() for i in rows)
 
 
-STAY_ROUNDING = 1e-9  # Of norms with a P in doubles.
+STAY_ROUNDING = 1e-9  # Relative: what norms with a P in doubles may be rounded by.
 
 
 def stay_times(

@@ -23,7 +23,7 @@ from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B
 from nsmodel.proof.exact import MACHINE_EPSILON
 
 MAX_DENSE_SIZE = 250  # States and multipliers up to which the proofs with dense matrices take seconds.
-FORCE_SAMPLES = 200  # At which f is looked at.
+FORCE_SAMPLES = 200  # Times at which f is looked at.
 
 
 def is_large(model: LureSystem) -> bool:

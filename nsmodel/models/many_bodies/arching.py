@@ -19,11 +19,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from nsmodel._utils import EPS
 from nsmodel.models.many_bodies.contact_solver import BodiesWarmStart, ContactGroup
 from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.models.many_bodies.schemes import BodiesProblem, ContactRows
 from nsmodel.solvers.contacts import Contacts
-from nsmodel.solvers.residuals import EPS
 
 MOVEMENT_ROUNDING = 64 * EPS  # Beside the largest position: what moves less moves by rounding.
 STANDSTILL_STEPS = 20  # Steps after which bodies that have moved by no more than that are said to stand still.

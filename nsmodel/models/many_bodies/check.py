@@ -17,6 +17,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.hypotheses.along_run import FEASIBILITY_HYPOTHESIS, QUALIFICATION_HYPOTHESIS
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, make_finding
 from nsmodel.hypotheses.region import Region, region_of
@@ -52,7 +53,6 @@ from nsmodel.models.sweeping_process.witnesses import ROUNDING_DEFICIT, start_si
 from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
-from nsmodel.solvers.residuals import EPS
 
 MAX_BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
 
@@ -78,7 +78,7 @@ def effort_notes(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
 
 
 POSITION_ROUNDING = 1e-10  # A deficit below this part of the positions counts as rounding.
-MAX_CHECKED_ROWS = 100
+MAX_CHECKED_ROWS = 100  # Rows of a run that are looked at, at most.
 MAX_MOTION_ROWS = 4_000_000  # Bodies times rows where each step's length is looked at.
 RUN_MOTION = Hypothesis(
     "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN
 from nsmodel.models.many_bodies.contact_search import least_gap, near_contact_rows
 from nsmodel.models.many_bodies.families import Family
@@ -29,7 +30,6 @@ from nsmodel.models.sweeping_process.qualification import ACTIVE_TOLERANCE, RHO_
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, discs_proof, has_aligned_pairs
 from nsmodel.proof import interval_bounds
 from nsmodel.proof.verdict import not_none
-from nsmodel.solvers.residuals import EPS
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -143,8 +143,8 @@ def _present_mask(q: np.ndarray) -> np.ndarray:
 
 
 MAX_WOLFE_GROUP = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
-INTERIOR_ITERATIONS = 60
-DUALITY_GAP = 1e-7
+INTERIOR_ITERATIONS = 60  # Of the interior method, at most; then gamma has the bounds found so far.
+DUALITY_GAP = 1e-7  # Relative: between the two bounds of gamma, which ends it.
 MAX_GROUP_SIZE = 20_000, 2_000  # Constraints of a group beyond which its gamma takes too long (quick: the second).
 OPPOSING_BOUND = 1e7  # A lower bound above this ends the iteration: whether normals oppose each other is then seen on
 CORE_SIZE = 200  # so many constraints, those with the largest weights.
@@ -293,7 +293,7 @@ def _max_positive_step(x: np.ndarray, dx: np.ndarray) -> float:
 
 MAX_RUN_ROWS = 32  # Rows of the runs that are looked at, at most;
 MAX_BODY_ROWS = 20_000, 2_000  # and so many bodies in them (quick: the second).
-MAX_NAMED_CONSTRAINTS = 12
+MAX_NAMED_CONSTRAINTS = 12  # Constraints that a finding names.
 TimedBodies = tuple[float, np.ndarray]
 
 

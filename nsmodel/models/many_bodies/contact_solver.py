@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UsageError
 from nsmodel.models.many_bodies.contact_search import candidate_contact_rows, candidate_members, least_gap
 from nsmodel.models.many_bodies.schemes import BODIES_SCHEME, BodiesProblem, ContactRows, uses_neighbour_search
@@ -27,14 +28,14 @@ from nsmodel.proof import conic
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.contacts import NO_CONTACTS, Contacts
 from nsmodel.solvers.diagnosis import describe_overreach, opposing_rows
-from nsmodel.solvers.residuals import EPS, REACH, UNRESOLVED, NumericLaw
+from nsmodel.solvers.residuals import REACH, UNRESOLVED, NumericLaw
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
 MAX_DENSE_FACTOR_ROWS = 100  # Rows up to which a dense factorisation is faster.
 MAX_LEMKE_ROWS = 60  # Rows of a group up to which Lemke's pivoting is the robust way.
 MAX_DENSE_SOLVER_ROWS = 3000  # Rows of a group that a solver of dense problems takes.
 ACTIVE_SET_PATIENCE = 10  # Changes of the active set without fewer wrong rows, after which it is given up.
-MAX_GROUP_PASSES = 100
+MAX_GROUP_PASSES = 100  # Times that rows which the solution violates are added to a group.
 DIAGONAL_REGULARISATION = 1e-11  # Added to a diagonal of 1, and taken back by refinement.
 
 

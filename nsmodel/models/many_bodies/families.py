@@ -15,20 +15,7 @@ from nsmodel._utils import checks_keywords, short_repr
 from nsmodel.errors import ModelError
 from nsmodel.modeling.parameters import describe_argument
 from nsmodel.modeling.pickling import Picklable
-from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes
-
-_POLYNOMIAL_OPERATIONS = {
-    ca.OP_INPUT,
-    ca.OP_OUTPUT,
-    ca.OP_CONST,
-    ca.OP_ASSIGN,
-    ca.OP_ADD,
-    ca.OP_SUB,
-    ca.OP_NEG,
-    ca.OP_MUL,
-    ca.OP_SQ,
-    ca.OP_TWICE,
-}
+from nsmodel.proof.expression_graph import POLYNOMIAL_OPERATIONS, apply_operation, fold_graph, operation_codes
 
 
 class GroupMember(Picklable):
@@ -219,7 +206,7 @@ def is_distance(g: Any, q: ca.SX, p: ca.SX) -> bool:
 
 def _is_squared_difference(inside: ca.SX, q: ca.SX, p: ca.SX) -> bool:
     """Whether a root's argument is |q - p|^2, or that of an absolute value q - p or p - q."""
-    if not operation_codes(inside) <= _POLYNOMIAL_OPERATIONS:
+    if not operation_codes(inside) <= POLYNOMIAL_OPERATIONS:
         return False
     z, one = ca.vertcat(q, p), q.numel() == 1
     wanted = q - p if one else ca.sumsqr(q - p)

@@ -174,7 +174,7 @@ class ManyBodies(Model):
         """The same process with its constraints one by one, for small scenes; who leaves and enters is not in it.
 
         Raises:
-            ModelError: f is a function, or there are more than WRITTEN_OUT_UP_TO constraints.
+            ModelError: f is a function, or there are more than MAX_WRITTEN_OUT constraints.
         """
         count = sum(family.count for family in self.constraints.values())
         if count > MAX_WRITTEN_OUT:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UsageError
 from nsmodel.modeling.fingerprint import run_settings
 from nsmodel.modeling.time_grid import TimeGrid
@@ -49,7 +50,6 @@ from nsmodel.simulation.step_backend import choose_step_backend
 from nsmodel.solvers.contacts import NO_CONTACTS, Contacts, sort_contacts
 from nsmodel.solvers.initial_checks import start_warnings
 from nsmodel.solvers.plan import CompilationCost, Plan, bodies_cost
-from nsmodel.solvers.residuals import EPS
 
 if TYPE_CHECKING:
     from nsmodel.models.many_bodies.step_library import CompiledBodiesStep

@@ -26,7 +26,7 @@ import numpy as np
 from nsmodel.codegen import library, structs
 from nsmodel.codegen.export import WORST_CASE_NEEDS, LibraryRequest
 from nsmodel.codegen.expressions import c_function, c_table
-from nsmodel.codegen.features import MAX_WORK
+from nsmodel.codegen.features import MAX_COUNT
 from nsmodel.codegen.fragments import comment_text, compiler_guard, define_lines, prefix_names, prune_unused, read_fragment
 from nsmodel.codegen.library import COMPILER_FLAGS as PORTABLE
 from nsmodel.codegen.library import NATIVE_FLAGS, MappedLibrary, cached_library, compiler, library_key, no_compiler_error
@@ -290,7 +290,7 @@ class CompiledBodiesStep:
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
         s = self._motion = MotionStruct()
         s.model = ctypes.addressof(ctypes.c_char.in_dll(self._own, "own_functions"))
-        s.n, s.tolerance, s.budget = n, tolerance, MAX_WORK
+        s.n, s.tolerance, s.budget = n, tolerance, MAX_COUNT
         s.q, s.present, s.numbers, s.farthest = map(_address_of, (self._q, self._present, self._numbers, self._farthest))
         s.velocity = None if isinstance(model.f, ca.SX) and not model.is_driven else _address_of(self._velocity)
         s.items, s.over, s.item_count, s.over_count = map(_address_of, (*self._pointers, *self._counts))

@@ -16,7 +16,7 @@ import numpy as np
 from nsmodel.models.mechanical_system.model import MechanicalSystem
 
 MAX_CONTACTS = 6  # With friction on lines, whose modes are looked at one by one.
-RANK = 1e-10  # Singular values below this part of the largest are 0.
+RANK_SHARE = 1e-10  # Singular values below this part of the largest are 0.
 
 
 def uniqueness_doubt(model: MechanicalSystem) -> str:
@@ -27,7 +27,7 @@ def uniqueness_doubt(model: MechanicalSystem) -> str:
     if W is None:
         return "the numbers of the start give no W"
     values = np.linalg.svd(W, compute_uv=False)
-    rank = int((values > RANK * values.max(initial=0.0)).sum())
+    rank = int((values > RANK_SHARE * values.max(initial=0.0)).sum())
     friction = [one for one in model.contact_rows if one.slip.numel()]
     if rank < len(W):
         return f"W singular: rank {rank} of {len(W)}" if friction else ""
@@ -70,7 +70,7 @@ def has_positive_modes(model: MechanicalSystem, W: np.ndarray) -> bool:
         choices.append([unit[own], W[own], *slips])
         at += len(own)
     matrices = (np.vstack(rows) for rows in product(*choices))
-    return all(np.linalg.det(A) > RANK * np.prod(np.linalg.norm(A, axis=1)) for A in matrices)
+    return all(np.linalg.det(A) > RANK_SHARE * np.prod(np.linalg.norm(A, axis=1)) for A in matrices)
 
 
 def _critical_text(model: MechanicalSystem, W: np.ndarray) -> str:

@@ -60,6 +60,7 @@ from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.schemes import set_constraints
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.convex.sets import INTERIOR_MARGIN, ConvexSet, MovingSet, has_interior_for_all, outer_set
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.global_search import quick_searches
 from nsmodel.proof.jumps import find_jump
 from nsmodel.proof.verdict import HypothesisPart
@@ -67,7 +68,6 @@ from nsmodel.simulation.trajectory import Trajectory
 
 SET_MOTION = Hypothesis("M-H", "t -> C(t) is Lipschitz continuous in the Hausdorff distance", "Moreau 1977")
 EXISTENCE_SOURCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at each t (uniqueness)"
-SPEED_ROUND_UP = 1 + 1e-12
 KAPPA = "kappa"
 SPEED_QUADRUPLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
 SHELL_PART = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
@@ -240,7 +240,7 @@ def _box_speed(model: MonotoneInclusion, passing: MovingSetRates) -> HypothesisP
     total = 0.0
     for ends in zip(ca.vertsplit(model.lower), ca.vertsplit(model.upper), strict=True):
         total += max(_max_rate(passing.speed(end), *passing.slow) for end in ends) ** 2
-    kappa = float(np.sqrt(total)) * SPEED_ROUND_UP
+    kappa = float(np.sqrt(total)) * ROUND_UP_FACTOR
     if not np.isfinite(kappa):
         return HypothesisPart(UNKNOWN, "the speed of a bound of C has no bound that was found", {}, {})
     return HypothesisPart(HOLDS, "bounds of the speeds of the sides", {KAPPA: kappa}, {})
@@ -285,7 +285,7 @@ def _hausdorff_bound(passing: MovingSetRates, box: tuple[np.ndarray, np.ndarray]
     if interior is None or point is None:
         return None
     far = float(np.linalg.norm(np.maximum(np.abs(low - point), np.abs(high - point))))
-    kappa = fastest * far / interior.part.value[INTERIOR_MARGIN] * SPEED_ROUND_UP
+    kappa = fastest * far / interior.part.value[INTERIOR_MARGIN] * ROUND_UP_FACTOR
     how = "bounds of |c_t| |x - z| / c(t, z), z an inner point of C(t) for a while: x stays in C by going towards it"
     return HausdorffBound(kappa, how) if np.isfinite(kappa) else None
 
@@ -478,7 +478,7 @@ def stay_times(
 
     def speed(lower: np.ndarray, upper: np.ndarray) -> float:
         top = extremum.supremum(size, z, np.append(lower, ends[0]), np.append(upper, ends[1]), quick=True).bound
-        return float(np.sqrt(max(top, 0.0))) * SPEED_ROUND_UP
+        return float(np.sqrt(max(top, 0.0))) * ROUND_UP_FACTOR
 
     kappa = number.get(SET_MOTION.id, {}).get(KAPPA, np.inf) if model.moves else 0.0
     room = float(np.min(np.minimum(start[0] - region.lower, region.upper - start[1]), initial=np.inf))

@@ -14,8 +14,8 @@ import numpy as np
 from nsmodel.proof import conic, exact
 from nsmodel.proof.convex.sets import ConvexSet
 
-MAX_CONE_ROWS, MAX_CONE_STATES = 14, 12
-MULTIPLIER_CAP = 1e4
+MAX_CONE_ROWS, MAX_CONE_STATES = 14, 12  # Of a cone that is decided; a larger one is left open.
+MULTIPLIER_CAP = 1e4  # Largest multiplier of scaled constraints in the semidefinite program.
 
 
 def copositivity_multipliers(P: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray] | None:
@@ -55,7 +55,7 @@ def _symmetric_product(N: np.ndarray, i: int, j: int) -> np.ndarray:
 
 
 def _largest_copositive_margin(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] | None:
-    """The largest k with S - k I - sum w_ij basis_ij psd, 0 <= w <= CAP |S|, k <= |S|, by Clarabel."""
+    """The largest k with S - k I - sum w_ij basis_ij psd, 0 <= w <= MULTIPLIER_CAP |S|, k <= |S|, by Clarabel."""
     n, m = len(S), len(basis)
     size = float(np.abs(S).max()) or 1.0
     scale = [float(np.abs(matrix).max()) or 1.0 for matrix in basis]
@@ -77,7 +77,7 @@ def _largest_copositive_margin(S: np.ndarray, basis: list[np.ndarray]) -> tuple[
     return float(x[0]) * size * (1 - 1e-6), x[1:] * size / np.array(scale)
 
 
-RANDOM_DIRECTIONS = 64
+RANDOM_DIRECTIONS = 64  # Directions of recession that are tried, of whole numbers and of normal ones each.
 
 
 def is_recession_direction(C: ConvexSet, d: np.ndarray) -> bool:

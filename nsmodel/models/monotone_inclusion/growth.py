@@ -35,6 +35,7 @@ from nsmodel.proof.convex.piecewise import split_by_cases
 from nsmodel.proof.convex.rules import find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
 from nsmodel.proof.domain import is_defined_on_box
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.exponential_sums import ball_lower_bound
 from nsmodel.proof.expression_graph import additive_terms, is_double, program
 from nsmodel.proof.growth import growth_bound, linear_growth_bound
@@ -44,6 +45,7 @@ from nsmodel.proof.verdict import HypothesisPart
 
 NEAR_TIME, FAR_TIME = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.
 MAX_CURVES = 8  # Curves on which a proof is tried.
+# Powers of t, and factors of them, by which curves bend that are tried.
 CURVE_BENDS = ((2, 1.0), (2, 1e4), (4, 1.0), (4, 1e4), (4, 1e12))
 
 
@@ -306,8 +308,7 @@ def _curve_name(path: PolynomialCurve) -> str:
     return "d, a direction in which C is unbounded," if path.power == 1 else "a curve in C"
 
 
-NORM_ROUND_UP = 1 + 1e-12  # Norms and eigenvalues in doubles are enlarged by this where they are bounds.
-MAX_MULTIPLIER_CORNERS = 12
+MAX_MULTIPLIER_CORNERS = 12  # Multipliers whose 2^12 corners are all looked at; else the sum of their sizes is the bound.
 SECTOR_START, TANGENT_SCALE = (
     8,
     64.0,
@@ -394,8 +395,8 @@ def _read_field_terms(
                 reach, steep = term_bound(term, field, z, low, high, TANGENT_SCALE)
         if not np.isfinite(reach + steep):
             return FieldRowBound(None, np.inf, np.inf)
-        size += exact.round_up(abs(factor) * Fraction(reach)) * NORM_ROUND_UP
-        slope += exact.round_up(abs(factor) * Fraction(steep)) * NORM_ROUND_UP
+        size += exact.round_up(abs(factor) * Fraction(reach)) * ROUND_UP_FACTOR
+        slope += exact.round_up(abs(factor) * Fraction(steep)) * ROUND_UP_FACTOR
     return FieldRowBound(total, size, slope)
 
 
@@ -425,8 +426,8 @@ def _lipschitz_term_bound(term: ca.SX, field: SelectedField, z: ca.SX, low: np.n
         ends = interval_bounds.reverse_slopes(code, interval_bounds.run_program(code, low[None, :], high[None, :]), (0,), 1)
     gradient = np.maximum(np.abs(ends[0]), np.abs(ends[1])).ravel()
     at = float(np.max(np.abs(interval_bounds.enclose(term, z, base, base))))
-    steep = float(np.linalg.norm(gradient)) * NORM_ROUND_UP if np.isfinite(gradient).all() else np.inf
-    return at + steep * float(np.linalg.norm(base)) * NORM_ROUND_UP if np.isfinite(steep) else np.inf, steep
+    steep = float(np.linalg.norm(gradient)) * ROUND_UP_FACTOR if np.isfinite(gradient).all() else np.inf
+    return at + steep * float(np.linalg.norm(base)) * ROUND_UP_FACTOR if np.isfinite(steep) else np.inf, steep
 
 
 def _sector_bound(term: ca.SX, field: SelectedField) -> tuple[polynomial.Polynomial, float, float] | None:
@@ -441,7 +442,7 @@ def _sector_bound(term: ca.SX, field: SelectedField) -> tuple[polynomial.Polynom
     middle = found.low + (found.high - found.low) / 2
     p: polynomial.Polynomial = {((i, 1),): Fraction(middle) * number for i, number in enumerate(split.a[0]) if number}
     width = max(found.high - middle, middle - found.low) * rounded_norm(exact.doubles(split.a))
-    return p if middle else {}, found.reach, width * NORM_ROUND_UP
+    return p if middle else {}, found.reach, width * ROUND_UP_FACTOR
 
 
 def affine_field(field: SelectedField) -> AffineField | None:
@@ -486,7 +487,7 @@ def rounded_norm(matrix: np.ndarray) -> float:
     """|A|, enlarged by rounding; exact for one entry."""
     if matrix.size == 1:
         return abs(float(matrix[0, 0]))
-    return float(np.linalg.norm(matrix, 2)) * NORM_ROUND_UP if matrix.any() else 0.0
+    return float(np.linalg.norm(matrix, 2)) * ROUND_UP_FACTOR if matrix.any() else 0.0
 
 
 def max_constant_part(field: SelectedField, b: np.ndarray, columns: np.ndarray) -> float:
@@ -497,9 +498,9 @@ def max_constant_part(field: SelectedField, b: np.ndarray, columns: np.ndarray) 
         return float(np.linalg.norm(b)) if b.size > 1 else abs(float(b[0]))
     if len(terms) <= MAX_MULTIPLIER_CORNERS and all(B.shape[1] == 1 for B, _, _ in terms):
         corners = np.array(list(product(*((low, high) for _, low, high in terms))))
-        return float(np.linalg.norm(b + corners @ np.hstack([B for B, _, _ in terms]).T, axis=1).max()) * NORM_ROUND_UP
+        return float(np.linalg.norm(b + corners @ np.hstack([B for B, _, _ in terms]).T, axis=1).max()) * ROUND_UP_FACTOR
     sizes = [float(np.linalg.norm(B, 2)) * max(abs(low), abs(high)) for B, low, high in terms]
-    return float(np.linalg.norm(b) + sum_in_order(sizes)) * NORM_ROUND_UP
+    return float(np.linalg.norm(b) + sum_in_order(sizes)) * ROUND_UP_FACTOR
 
 
 def require_values(part: HypothesisPart, field: SelectedField) -> HypothesisPart:
@@ -530,11 +531,11 @@ def _linear_growth(field: SelectedField, region: tuple[np.ndarray, np.ndarray], 
         return HypothesisPart(HOLDS, how, values, {})
     z, low, high = field.variables
     square = ca.sumsqr(field.rest)
-    others = sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP
+    others = sum_in_order(term.size for term in field.aligned) * ROUND_UP_FACTOR
     if field.C.bounded:
         sup = extremum.supremum(square, z, low, high, quick=quick)
         if np.isfinite(sup.bound):
-            a_1 = float(np.sqrt(max(sup.bound, 0.0))) * NORM_ROUND_UP + others
+            a_1 = float(np.sqrt(max(sup.bound, 0.0))) * ROUND_UP_FACTOR + others
             return HypothesisPart(HOLDS, "C is bounded: the largest |F - S| on its box", {"a_1": a_1, "a_2": 0.0}, {})
     elif interval_bounds.is_continuous(field.rest, z, low, high):
         found_bound = _lipschitz_bound(field, others)
@@ -575,7 +576,9 @@ def _lipschitz_bound(field: SelectedField, others: float) -> dict[str, float] | 
         M = float(np.max(top))
         if np.isfinite(slope) and np.isfinite(M):
             return {
-                "a_1": float(np.sqrt(max(M, 0.0))) * NORM_ROUND_UP + slope * float(np.linalg.norm(base)) * NORM_ROUND_UP + others,
+                "a_1": float(np.sqrt(max(M, 0.0))) * ROUND_UP_FACTOR
+                + slope * float(np.linalg.norm(base)) * ROUND_UP_FACTOR
+                + others,
                 "a_2": slope,
             }
     return None
@@ -591,7 +594,7 @@ def velocity_bound(field: SelectedField, region: tuple[np.ndarray, np.ndarray]) 
     _, top = interval_bounds.enclose(ca.sumsqr(field.rest), z, low, high)
     value = float(np.max(top))
     return (
-        float(np.sqrt(value)) * NORM_ROUND_UP + sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP
+        float(np.sqrt(value)) * ROUND_UP_FACTOR + sum_in_order(term.size for term in field.aligned) * ROUND_UP_FACTOR
         if np.isfinite(value)
         else None
     )

@@ -45,7 +45,7 @@ from nsmodel.models.monotone_inclusion.autonomous import (
     check_autonomous,
 )
 from nsmodel.models.monotone_inclusion.field import constraint_set, decompose_field
-from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP, linear_growth
+from nsmodel.models.monotone_inclusion.growth import linear_growth
 from nsmodel.models.monotone_inclusion.model import MonotoneInclusion
 from nsmodel.models.monotone_inclusion.one_sided_lipschitz import field_continuity, one_sided_lipschitz
 from nsmodel.models.monotone_inclusion.schemes import set_constraints, velocity_selection
@@ -53,6 +53,7 @@ from nsmodel.models.monotone_inclusion.tangent import dissipativity
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.convex import rules
 from nsmodel.proof.convex.sets import ConvexSet, MovingSet, has_interior_for_all, is_convex_for_all, outer_set
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.jumps import jump_nodes
 from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HOLDS, HypothesisPart
@@ -147,7 +148,7 @@ def _proved_growth(on: _JacobianDomain, J: ca.SX, L: float, jump: float) -> Iter
     base = np.clip(np.zeros(C.n), *on.states)
     ends = np.append(base, moving.lower), np.append(base, moving.upper)
     at = np.max(np.abs(interval_bounds.enclose(model.field - on.S, z, *ends)), axis=0)
-    M = float(np.linalg.norm(at)) * NORM_ROUND_UP + jump
+    M = float(np.linalg.norm(at)) * ROUND_UP_FACTOR + jump
     if not np.isfinite(M + L):
         return
     a = {"a_1": M + steep * _vector_norm(base), "a_2": steep} if np.isfinite(steep) else None
@@ -158,16 +159,16 @@ def _proved_growth(on: _JacobianDomain, J: ca.SX, L: float, jump: float) -> Iter
     # <x, w> <= <x, v> + reach |v|, |v| <= a_1 + a_2 |x|
     p, q = (M + reach * a["a_2"], reach * a["a_1"]) if a is not None and reach else (M, 0.0)
     if L < 0 and not base.any():
-        beta = (p**2 / (-2 * L) + q) * NORM_ROUND_UP
+        beta = (p**2 / (-2 * L) + q) * ROUND_UP_FACTOR
         yield "M-A3", "<x, F - S> <= L |x|^2 + |F - S|(0) |x|, L < 0", {"alpha": -L / 2, "beta": beta}
     elif C.bounded and a is not None:
         R = _vector_norm(np.maximum(*np.abs(on.states)))
-        beta = ((R + reach) * (a["a_1"] + a["a_2"] * R) + R**2) * NORM_ROUND_UP
+        beta = ((R + reach) * (a["a_1"] + a["a_2"] * R) + R**2) * ROUND_UP_FACTOR
         yield "M-A3", f"C is bounded (|x| <= {R:.4g}): any alpha will do, here 1", {"alpha": 1.0, "beta": beta}
 
 
 def _vector_norm(v: np.ndarray) -> float:
-    return float(np.linalg.norm(v)) * NORM_ROUND_UP
+    return float(np.linalg.norm(v)) * ROUND_UP_FACTOR
 
 
 SET_FIELDS = ("lower", "upper", "constraints")

@@ -22,7 +22,7 @@ from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.models.monotone_inclusion import growth
 from nsmodel.models.monotone_inclusion.cones import copositivity_multipliers
 from nsmodel.models.monotone_inclusion.field import SelectedField
-from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP, nondissipative_curve, require_values, split_box
+from nsmodel.models.monotone_inclusion.growth import nondissipative_curve, require_values, split_box
 from nsmodel.models.monotone_inclusion.tangent_form import (
     TangentForm,
     aligned_offset,
@@ -33,6 +33,7 @@ from nsmodel.models.monotone_inclusion.tangent_form import (
     sector_tangent_form,
 )
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_squares
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.verdict import HypothesisPart
 
 DECAY_RATES = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
@@ -61,7 +62,7 @@ def _dissipativity(field: SelectedField, a: HypothesisPart, quick: bool, reach: 
     base = nearest_point_to_zero(field.C)
     if base is None:
         return HypothesisPart(UNKNOWN, "no point of C near 0 was verified", {}, {})
-    distance = max(float(np.linalg.norm(base)) * (NORM_ROUND_UP if base.any() else 1.0), reach)
+    distance = max(float(np.linalg.norm(base)) * (ROUND_UP_FACTOR if base.any() else 1.0), reach)
     form = exact_tangent_form(field)
     bound = _decay_from_form(field, form, distance) or _decay_by_jacobian(field, base)
     tries = [] if bound is not None or field.C.bounded else [(k, merged) for merged in (False, True) for k in SLOPE_EXPONENTS]
@@ -210,7 +211,7 @@ def _homogeneous_decay(field: SelectedField, form: TangentForm | None, distance:
     for m in powers:
         part = {monomial: number for monomial, number in form.whole.items() if sum(power for _, power in monomial) == m}
         bound = _cube_bound(part, field.x, 0.5 * _leading_decay(form.higher, degree, n) if m == degree else None)
-        bound = bound + form.slope * n * NORM_ROUND_UP if m == 2 else bound
+        bound = bound + form.slope * n * ROUND_UP_FACTOR if m == 2 else bound
         if not np.isfinite(bound) or (m == degree and bound >= 0):
             return None
         total = polynomial.add_multiple(total, {((0, m),): Fraction(bound)})
@@ -226,13 +227,15 @@ def _homogeneous_decay(field: SelectedField, form: TangentForm | None, distance:
 def _speed_polynomial(field: SelectedField, form: TangentForm) -> polynomial.Polynomial:
     """A polynomial in r = max |x_i| that |v| does not exceed."""
     n = field.x.numel()
-    total: polynomial.Polynomial = {(): Fraction(form.others + sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP)}
+    total: polynomial.Polynomial = {
+        (): Fraction(form.others + sum_in_order(term.size for term in field.aligned) * ROUND_UP_FACTOR)
+    }
     for row in growth.read_field_rows(field):
         for monomial, number in (row.p or {}).items():
             if all(v < n for v, _ in monomial):
                 power = sum(power for _, power in monomial)
                 total = polynomial.add_multiple(total, {((0, power),) if power else (): abs(number)})
-    return polynomial.add_multiple(total, {((0, 1),): Fraction(form.slope * n * NORM_ROUND_UP)})
+    return polynomial.add_multiple(total, {((0, 1),): Fraction(form.slope * n * ROUND_UP_FACTOR)})
 
 
 def _leading_decay(higher: polynomial.Polynomial, degree: int, n: int) -> float:
@@ -307,8 +310,8 @@ def _decay_by_jacobian(field: SelectedField, base: np.ndarray) -> DecayBound | N
         L = max(bounds, default=-np.inf)
         if -np.inf < L < 0:
             at = interval_bounds.enclose(field.rest + ca.DM(field.shift), field.x, *box)
-            M = float(np.linalg.norm(np.maximum(np.abs(at[0]), np.abs(at[1])))) * NORM_ROUND_UP
-            D, d = half * float(np.sqrt(base.size)) * NORM_ROUND_UP, float(np.linalg.norm(base)) * NORM_ROUND_UP
+            M = float(np.linalg.norm(np.maximum(np.abs(at[0]), np.abs(at[1])))) * ROUND_UP_FACTOR
+            D, d = half * float(np.sqrt(base.size)) * ROUND_UP_FACTOR, float(np.linalg.norm(base)) * ROUND_UP_FACTOR
             if np.isfinite(M):
                 # |x - c| <= |x| + d; <c, v(x)> is added with the displacement of C.
                 p = -L * D + M
@@ -337,7 +340,7 @@ def _bounded_set_part(field: SelectedField, distance: float, *, quick: bool) -> 
     """C is bounded: any alpha will do, here 1."""
     z, low, high = field.variables
     n = field.x.numel()
-    reach = float(np.linalg.norm(np.maximum(np.abs(low[:n]), np.abs(high[:n])))) * NORM_ROUND_UP
+    reach = float(np.linalg.norm(np.maximum(np.abs(low[:n]), np.abs(high[:n])))) * ROUND_UP_FACTOR
     product = ca.dot(field.x, field.rest + ca.DM(field.shift)) + ca.sumsqr(field.x)
     rows = field.C.rows if field.C.rows.numel() else None
     top = extremum.supremum(product, z, low, high, where=rows, quick=quick)
@@ -345,8 +348,8 @@ def _bounded_set_part(field: SelectedField, distance: float, *, quick: bool) -> 
     if distance > 0:
         speed = extremum.supremum(ca.sumsqr(field.rest), z, low, high, quick=True)
         beta += distance * (
-            float(np.sqrt(max(speed.bound, 0.0))) * NORM_ROUND_UP
-            + sum_in_order(term.size for term in field.aligned) * NORM_ROUND_UP
+            float(np.sqrt(max(speed.bound, 0.0))) * ROUND_UP_FACTOR
+            + sum_in_order(term.size for term in field.aligned) * ROUND_UP_FACTOR
         )
     if not np.isfinite(beta):
         return HypothesisPart(UNKNOWN, "F - S has no bound on the box that holds C", {}, {})

@@ -18,13 +18,13 @@ from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED
 from nsmodel.models.monotone_inclusion import growth
 from nsmodel.models.monotone_inclusion.cones import recession_directions
 from nsmodel.models.monotone_inclusion.field import SelectedField
-from nsmodel.models.monotone_inclusion.growth import NORM_ROUND_UP
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.asymptotics import asymptotic_orders, polynomial_order, value_interval
 from nsmodel.proof.convex import piecewise
 from nsmodel.proof.convex.lower_bounds import minimise_potential
 from nsmodel.proof.convex.rules import Ridges, find_ridges
 from nsmodel.proof.convex.sets import ConvexSet, has_interior
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import (
     additive_terms,
     is_double,
@@ -72,11 +72,11 @@ def exact_tangent_form(field: SelectedField) -> TangentForm | None:
         if term is None:
             return None
         whole = polynomial.add_multiple(whole, term)
-    others = float(np.linalg.norm([row.size for row in rows])) * (NORM_ROUND_UP if n > 1 else 1.0)
-    slope = float(np.linalg.norm([row.slope for row in rows])) * (NORM_ROUND_UP if n > 1 else 1.0)
+    others = float(np.linalg.norm([row.size for row in rows])) * (ROUND_UP_FACTOR if n > 1 else 1.0)
+    slope = float(np.linalg.norm([row.slope for row in rows])) * (ROUND_UP_FACTOR if n > 1 else 1.0)
     for jump in field.jumps:
         column = np.array([float(entry) for entry in ca.vertsplit(jump.B)]) if jump.B.is_constant() else np.full(n, np.inf)
-        others += float(np.linalg.norm(column)) * max(abs(jump.lower), abs(jump.upper)) * NORM_ROUND_UP
+        others += float(np.linalg.norm(column)) * max(abs(jump.lower), abs(jump.upper)) * ROUND_UP_FACTOR
     for i, number in enumerate(field.shift):
         if number:
             whole = polynomial.add_multiple(whole, {((i, 1),): Fraction(float(number))})
@@ -106,8 +106,8 @@ def sector_tangent_form(field: SelectedField, k: int, *, merged: bool) -> Tangen
             return None
         p, size, slope = found
         whole, extra, rest_slope = polynomial.add_multiple(whole, p), extra + size, rest_slope + slope
-    others = (float(np.linalg.norm(terms.sizes)) + extra) * NORM_ROUND_UP
-    slope = (float(np.linalg.norm(terms.slopes)) + rest_slope) * NORM_ROUND_UP
+    others = (float(np.linalg.norm(terms.sizes)) + extra) * ROUND_UP_FACTOR
+    slope = (float(np.linalg.norm(terms.slopes)) + rest_slope) * ROUND_UP_FACTOR
     for i, number in enumerate(field.shift):
         if number:
             whole = polynomial.add_multiple(whole, {((i, 1),): Fraction(float(number))})
@@ -153,8 +153,8 @@ class _TangentTerms:
             self.constant += Fraction(radial[1])
             return True
         size, slope = growth.term_bound(term, field, *field.variables, 2.0**self._k)
-        self.sizes[i] += float(abs(factor)) * size * NORM_ROUND_UP
-        self.slopes[i] += float(abs(factor)) * slope * NORM_ROUND_UP
+        self.sizes[i] += float(abs(factor)) * size * ROUND_UP_FACTOR
+        self.slopes[i] += float(abs(factor)) * slope * ROUND_UP_FACTOR
         return True
 
     def _add_ridge(self, i: int, factor: Fraction, split: Ridges) -> None:
@@ -206,7 +206,7 @@ def _ridge_sector_bound(
             middle = found.low + (found.high - found.low) / 2
             width = max(found.high - middle, middle - found.low)
             distance = growth.rounded_norm(exact.doubles(np.array([left], dtype=object)))
-            size, slope = size + distance * found.reach * NORM_ROUND_UP, slope + distance * width * length * NORM_ROUND_UP
+            size, slope = size + distance * found.reach * ROUND_UP_FACTOR, slope + distance * width * length * ROUND_UP_FACTOR
             for u, v in product(range(n), range(n)):
                 number = left[u] * Fraction(middle) * a[v]
                 p = polynomial.add_multiple(p, _quadratic_term(u, v, number))
@@ -217,7 +217,7 @@ def _ridge_sector_bound(
         return None if longer is None else (polynomial.add_multiple(p, longer), size, slope)
     for u, v in product(range(n), range(n)):
         p = polynomial.add_multiple(p, _quadratic_term(u, v, abs(whole) * Fraction(found.high) * a[u] * a[v]))
-    return p, size + exact.round_up(abs(whole)) * found.reach * length * NORM_ROUND_UP, slope
+    return p, size + exact.round_up(abs(whole)) * found.reach * length * ROUND_UP_FACTOR, slope
 
 
 def _compose_ridge(c: Sequence[Fraction], h: polynomial.Polynomial, a: np.ndarray) -> polynomial.Polynomial | None:
@@ -255,7 +255,7 @@ def _radial_bound(factor: Fraction, term: ca.SX, i: int, field: SelectedField, k
         if np.isfinite(top):
             inner = extremum.supremum(radial_function, square, np.zeros(1), np.array([2.0**k]), quick=True).bound
             if np.isfinite(inner):
-                return top, max(inner - top, 0.0) * 2.0**k * NORM_ROUND_UP
+                return top, max(inner - top, 0.0) * 2.0**k * ROUND_UP_FACTOR
     z, low, high = field.variables
     top = float(np.max(interval_bounds.enclose(psi, z, low, high)[1]))
     return (top, 0.0) if np.isfinite(top) else None
@@ -312,7 +312,7 @@ def as_function_of_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
 
 def aligned_offset(field: SelectedField) -> float:
     """What the aligned multipliers add to <x, v> at most, beside their nearest elements to 0."""
-    return sum_in_order(term.offset for term in field.aligned) * (NORM_ROUND_UP if len(field.aligned) > 1 else 1.0)
+    return sum_in_order(term.offset for term in field.aligned) * (ROUND_UP_FACTOR if len(field.aligned) > 1 else 1.0)
 
 
 def nearest_point_to_zero(C: ConvexSet) -> np.ndarray | None:

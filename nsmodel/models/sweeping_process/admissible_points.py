@@ -21,7 +21,7 @@ from nsmodel.solvers import mlcp
 from nsmodel.solvers.residuals import NumericLaw
 
 MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found.
-MAX_NAMED_STATES, MAX_NAMED_ROWS = 12, 4
+MAX_NAMED_STATES, MAX_NAMED_ROWS = 12, 4  # States that a witness names one by one, and constraints that a sentence names.
 INNER_MARGINS = 1e-2, 1e-5, 1e-8  # How deep points of Q(0) are looked for, relative to the gradients and the box.
 INNER_STARTS = 16  # Places of the box from which they are looked for.
 FEASIBILITY_TOLERANCE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.

@@ -24,7 +24,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses import region as uniform
-from nsmodel.hypotheses.along_run import ROUND_UP_FACTOR
 from nsmodel.hypotheses.findings import (
     HOLDS,
     SAMPLED,
@@ -69,6 +68,7 @@ from nsmodel.models.sweeping_process.qualification import RHO_FRACTION, RHO_TRIE
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, bound_gamma_everywhere
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.domain import is_defined_on_box
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import is_same_expression, rewrite_nodes, stack_column
 from nsmodel.proof.jumps import SWITCH_OPERATIONS
 from nsmodel.proof.verdict import HypothesisPart

@@ -181,7 +181,7 @@ MAX_SUB_BOXES, ENOUGH_SUB_BOXES = (
     700,
 )  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
 INSTRUCTION_BUDGET = 250  # With more instructions in the gradients fewer parts are looked at.
-SUB_BOXES_PER_ROUND = 512
+SUB_BOXES_PER_ROUND = 512  # Parts that are cut at once, those with the largest bounds.
 MAX_HALVINGS, MAX_HALVINGS_ACTIVE = 12, 40  # Halvings of each coordinate after which a part without bound is not cut any further.
 HOPELESS_GAMMA = 1e3  # Where so large a constant is attained, a smaller rho is the better question.
 

@@ -30,11 +30,11 @@ from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, bod
 from nsmodel.models.sweeping_process.witnesses import attained_gamma_bound, fixed_ball, prove_opposition
 from nsmodel.proof import extremum
 from nsmodel.proof.convex import rules
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.verdict import not_none, overlapping_groups, suppress_output
 
 TIME_SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own.
-AWAY_ROUNDING_FACTOR = 1 + 1e-12
-MAX_AWAY_STATES = 60
+MAX_AWAY_STATES = 60  # States up to which a point that all constraints forbid is looked for.
 
 
 class ForbiddenPointBound(NamedTuple):
@@ -62,7 +62,7 @@ def bound_by_forbidden_point(
                 break
         if np.isfinite(worst):
             return ForbiddenPointBound(
-                max(worst * AWAY_ROUNDING_FACTOR, 1.0),
+                max(worst * ROUND_UP_FACTOR, 1.0),
                 "convex constraints that forbid one and the same point: all of them are left by going away from it",
             )
     return None
@@ -137,8 +137,10 @@ def _forbidden_points(
     return [point for worst_value, point in found[:2] if worst_value < 0]
 
 
-RHO_FRACTION, RHO_TRIES, FINER_RHO_TRIES = 0.1, 3, (12, 16, 20)
-MAX_BOX_STATES = 4
+RHO_FRACTION = 0.1  # Of the reach: the rho that is tried first.
+RHO_TRIES = 3  # Values of rho that are tried, each a quarter of the last; three times as many where rho = 0 is not violated.
+FINER_RHO_TRIES = (12, 16, 20)  # Powers of a quarter that are tried beyond, where rho = 0 is proved.
+MAX_BOX_STATES = 4  # States of a box that is cut into parts, and whose corners are looked for.
 MAX_SEARCH_STATES = 24  # Beyond, a local search takes too long.
 ACTIVE_TOLERANCE = 1e-9  # Constraints within this part of the box of 0 are active.
 CORNER_STARTS, CORNER_STEPS, MAX_CORNER_PAIRS = 24, 12, 40  # Points, steps and pairs in the search for corners.
@@ -396,7 +398,7 @@ def _combined_groups_result(constraints, process, slope, rho, points, names, qui
     least = min(found, key=lambda item: (VIOLATED, UNKNOWN, SAMPLED, HOLDS).index(item.verdict))
     if least.verdict in (VIOLATED, UNKNOWN):
         return least
-    gamma *= AWAY_ROUNDING_FACTOR
+    gamma *= ROUND_UP_FACTOR
     where = ON_THE_BOX if any(item.where == ON_THE_BOX for item in found) else EVERYWHERE
     reached = min(item.rho for item in found)
     how = f"{len(groups)} groups of constraints without common states; " + "; ".join(sorted({item.how for item in found}))

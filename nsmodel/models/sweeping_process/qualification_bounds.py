@@ -39,11 +39,11 @@ from nsmodel.models.sweeping_process.mfcq_constant import (
 )
 from nsmodel.proof import exact, interval_bounds
 from nsmodel.proof.conic import ConicSystem, decide_feasibility
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import program, stack_column
 from nsmodel.proof.verdict import not_none
 
-MAX_PAIR_CONSTRAINTS = 60
-PAIR_ROUNDING_FACTOR = 1 + 1e-12
+MAX_PAIR_CONSTRAINTS = 60  # Constraints whose pairs are all looked at.
 PAIRS_DESCRIPTION = "balls and half-spaces: the angles between their normals where two of them meet"
 
 
@@ -77,7 +77,7 @@ def bound_gamma_by_pairs(constraints: Sequence[Constraint], rho: float) -> tuple
         if np.isnan(cosine):
             cosine, reached = 0.0, rho
         if len(constraints) == 2 and cosine > 0:
-            return float(np.sqrt(2 / (1 + cosine))) * PAIR_ROUNDING_FACTOR, reached, PAIRS_DESCRIPTION
+            return float(np.sqrt(2 / (1 + cosine))) * ROUND_UP_FACTOR, reached, PAIRS_DESCRIPTION
         G[i, j] = G[j, i] = min(cosine, 0.0)
     gamma = gram_bound(G)
     return (gamma, reached, PAIRS_DESCRIPTION) if np.isfinite(gamma) else None
@@ -228,9 +228,8 @@ def _height_scale(ball: BallComplement, plane: AffineForm) -> float:
     return sum_in_order(rest) + (abs(float(plane.offset)) / size if isinstance(plane.offset, Fraction) else 0.0)
 
 
-MAX_PLANES = 12
-MAX_INDEPENDENT = 60
-GAMMA_ROUNDING_FACTOR = 1 + 1e-12  # More than what a few operations on doubles lose.
+MAX_PLANES = 12  # Planes whose sets that can be active are looked at one by one; of more, all of them together.
+MAX_INDEPENDENT = 60  # Constraints between whose spaces of gradients all angles are looked at.
 ORTHONORMAL_ROUNDING = 1e-8  # More than what products of orthonormal vectors err by.
 INITIAL_SLICES, MAX_SLICES, MIN_SLICE_FRACTION = 8, 200, 1e-9  # Of the interval of time, where planes move.
 
@@ -295,7 +294,7 @@ def _independence_proof(constraints: Sequence[Constraint], rho: float) -> GammaP
 
 
 def _gradient_space(shape: ConstraintShape, states: Sequence[int]) -> np.ndarray | None:
-    """An orthonormal basis of a space that holds the gradient, but for ``ROUNDED``; of a plane the unit normal itself."""
+    """An orthonormal basis of a space that holds the gradient, to ORTHONORMAL_ROUNDING; of a plane the unit normal itself."""
     place = {i: k for k, i in enumerate(states)}
     if shape.kind == "plane":
         normal = np.zeros((len(states), 1))
@@ -344,7 +343,7 @@ def discs_proof(constraints: Sequence[Constraint], rho: float, count: int | None
         normals.append([row.get(i, Fraction(0)) for i in only])
     k, D, l = count or len(bodies), min(pair.low for pair in pairs), max(pair.reach(rho) for pair in pairs)
     if not normals:
-        gamma = l / D * disc_row_gamma(k) * GAMMA_ROUNDING_FACTOR
+        gamma = l / D * disc_row_gamma(k) * ROUND_UP_FACTOR
         return GammaProof(gamma, rho, f"{k} bodies that touch only each other: blown up from the centre they all part")
     if len({len(normal) for normal in normals}) > 1:
         return None
@@ -352,7 +351,7 @@ def discs_proof(constraints: Sequence[Constraint], rho: float, count: int | None
     if not np.isfinite(away):
         return None
     s = (l * (k - 1) / 2 + D / np.sqrt(2)) * away
-    gamma = float(np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))) * GAMMA_ROUNDING_FACTOR
+    gamma = float(np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))) * ROUND_UP_FACTOR
     return GammaProof(
         gamma, rho, f"{k} bodies and planes with a common escape direction: blown up and moved along it they all part"
     )
@@ -414,13 +413,13 @@ def body_pair_of(c: Constraint) -> BodyPair | None:
     w = float(scale if power == 2 else w * Fraction(float(scale) ** 0.5))
     offset = offset_expression(form.affine.offset)
     low, high = (
-        -supremum_over_time(c, offset).bound / w / GAMMA_ROUNDING_FACTOR,
-        supremum_over_time(c, -offset).bound / w * GAMMA_ROUNDING_FACTOR,
+        -supremum_over_time(c, offset).bound / w / ROUND_UP_FACTOR,
+        supremum_over_time(c, -offset).bound / w * ROUND_UP_FACTOR,
     )
     if not (low > 0 and np.isfinite(high)):
         return None
-    low, high = (low, high) if power == 1 else (low**0.5 / GAMMA_ROUNDING_FACTOR, high**0.5 * GAMMA_ROUNDING_FACTOR)
-    return BodyPair(tuple(first), tuple(second), low, high, w / GAMMA_ROUNDING_FACTOR, power)
+    low, high = (low, high) if power == 1 else (low**0.5 / ROUND_UP_FACTOR, high**0.5 * ROUND_UP_FACTOR)
+    return BodyPair(tuple(first), tuple(second), low, high, w / ROUND_UP_FACTOR, power)
 
 
 def _is_reversed(first: list[int], second: list[int], ends: list[tuple[Fraction, int]]) -> bool:

@@ -24,7 +24,7 @@ from nsmodel.models.sweeping_process.model import SweepingProcess
 from nsmodel.solvers.initial_checks import InitialChecks, check_start_inside, start_margin
 from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, with_carried_inputs
 
-QUADRATURE_POINTS = 8
+QUADRATURE_POINTS = 8  # Of Gauss and Legendre's rule for the mean of f over a step: exact up to degree 15 in t.
 
 
 def one_step_problem(model: SweepingProcess) -> OneStepProblem:

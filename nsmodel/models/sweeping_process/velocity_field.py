@@ -128,7 +128,7 @@ def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], col
 
 
 MAX_BASE_STATES, MAX_SWITCH_POINTS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
-MAX_QUOTIENT_POINTS = 32
+MAX_QUOTIENT_POINTS = 32  # Points between all pairs of which difference quotients are formed.
 MAX_PROVED_JUMPS, MAX_DERIVATIVE_ENTRIES = (
     16,
     16,

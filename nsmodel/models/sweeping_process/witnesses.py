@@ -118,7 +118,7 @@ def _exact_offset(offset: Offset, t: float, c: Constraint) -> Fraction | None:
     return Fraction(low) if low == high else None
 
 
-MIN_WEIGHT = 1e-7  # A smaller weight is 0.
+MIN_WEIGHT = 1e-7  # Of weights whose sum is 1: a smaller one is 0.
 DENOMINATORS = (1, 10, 1000, 10**6)  # Denominators of rational points that are tried.
 INWARD_FRACTIONS = (1e-3, 1e-6, 1e-9)  # Parts of the box by which a point is moved off the constraints.
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
     from nsmodel.sweep.statistics import Share, Statistics
 
-MAX_ROW_TEXT = 320  # Characters of a row.
+MAX_ROW_TEXT = 320  # Characters of a row; longer ones are cut.
 MAX_FORMULA_LENGTH = 2500  # Characters of LaTeX in one formula.
 
 
@@ -112,7 +112,7 @@ def _foldable_text(text: str, source: str) -> elements.Html:
     return elements.folded_section(truncate_text(text, MAX_UNFOLDED_TEXT), elements.escape_text(text + source, 2000))
 
 
-RUN_DPI = 90
+RUN_DPI = 90  # Dots per inch of the small picture of a run.
 RUN_WARNINGS = 4  # More are folded.
 
 
@@ -175,7 +175,7 @@ def _cell_row(cell: Cell) -> list[str]:
 
 STUDY_HEADER = ("method", "points done", "order", "largest errors", "seconds")
 STUDY_ROWS = 12  # More are folded.
-STUDY_DPI = 75
+STUDY_DPI = 75  # Dots per inch of its picture.
 
 
 def sensitivity_html(found: Sensitivity) -> str:
@@ -236,8 +236,8 @@ def _range_text(values: list[float]) -> str:
 
 
 UNFOLDED_FAILURES = 5  # More are folded, and of very many not all are there.
-MAX_FAILURES = 40
-SWEEP_DPI = 75
+MAX_FAILURES = 40  # Failures in the page; of more, how many there are.
+SWEEP_DPI = 75  # Dots per inch of its picture.
 
 
 def sweep_html(sweep: Sweep) -> str:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MAX_PANEL_COLUMNS = 24  # Columns of a panel, bands of an index set.
 INITIAL_COLUMNS = 8  # Of them drawn when the page opens.
 SIZE_RATIO = 20  # A few columns without units whose sizes are so far apart have a panel of their own,
-FEW_COLUMNS = 6
+FEW_COLUMNS = 6  # where there are so few,
 ROUNDING_SHARE = 1e-9  # but for what is this part of the others: rounding.
 PANEL_ARRAYS = {
     "t",

@@ -197,7 +197,7 @@ def descent_direction(
     return found.x[:n]
 
 
-BOUNDARY_SAMPLES = 512
+BOUNDARY_SAMPLES = 512  # Points of the box of a curved set from which the least value is looked for.
 MINIMISER_OPTIONS = {
     "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "ipopt.print_level": 0, "ipopt.sb": "yes",
     "ipopt.max_iter": 200, "ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0,

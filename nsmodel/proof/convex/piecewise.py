@@ -23,13 +23,19 @@ import numpy as np
 from nsmodel.proof import interval_bounds, polynomial, univariate
 from nsmodel.proof.exact import round_down, round_up
 from nsmodel.proof.exponential_sums import Enclosure
-from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, operation_codes, stack_column
+from nsmodel.proof.expression_graph import (
+    KINK_OPERATIONS,
+    apply_operation,
+    fold_graph,
+    is_same_expression,
+    operation_codes,
+    stack_column,
+)
 from nsmodel.proof.univariate import Cases, WeightedTerms
 
-KINK_OPERATIONS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 COMPARISON_OPERATIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
 LOGICAL_OPERATIONS = (ca.OP_AND, ca.OP_OR, ca.OP_NOT)
-MAX_CASE_PIECES = 50
+MAX_CASE_PIECES = 50  # Pieces of a law of one variable; more are left open.
 
 
 class UndecidedCase(Exception):

@@ -19,7 +19,7 @@ from nsmodel.proof.expression_graph import additive_terms, is_same_expression, r
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, HypothesisPart
 
 EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
-MAX_DIRECTIONS = 12
+MAX_DIRECTIONS = 12  # Directions of a potential that are looked at together; of more, convexity is left open.
 WITNESS_DISTANCES = 1e-2, 1e-4, 1e-6  # How far from a kink a witness is taken, beside its place.
 MIN_EIGENVALUE_KEY, EIGENVALUE_BOUND_KEY = "least eigenvalue of D2 g", "eigenvalues of D2 g are at least"
 

@@ -21,7 +21,7 @@ from nsmodel.proof.expression_graph import operation_codes, stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, HypothesisPart, not_none, suppress_output
 
-PAIR_SAMPLES = 512
+PAIR_SAMPLES = 512  # Points of the box among which two of a set are looked for whose middle is outside.
 
 
 class ConvexSet:
@@ -416,7 +416,8 @@ def _exact_interior_point(C: ConvexSet) -> np.ndarray | None:
     return None if point is None else np.array([float(entry / point[C.n]) for entry in point[: C.n]])
 
 
-MAX_PARAMETER_CELLS, INTERIOR_MARGIN = 128, "interior margin"
+MAX_PARAMETER_CELLS = 128  # Parts of the box of parameters that are looked at; more are left open.
+INTERIOR_MARGIN = "interior margin"
 
 
 class InteriorProof(NamedTuple):
