@@ -297,7 +297,12 @@ class Sweep:
             found.to_netcdf(part)
 
     def to_zarr(self, path: str | Path) -> None:
-        """Write ``data`` to ``path`` as a zarr store; MissingExtraError where xarray or zarr is not installed."""
+        """Write ``data`` to ``path`` as a zarr store.
+
+        Raises:
+            MissingExtraError: xarray or zarr is not installed.
+            StorageError: the store cannot be written there.
+        """
         import_extra("zarr")
         try:
             self.to_xarray().to_zarr(path, mode="w", zarr_format=2)
