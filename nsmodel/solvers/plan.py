@@ -209,7 +209,7 @@ class CompilationCost(NamedTuple):
 
 
 def interpreted_step_seconds(path: str, structure: StepStructure | None, law: Law) -> float:
-    """Seconds of a step on a path of a `Plan`; None: the structure of a projection on given sets.
+    """Seconds of a step on a path of a `Plan`, or REPEATED_PATH; None: the structure of a projection on given sets.
 
     Of a law with curved sets Newton's method takes most of it: fitted to scenes of 2 to 36 rows, with friction and with balls.
     """
