@@ -25,7 +25,7 @@ MAX_REWRITTEN_TERMS = 4  # Of a sum; a longer one stays as it is written.
 # The series of d/(e^d - 1), see `_bernoulli`:
 SERIES_BELOW = 0.5  # |d| below which it stands for the quotient.
 SERIES_RADIUS = 2.0  # |d| up to which it errs by rounding alone, with
-SERIES_TERMS = 17  # so many coefficients.
+BERNOULLI_TERMS = 17  # so many coefficients.
 VANISHING_WEIGHT = 1e-300  # Of a term that is nothing beside 1, but whose root keeps discs within the radius.
 GROWING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_SINH, ca.OP_COSH, ca.OP_POW}
 DIVIDING = {ca.OP_DIV, ca.OP_INV, ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATAN, ca.OP_POW, ca.OP_CONSTPOW}
@@ -302,7 +302,7 @@ def _bernoulli(d: ca.SX, here: ca.SX) -> ca.SX:
     near = ca.logic_and(here, is_positive(SERIES_BELOW**2 - d * d))
     u, far = ca.if_else(near, d, 0), ca.if_else(ca.logic_and(here, ca.logic_not(near)), d, -1)
     series = ca.SX(0)
-    for coefficient in reversed(_even_bernoulli(SERIES_TERMS)):
+    for coefficient in reversed(_even_bernoulli(BERNOULLI_TERMS)):
         series = series * u**2 + coefficient
     within = VANISHING_WEIGHT * ca.sqrt(SERIES_RADIUS**2 - u * u)
     return ca.if_else(near, series - u / 2 + within, far / ca.expm1(far))

@@ -41,7 +41,7 @@ INTERNAL_SOLVERS = {
 }
 STEP_SOLVERS = ("auto", *qp.QP_SOLVERS, IPOPT_SOLVER, *INTERNAL_SOLVERS)
 MAX_ENUMERATED_ROWS = 10  # Rows up to which all index sets are tried where the other solvers find none.
-MIN_SPARSE_SIZE = 120  # Unknowns and multipliers from which on a sparse step pays.
+MIN_SPARSE_SIZE = 120  # Unknowns and multipliers of a sparse step: of a chain it takes as long as a dense one, preparing it half.
 MAX_SPARSE_FILL = 0.1  # Part of its matrix that may be nonzero.
 
 
@@ -209,7 +209,7 @@ class CompilationCost(NamedTuple):
 
 
 def interpreted_step_seconds(path: str, structure: StepStructure | None, law: Law) -> float:
-    """Seconds of a step on a path of a `Plan`; None: the structure of a projection on given sets.
+    """Seconds of a step on a path of a `Plan`, or REPEATED_PATH; None: the structure of a projection on given sets.
 
     Of a law with curved sets Newton's method takes most of it: fitted to scenes of 2 to 36 rows, with friction and with balls.
     """

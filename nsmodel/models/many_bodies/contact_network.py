@@ -34,7 +34,7 @@ from nsmodel.proof.verdict import not_none
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-TERM_ROUNDING = 1e-10  # A deficit below this part of the terms of a constraint counts as rounding.
+CONSTRAINT_ROUNDING = 1e-10  # A deficit below this part of the terms of a constraint counts as rounding.
 BOUNDS_PER_CALL = 1 << 18  # Constraints that are bounded in one go.
 GAP_MARGIN_ROUNDING = 1e-9  # Constraints above a margin by this part of the positions are looked at too: their value is rounded.
 
@@ -116,7 +116,7 @@ def term_sizes(problem: BodiesProblem, t: float, q: np.ndarray, rows: ContactRow
 def all_admissible(problem: BodiesProblem, t: float, q: np.ndarray) -> bool:
     """Whether every constraint is >= 0, to the rounding of its own terms."""
     rows = constraints_within(problem, t, q, 0.0)
-    return bool((rows.g >= -TERM_ROUNDING * term_sizes(problem, t, q, rows)).all())
+    return bool((rows.g >= -CONSTRAINT_ROUNDING * term_sizes(problem, t, q, rows)).all())
 
 
 def gap_bounds(problem: BodiesProblem, t: float, q: np.ndarray, rows: ContactRows) -> tuple[np.ndarray, np.ndarray]:

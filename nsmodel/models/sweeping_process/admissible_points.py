@@ -21,7 +21,7 @@ from nsmodel.solvers import mlcp
 from nsmodel.solvers.residuals import NumericLaw
 
 MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found.
-MAX_NAMED_STATES, MAX_NAMED_ROWS = 12, 4  # States that a witness names one by one, and constraints that a sentence names.
+MAX_NAMED_STATES, MAX_NAMED_TOGETHER = 12, 4  # States that a witness names one by one, and constraints that a sentence names.
 INNER_MARGINS = 1e-2, 1e-5, 1e-8  # How deep points of Q(0) are looked for, relative to the gradients and the box.
 INNER_STARTS = 16  # Places of the box from which they are looked for.
 FEASIBILITY_TOLERANCE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.
@@ -154,7 +154,7 @@ def point_of_start_set(model: SweepingProcess, region: Region, process: PartialS
             return HypothesisPart(HOLDS, "a point of Q(0), by bounds", {}, {"q": q})
     together = () if model.p.numel() else ConvexSet(model.q, at_start, model.multiplier_names).empty
     if together:
-        named = ", ".join(together[:MAX_NAMED_ROWS]) + ", ..." * (len(together) > MAX_NAMED_ROWS)
+        named = ", ".join(together[:MAX_NAMED_TOGETHER]) + ", ..." * (len(together) > MAX_NAMED_TOGETHER)
         how = f"Q(0) is empty: no point satisfies {named}{' together' * (len(together) > 1)}"
         return HypothesisPart(VIOLATED, how, {}, {"constraints": list(together)})
     return HypothesisPart(UNKNOWN, "no point of Q(0) is known, which may be empty", {}, {})
