@@ -144,6 +144,15 @@ def cached_per_object(function: T) -> T:
     return cached  # pyrefly: ignore[bad-return]
 
 
+def remember(cache: dict[Any, Any], key: Any, make: Callable[[], Any], most: int) -> Any:
+    """Return what is kept under a key, made where it is not there; where there are ``most`` the oldest is forgotten."""
+    if key not in cache:
+        if len(cache) >= most:
+            cache.pop(next(iter(cache)))
+        cache[key] = make()
+    return cache[key]
+
+
 def cached_per_object_and_key(most: int) -> Callable[[T], T]:
     """As `cached_per_object`, of an object and a key that can be hashed: the last ``most`` keys are kept for each object."""
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from nsmodel._utils import did_you_mean
 from nsmodel.codegen import simd_batch, structs, varying_steps
-from nsmodel.codegen.rollout import CALL_SECONDS, library_for_all
+from nsmodel.codegen.rollout import CALL_SECONDS, load_step_library
 from nsmodel.codegen.step_spec import spec_for_all_values
 from nsmodel.codegen.structs import BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, STATUSES
 from nsmodel.errors import CodegenError, UsageError
@@ -81,11 +81,11 @@ class StepBatch:
         self._layout = varying_steps.packed_layout(self._spec)
         in_lanes = in_lanes and grid.steps is None and not simd_batch.lanes_obstacle(self._spec)
         try:
-            library, self.way = library_for_all(model, grid, tolerance, in_lanes=in_lanes)
+            library, self.way = load_step_library(model, grid, tolerance, for_all=True, in_lanes=in_lanes)
         except CodegenError:  # a compiler without what lanes ask for
             if not in_lanes:
                 raise
-            in_lanes, (library, self.way) = False, library_for_all(model, grid, tolerance)
+            in_lanes, (library, self.way) = False, load_step_library(model, grid, tolerance, for_all=True)
         pointer, seconds = ctypes.c_void_p, ctypes.c_double
         memory = np.zeros(library.function("size", ctypes.c_long)() // 8 + 1)
         if library.function("init", ctypes.c_int, pointer)(memory.ctypes.data) == BAD_ARITHMETIC:
@@ -160,12 +160,10 @@ class StepBatch:
         Raises:
             UsageError: a name that is not a column; another number of parameters or of steps.
         """
-        given = np.ascontiguousarray(values, float)
-        if given.ndim != 2 or given.shape[1] != len(self.names):
-            raise UsageError(f"values: shape {given.shape}; expected (cells, {len(self.names)}), a column for each parameter")
-        work = _BatchArrays(
-            self._selected_columns(keep), len(given), self.kept_row_numbers(every), self._spec.structure.m, "index_set" in keep
-        )
+        given = checked_values(values, self.names, keep, self.columns())
+        selected = {name: self._columns[name] for name in keep if name != "index_set"}
+        m = self._spec.structure.m if "index_set" in keep else None
+        work = _BatchArrays(selected, len(given), self.kept_row_numbers(every).size, m)
         self._initialise(work, given)
         control = self._control(work, given, every, self._input_values(inputs))
         memory = np.zeros(self._size // 8 + 1 + simd_batch.ALIGNMENT // 8)
@@ -175,13 +173,6 @@ class StepBatch:
                 work.discard_from(control.cell)
                 break
         return work.cells()
-
-    def _selected_columns(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
-        unknown = [name for name in keep if name not in self._columns and name != "index_set"]
-        if unknown:
-            near = did_you_mean(unknown[0], self.columns())
-            raise UsageError(f"keep: '{unknown[0]}' is not a column; there are {', '.join(self.columns())}{near}")
-        return {name: self._columns[name] for name in keep if name != "index_set"}
 
     def _initialise(self, work: _BatchArrays, given: np.ndarray) -> None:
         """The rows that are known before a step; cells that a run refuses, and those whose problem has another form."""
@@ -213,50 +204,72 @@ class StepBatch:
         arrays = {
             "times": grid.times if grid.steps is not None else None, "lengths": grid.steps, "values": given, "inputs": inputs,
             "jumps": np.array(jumps, ctypes.c_long), "columns": work.columns.astype(ctypes.c_long),
-            "whole": np.zeros(self._layout.width), "kept": work.kept, "index": work.index, "status": work.status,
-            "taken": work.taken, "worst": work.worst, "changes": work.changes, "newton": work.newton, "failed_at": work.failed_at,
+            "whole": np.zeros(self._layout.width), **work.arrays,
         }  # fmt: skip
         held = {name: None if a is None else np.ascontiguousarray(a) for name, a in arrays.items()}
+        pointers = {name: None if a is None else a.ctypes.data for name, a in held.items()}
         control = _CellsStruct(
-            cells=len(given), steps=grid.N, every=every, rows=work.rows, width=work.columns.size, last=grid.step(grid.N - 1),
-            jumping=len(jumps), step=-1, first=known, **{name: None if a is None else a.ctypes.data for name, a in held.items()},
+            cells=len(given), steps=grid.N, every=every, rows=work.kept.shape[1], width=work.columns.size,
+            last=grid.step(grid.N - 1), jumping=len(jumps), step=-1, first=known, **pointers,
         )  # fmt: skip
         control.held = held
         return control
 
 
-class _BatchArrays:
-    """What the cells of one call write."""
+def checked_values(
+    values: np.ndarray, names: Sequence[str], keep: Sequence[str], columns: Mapping[str, tuple[int, ...]]
+) -> np.ndarray:
+    """The values (cells, np) as C reads them; UsageError for another number of parameters, or a name that is no column."""
+    given = np.ascontiguousarray(values, float)
+    if given.ndim != 2 or given.shape[1] != len(names):
+        raise UsageError(f"values: shape {given.shape}; expected (cells, {len(names)}), a column for each parameter")
+    if unknown := next((name for name in keep if name not in columns), None):
+        raise UsageError(f"keep: '{unknown}' is not a column; there are {', '.join(columns)}{did_you_mean(unknown, columns)}")
+    return given
 
-    def __init__(self, picked: dict[str, int | list[int]], cells: int, numbers: np.ndarray, m: int, index: bool) -> None:
-        self._at, columns = {}, []
-        for name, places in picked.items():
-            own = [places] if isinstance(places, int) else places
-            self._at[name] = len(columns) if isinstance(places, int) else slice(len(columns), len(columns) + len(own))
-            columns += own
-        self.columns, self.rows = np.array(columns, int), numbers.size
-        self.kept = np.full((cells, self.rows, len(columns)), np.nan)
-        self.index = np.full((cells, self.rows, m), UNKNOWN_INDEX, np.int8) if index else None
+
+class CellArrays:
+    """What the cells of one call write: ``arrays`` by their names in C, of these ``kept``, ``index`` and ``status``.
+
+    ``m``: codes of an index set, None where it is not kept; ``totals``: names of what is counted of each cell.
+    """
+
+    def __init__(self, cells: int, rows: int, width: int, m: int | None, totals: str) -> None:
+        self.kept = np.full((cells, rows, width), np.nan)
+        self.index: Any = None if m is None else np.full((cells, rows, m), UNKNOWN_INDEX, np.int8)
         self.status = np.full(cells, TO_DO, np.int8)
-        self.taken, self.worst, self.changes, self.newton = (np.zeros(cells) for _ in range(4))
-        self.failed_at = np.full(cells, np.nan)
+        self.totals = {name: np.zeros(cells) for name in totals.split()}
+        own = {"kept": self.kept, "index": self.index, "status": self.status, "failed_at": np.full(cells, np.nan)}
+        self.arrays: dict[str, Any] = own | self.totals
 
     def discard_from(self, cell: int) -> None:
         """Forget the rows of a cell that was left in the middle."""
         self.kept[cell:] = np.nan
         if self.index is not None:
             self.index[cell:] = UNKNOWN_INDEX
-        for total in (self.taken, self.worst, self.changes, self.newton):
+        for total in self.totals.values():
             total[cell:] = 0
+
+
+class _BatchArrays(CellArrays):
+    """Those of steps."""
+
+    def __init__(self, picked: dict[str, int | list[int]], cells: int, rows: int, m: int | None) -> None:
+        self._at, columns = {}, []
+        for name, places in picked.items():
+            own = [places] if isinstance(places, int) else places
+            self._at[name] = len(columns) if isinstance(places, int) else slice(len(columns), len(columns) + len(own))
+            columns += own
+        self.columns = np.array(columns, int)
+        super().__init__(cells, rows, len(columns), m, "taken worst changes newton")
 
     def cells(self) -> BatchCells:
         """What they found."""
         arrays: dict[str, np.ndarray] = {name: self.kept[:, :, at] for name, at in self._at.items()}
         if self.index is not None:
             arrays["index_set"] = self.index
-        whole = (part.astype(int) for part in (self.taken, self.changes, self.newton))
-        steps, changes, newton = whole
-        return BatchCells(arrays, self.status, steps, self.worst, changes, newton, self.failed_at)
+        steps, changes, newton = (self.totals[name].astype(int) for name in ("taken", "changes", "newton"))
+        return BatchCells(arrays, self.status, steps, self.totals["worst"], changes, newton, self.arrays["failed_at"])
 
 
 def _slice_indices(at: slice) -> list[int]:

@@ -13,8 +13,6 @@ from nsmodel.codegen.step_spec import InputRoles
 from nsmodel.modeling.blocks import ModelBlock
 from nsmodel.modeling.signals.pwm import PWM_KINDS
 
-TICK_ARGUMENTS = "const model_solver *s", "const double *u", "double *restrict w"
-
 
 def blocks_code(model: Any, places: InputRoles) -> str:
     """All that is the model's own."""
@@ -89,7 +87,7 @@ def _due_ticks_function(blocks: Sequence[ModelBlock], name: str, about: str, *, 
         if block.latch is latches:
             call = f"tick_{i}(s, u, w + {block.at[0]});"
             lines += [call] if block.period is None else [f"if (is_multiple(s->t, {_period_arguments(block)}))", f"    {call}"]
-    return f"/* {about[0].upper()}{about[1:]}. */\n" + c_function_text(name, list(TICK_ARGUMENTS), ["s", "u", "w"], lines)
+    return c_function_text(name, ["u"], ["w"], lines, f"{about[0].upper()}{about[1:]}.")
 
 
 def _period_arguments(block: ModelBlock) -> str:

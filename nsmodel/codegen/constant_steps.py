@@ -19,7 +19,7 @@ from nsmodel.solvers.constant_matrices import FixedStepProblem, fix_step_size, r
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import NumericLaw, largest_bound
 from nsmodel.solvers.rounding_errors import equilibrate_matrix, rounding_error_bound
-from nsmodel.solvers.sparse import FactoredJacobian, step_jacobian
+from nsmodel.solvers.sparse import FactoredJacobian
 from nsmodel.solvers.structure import StepStructure
 
 MAX_TRIED_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
@@ -89,7 +89,8 @@ def fixed_code(
     n, m = M.E_z.shape[0], problem.l.numel()
     given = {"E_0": ca.SX.sym("E_0", n)}, ({"Y_0": ca.SX.sym("Y_0", m)} if m else {})
     step = _SymbolicStep(problem, *(_symbolic_step(problem, M) if several else _numeric_step(problem, M, lengths[0])), *given)
-    tables = _array_tables(law, lengths) if several else _number_tables(structure, law, M)
+    numbers = "" if several else (_law_tables(M, law) + _follow_tables(structure, M.E_z) if m else "") + _unit_tables(M)
+    tables = _array_tables(law, lengths) if several else numbers
     shared = exact_tables(structure) + _choice_tables(law) if m else ""
     functions = _functions_of_unknowns(step) + (_functions_of_law(step, structure.projection) if m else [])
     return "\n".join([tables + shared, *([_matrices_function(problem)] if several else []), *functions])
@@ -140,11 +141,6 @@ def _with_symbol_entries(symbol: ca.SX, entries: ca.SX) -> ca.SX:
 def _matrices_function(problem: OneStepProblem) -> str:
     read = {name: J for name, J in zip(_ARRAY_NAMES, problem.jacobians, strict=False) if J.numel()}
     return c_function("matrices", {"AT.h": problem.h}, read, "the Jacobians of E and Y")
-
-
-def _number_tables(structure: StepStructure, law: NumericLaw, M: StepMatrices) -> str:
-    """The numbers of one length."""
-    return (_law_tables(M, law) + _follow_tables(structure, M.E_z) if law.size else "") + _unit_tables(M)
 
 
 def _array_tables(law: NumericLaw, lengths: tuple[float, ...]) -> str:
@@ -256,33 +252,18 @@ def index_set_count(law: NumericLaw, most: int = MAX_TRIED_INDEX_SETS) -> int:
     return int(count) if count <= most and not law.curved else 0
 
 
-class BandedMatrices(NamedTuple):
-    """J = [E_z E_l; Y_z Y_l] at one h, in the order and scales of its band."""
-
-    at: FactoredJacobian
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """The constants of the header."""
-        order = self.at.order
-        upper = order.above + order.below  # of U, with what row interchanges fill in
-        return {
-            "SIZE": self.at.diagonal.size, "NONZEROS": self.at.J.nnz, "BELOW": order.below, "UPPER": upper,
-            "BAND": order.below + upper + 1,
-        }  # fmt: skip
+def band_sizes(at: FactoredJacobian) -> dict[str, int]:
+    """The constants of the header."""
+    order = at.order
+    upper = order.above + order.below  # of U, with what row interchanges fill in
+    return {
+        "SIZE": at.diagonal.size, "NONZEROS": at.J.nnz, "BELOW": order.below, "UPPER": upper, "BAND": order.below + upper + 1,
+    }  # fmt: skip
 
 
-def banded_matrices(problem: OneStepProblem, h: float, n: int) -> BandedMatrices | None:
-    """Return the matrices at h; None where E_z is singular."""
-    try:
-        return BandedMatrices(FactoredJacobian(step_jacobian(problem, h), n))
-    except np.linalg.LinAlgError:
-        return None
-
-
-def banded_code(problem: OneStepProblem, structure: StepStructure, h: float, M: BandedMatrices) -> str:
+def banded_code(problem: OneStepProblem, structure: StepStructure, h: float, at: FactoredJacobian) -> str:
     """The C functions and tables."""
-    at, n, m = M.at, structure.n, structure.m
+    n, m = structure.n, structure.m
     zero_z, zero_l = ca.SX.zeros(n), ca.SX.zeros(m)
     both = ca.vertcat(problem.E, problem.Y)
     constant, guess = ca.substitute([both, problem.guess], [problem.h, problem.z, problem.l], [ca.SX(h), zero_z, zero_l])

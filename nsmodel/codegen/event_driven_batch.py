@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import did_you_mean
-from nsmodel.codegen.batch import TO_DO, BatchCells
+from nsmodel.codegen.batch import BatchCells, CellArrays, checked_values
 from nsmodel.codegen.event_driven_runs import PieceLibrary, RunRequest, piece_library_mark
 from nsmodel.codegen.event_driven_spec import cached_symbolic_problem
 from nsmodel.codegen.rollout import CALL_SECONDS
@@ -30,20 +30,13 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
-from nsmodel.solvers.step import UNKNOWN_INDEX
 
 MAX_PIECES = 1_000_000  # Pieces of a cell, and of a call in C.
 MAX_TANGENT_ROWS = 32  # States and rows of runs that are differentiated: the matrices of a step are dense.
 BY = " by "  # "x by k" is the column of dx/dk.
 
 _PieceCellsStruct = PIECE_BATCH_CELLS.ctypes_structure()
-_UNDEFINED_AT_START = (
-    "multipliers",
-    "y",
-    "residual",
-    "error_estimate",
-    "reactions",
-)  # NaN there: of the step that ends at a row.
+_UNDEFINED_AT_START = {"multipliers", "y", "residual", "error_estimate", "reactions"}  # NaN: of the step that ends at a row.
 
 
 @dataclass(frozen=True)
@@ -186,13 +179,7 @@ class PieceBatch:
         Raises:
             UsageError: a name that is not a column; another number of parameters.
         """
-        given = np.ascontiguousarray(values, float)
-        if given.ndim != 2 or given.shape[1] != len(self.names):
-            raise UsageError(f"values: shape {given.shape}; expected (cells, {len(self.names)}), a column for each parameter")
-        unknown = [name for name in keep if name not in self.columns()]
-        if unknown:
-            near = did_you_mean(unknown[0], self.columns())
-            raise UsageError(f"keep: '{unknown[0]}' is not a column; there are {', '.join(self.columns())}{near}")
+        given = checked_values(values, self.names, keep, self.columns())
         work = _PieceBatchArrays(len(given), len(self._times), self._width, self._p.l.numel())
         if self._by:
             work.slopes = np.full((*work.kept.shape[:2], self._p.x.numel() + self._p.l.numel(), len(self._by)), np.nan)
@@ -207,8 +194,9 @@ class PieceBatch:
             if stop():
                 work.discard_from(control.cell)
                 break
-        at_start = self._times == 0
-        work.kept[:, at_start] = self._blank_step_columns(work.kept[:, at_start])
+        if self._times[0] == 0:
+            for name in _UNDEFINED_AT_START & self._columns.keys():
+                work.kept[:, 0, self._columns[name]] = np.nan
         return work.cells({name: self._kept_array(name, work, given) for name in keep})
 
     def _are_admitted(self, given: np.ndarray) -> np.ndarray:
@@ -223,13 +211,6 @@ class PieceBatch:
         n = round(self._mass.numel_out(0) ** 0.5)
         M = np.array(self._mass(given.T)).T.reshape(-1, n, n)
         return np.atleast_1d(np.linalg.matrix_rank(np.where(np.isfinite(M), M, 0)) < n)
-
-    def _blank_step_columns(self, rows: np.ndarray) -> np.ndarray:
-        """Rows at t = 0, before which there is no step."""
-        for name in _UNDEFINED_AT_START:
-            if name in self._columns:
-                rows[..., self._columns[name]] = np.nan
-        return rows
 
     def _kept_array(self, name: str, work: _PieceBatchArrays, given: np.ndarray) -> np.ndarray:
         if name == "index_set":
@@ -290,24 +271,19 @@ class PieceBatch:
         return OutputColumns(self._outputs.names._replace(parameters=parameters), self._outputs.quantities)(flat)
 
 
-class _PieceBatchArrays:
-    """What the cells of one call write."""
+class _PieceBatchArrays(CellArrays):
+    """Those of event-driven runs."""
 
     def __init__(self, cells: int, rows: int, width: int, m: int) -> None:
-        self.kept, self.index = np.full((cells, rows, width), np.nan), np.full((cells, rows, m), UNKNOWN_INDEX, np.int8)
-        self.status = np.full(cells, TO_DO, np.int8)
-        self.taken, self.pieces, self.events, self.estimate, self.worst = (np.zeros(cells) for _ in range(5))
-        self.failed_at, self._m = np.full(cells, np.nan), m
+        super().__init__(cells, rows, width, m, "taken pieces events estimate worst")
         self.slopes: np.ndarray = np.zeros((cells, rows, 0, 0))  # Of cells that are differentiated.
         self.tangents = np.zeros(0)
 
     def control(self, given: np.ndarray, starts: np.ndarray, times: np.ndarray, t_end: float, *, more: bool) -> Any:
         """The record that the library reads and writes; it holds on to the arrays that it points to."""
         arrays = {
-            "times": times, "values": given, "starts": starts, "kept": self.kept, "index": self.index, "status": self.status,
-            "taken": self.taken, "pieces": self.pieces, "events": self.events, "estimate": self.estimate, "worst": self.worst,
-            "failed_at": self.failed_at, "until": np.zeros(self._m), "told": np.zeros(self._m),
-            "slopes": self.slopes, "tangents": self.tangents,
+            "times": times, "values": given, "starts": starts, "until": np.zeros(self.index.shape[2]),
+            "told": np.zeros(self.index.shape[2]), "slopes": self.slopes, "tangents": self.tangents, **self.arrays,
         }  # fmt: skip
         control = _PieceCellsStruct(
             cells=len(given), rows=len(times), more=more, most=MAX_PIECES, t_end=t_end,
@@ -318,15 +294,15 @@ class _PieceBatchArrays:
 
     def discard_from(self, cell: int) -> None:
         """Forget the rows of a cell that was left in the middle."""
-        self.kept[cell:], self.slopes[cell:], self.index[cell:] = np.nan, np.nan, UNKNOWN_INDEX
-        for total in (self.taken, self.pieces, self.events, self.estimate, self.worst):
-            total[cell:] = 0
+        super().discard_from(cell)
+        self.slopes[cell:] = np.nan
 
     def cells(self, arrays: Mapping[str, np.ndarray]) -> PieceBatchCells:
         """What they found."""
-        steps, pieces, events = (part.astype(int) for part in (self.taken, self.pieces, self.events))
+        steps, pieces, events = (self.totals[name].astype(int) for name in ("taken", "pieces", "events"))
+        none, failed_at = np.zeros(len(steps), int), self.arrays["failed_at"]
         return PieceBatchCells(
-            arrays, self.status, steps, self.worst, events, np.zeros(len(steps), int), self.failed_at, pieces, self.estimate
+            arrays, self.status, steps, self.totals["worst"], events, none, failed_at, pieces, self.totals["estimate"]
         )
 
 

@@ -24,7 +24,7 @@ from nsmodel.codegen.library import (
     cached_library,
     compiler,
     library_key,
-    no_compiler_error,
+    required_compiler,
 )
 from nsmodel.codegen.structs import BAD_ARITHMETIC, RUN_REQUEST, STATUSES
 from nsmodel.errors import CodegenError
@@ -111,9 +111,7 @@ class PieceLibrary(NamedTuple):
 
         ``by``: the entries of p that it differentiates runs by.
         """
-        name = compiler()
-        if name is None:
-            raise no_compiler_error()
+        name = required_compiler()
         key = piece_library_key(mark, name)
         loaded = _loaded_piece_libraries(problem)
         if key not in loaded:

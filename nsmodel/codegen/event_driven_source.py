@@ -32,7 +32,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object
-from nsmodel.codegen import fragments, laws, structs
+from nsmodel.codegen import laws, structs
 from nsmodel.codegen.event_driven_spec import (
     PieceSpec,
     collocation_code,
@@ -45,6 +45,7 @@ from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.fragments import (
     BOX_CONSTANTS,
     C_FOLDER,
+    PIECE_CONSTANTS,
     comment_text,
     compiler_guard,
     define_lines,
@@ -187,11 +188,6 @@ def _flat_by_rows(A: SlopeMatrix) -> Any:
     return A.ravel() if isinstance(A, np.ndarray) else ca.vec(A.T)
 
 
-def struct_members(settable: Mapping[str, ca.SX]) -> str:
-    """The tables that follow from the parameters, as members."""
-    return "".join(f"    double set_{name}[{values.numel()}];\n" for name, values in settable.items())
-
-
 def set_tables_code(settable: Mapping[str, ca.SX], p: ca.SX) -> str:
     """``set_tables(s)``, which computes them, and the names by which they are read; "" where there are none."""
     if not settable:
@@ -253,11 +249,6 @@ def box_problem_code(spec: PieceSpec) -> str:
     return _renamed(text, {name: f"BOX_{name}" for name in shared})
 
 
-def box_members(spec: PieceSpec) -> str:
-    """The members of a `model_box`."""
-    return _renamed(read_fragment("members_affine.h", _box_flags(spec), {}), {})
-
-
 def _box_flags(spec: PieceSpec) -> frozenset[str]:
     return BOX_FLAGS | ({"ENUMERATION", "INDEX_SETS"} if spec.sizes["M"] <= FEW else set())
 
@@ -271,12 +262,14 @@ def _piece_replacements(spec: PieceSpec, name: str, title: str, shared: str | No
     replacements = {key: str(value) for key, value in spec.sizes.items()}
     replacements |= {
         "NAME": name, "TITLE": comment_text(title) or name, "GUARD": compiler_guard(), "KNOWN_TIMES": str(len(spec.known)),
-        "CONSTANTS": fragments.piece_defines(),
+        "CONSTANTS": define_lines(PIECE_CONSTANTS),
         "STATUSES": prefix_names(structs.status_enum(), name) if shared is None else f'#include "{shared}"',
     }  # fmt: skip
     replacements |= {"ASKED": prefix_names(RUN_REQUEST.c(), name), "PIECE_CELLS": prefix_names(PIECE_BATCH_CELLS.c(), name)}
-    replacements["BOX_MEMBERS"] = prefix_names(box_members(spec), name) if "GUESSED" in spec.flags else ""
-    replacements["SET"] = struct_members(law_tables(spec).settable)
+    box = _renamed(read_fragment("members_affine.h", _box_flags(spec), {}), {}) if "GUESSED" in spec.flags else ""
+    replacements["BOX_MEMBERS"] = prefix_names(box, name)
+    settable = law_tables(spec).settable  # What follows from the parameters, as members.
+    replacements["SET"] = "".join(f"    double set_{name}[{values.numel()}];\n" for name, values in settable.items())
     replacements["STRUCT"] = read_fragment("pieces_struct.h", spec.flags, replacements)
     return replacements
 

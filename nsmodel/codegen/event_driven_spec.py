@@ -55,11 +55,6 @@ def kept_matrix_count(size: int, least: int, most: int) -> int:
     return max(least, min(MATRICES_BYTES // size, most))
 
 
-def collocation_sizes(unknown: int) -> dict[str, int]:
-    """The constants of the header, for so many rows of x and l."""
-    return {"STAGES": MAX_STAGES, "OCTAVES": kept_matrix_count(16 * MAX_STAGES * max(unknown, 1) ** 2, 1, 16)}
-
-
 def collocation_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
     """The tables and functions; ``given``: t, x, l and parameters by their names."""
     of = _on_sides(spec)
@@ -385,7 +380,8 @@ class PieceSpec:
             "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
             "H": columns.count if outputs else n + m, "LEMKE": m + self._slack_rows,
             "TANGENTS": len(self.by),
-        } | collocation_sizes(n + m)  # fmt: skip
+            "STAGES": MAX_STAGES, "OCTAVES": kept_matrix_count(16 * MAX_STAGES * max(n + m, 1) ** 2, 1, 16),
+        }  # fmt: skip
 
 
 _SUM_KINDS = frozenset("sum difference minus scaled over shifted".split())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Set
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -44,27 +44,28 @@ LIBRARY_FILES = Part[LibraryFiles]("step_library.library_files")  # Of a class w
 
 def step_library_files(spec: StepSpec, source: LibrarySource, grid: TimeGrid, fingerprint: str) -> dict[str, str]:
     """Return every file of the library by name."""
-    name = source.name
+    name, left_out = source.name, {"LEFT_OUT"} if describe_left_out(source.flags) else set()
     return {
         f"{name}.h": source.header,
         f"{name}.c": source.code,
         "example_main.c": _example_main(spec, source, grid),
         "Makefile": read_fragment("Makefile", frozenset(), {"NAME": name}),
         f"{name}.json": json.dumps(library_description(spec, source, fingerprint), indent=2) + "\n",
-        "README.md": _readme(spec, source),
+        "README.md": read_fragment("README.md", source.flags | left_out, readme_replacements(spec, source)),
     }
 
 
 def library_description(spec: StepSpec, source: LibrarySource, fingerprint: str) -> dict:
     """What the library is, for programs."""
     model, problem, own = spec.model, spec.problem, spec.places.names(spec.model)
+    sizes = "NX NSTATE NP NL N M".split() + ["NU"] * ("INPUTS" in source.flags) + ["NZ", "NW"] * ("BLOCKS" in source.flags)
     return {
         "name": source.name,
         "title": model.title,
         "model_class": type(model).__name__,
         "scheme": problem.scheme,
         "paper": model.paper,
-        "sizes": {key: source.sizes[key] for key in "NX NSTATE NP NL N M".split() + _input_size_names(source.flags)},
+        "sizes": {key: source.sizes[key] for key in sizes},
         "states": list(model.names),
         "parameters": spec.parameters,
         "inputs": own["u"],
@@ -84,11 +85,6 @@ def library_description(spec: StepSpec, source: LibrarySource, fingerprint: str)
         "model_hash": fingerprint,
         "versions": versions(),
     }
-
-
-def _input_size_names(flags: Set[str]) -> list[str]:
-    """The sizes that a model with inputs has."""
-    return ["NU"] * ("INPUTS" in flags) + ["NZ", "NW"] * ("BLOCKS" in flags)
 
 
 def _example_main(spec: StepSpec, source: LibrarySource, grid: TimeGrid) -> str:
@@ -180,11 +176,6 @@ def _c_string(text: str) -> str:
     """Text between the quotes of a C string; no two ? beside each other, which may begin a trigraph."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("??", "?\\?").replace("??", "?\\?")
     return INVISIBLE_CHARACTERS.sub(lambda match: "".join(f"\\{byte:03o}" for byte in match[0].encode()), escaped)
-
-
-def _readme(spec: StepSpec, source: LibrarySource) -> str:
-    flags = source.flags | ({"LEFT_OUT"} if describe_left_out(source.flags) else set())
-    return read_fragment("README.md", flags, readme_replacements(spec, source))
 
 
 def readme_replacements(spec: StepSpec, source: LibrarySource) -> dict[str, str]:

@@ -7,7 +7,8 @@ Numbers as C tables.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -81,23 +82,19 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
     }
     entries = [(target, entry) for target, entry in entries if entry.nnz() or target.partition("[")[0] not in sparse]
     cleared = [f"memset({key}, 0, {size}*sizeof *{key});" for key, size in sparse.items()]
-    given = ["s", *(key for key in inputs if not key.startswith(SOLVER_PREFIXES))]
-    arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
-    arguments += [f"double *restrict {key}" for key in outputs]
     whole = _column_function(inputs, entries)
-    head = f"/* {comment} */\n" if comment else ""
     if whole.n_instructions() <= MAX_OPERATIONS:
         body = _assignment_lines(whole, list(inputs), [target for target, _ in entries])
-        return head + c_function_text(name, arguments, [*given, *outputs], [*cleared, *body])
+        return c_function_text(name, inputs, outputs, [*cleared, *body], comment)
     parts = -(-whole.n_instructions() // MAX_OPERATIONS)
     size = -(-len(entries) // parts)
     text, calls = "", []
     for k in range(0, len(entries), size):
         part = entries[k : k + size]
         body = _assignment_lines(_column_function(inputs, part), list(inputs), [target for target, _ in part])
-        text += c_function_text(f"{name}_{k // size}", arguments, [*given, *outputs], body) + "\n"
-        calls.append(f"{name}_{k // size}({', '.join([*given, *outputs])});")
-    return text + head + c_function_text(name, arguments, [*given, *outputs], [*cleared, *calls])
+        text += c_function_text(f"{name}_{k // size}", inputs, outputs, body) + "\n"
+        calls.append(f"{name}_{k // size}({', '.join([*_arguments_of(inputs), *outputs])});")
+    return text + c_function_text(name, inputs, outputs, [*cleared, *calls], comment)
 
 
 def _column_function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX]]) -> ca.Function:
@@ -105,36 +102,53 @@ def _column_function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX
     return ca.Function("f", list(inputs.values()), [column], {"cse": True})
 
 
-def c_function_text(name: str, arguments: list[str], names: list[str], body: list[str]) -> str:
+def _arguments_of(inputs: Iterable[str]) -> list[str]:
+    """The arguments of a C function for these inputs: the solver, and what is not read from it."""
+    return ["s", *(key for key in inputs if not key.startswith(SOLVER_PREFIXES))]
+
+
+def c_function_text(name: str, inputs: Iterable[str], outputs: Iterable[str], body: list[str], comment: str = "") -> str:
     """A function with this body; names that it does not use are marked."""
-    text = "\n".join(f"    {line}" for line in body)
-    used = {"s" if word == "AT" else word for word in _c_tokens(text)}
-    unused = "".join(f"    (void){key};\n" for key in names if key not in used)
-    return f"static void {name}({', '.join(arguments)})\n{{\n{unused}{text}\n}}\n"
-
-
-def _c_tokens(text: str) -> list[str]:
-    return "".join(c if c.isalnum() or c == "_" else " " for c in text).split()
+    given, text = _arguments_of(inputs), "\n".join(f"    {line}" for line in body)
+    arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
+    arguments += [f"double *restrict {key}" for key in outputs]
+    used = {"s" if word == "AT" else word for word in re.findall(r"\w+", text)}
+    unused = "".join(f"    (void){key};\n" for key in [*given, *outputs] if key not in used)
+    head = f"/* {comment} */\n" if comment else ""
+    return f"{head}static void {name}({', '.join(arguments)})\n{{\n{unused}{text}\n}}\n"
 
 
 def _assignment_lines(function: ca.Function, inputs: list[str], targets: list[str]) -> list[str]:
     """The assignments of a function's graph in single-assignment form."""
-    nodes, stores, uses = expression_graph(function)
     lines: list[str] = []
+    stores = add_graph_lines(function, lambda which, entry: _input_text(inputs[which], entry), lines)
+    return lines + _store_lines([(targets[entry], piece.text, is_number) for entry, piece, is_number in stores])
+
+
+def _input_text(key: str, index: int | str) -> str:
+    return key if key in SCALAR_NAMES else f"{key}[{index}]"
+
+
+def add_graph_lines(
+    function: ca.Function, read: Callable[[int, int], str], lines: list[str]
+) -> list[tuple[int, CExpression, bool]]:  # fmt: skip
+    """Add to ``lines`` the constants that a function's graph names; its entries, what each is, and whether that is a number.
+
+    ``read``: the C of an input, by its number and the entry.
+    """
+    nodes, stores, uses = expression_graph(function)
     pieces: dict[int, CExpression] = {}
     for i, (op, args, extra) in enumerate(nodes):
         if not uses[i]:
             continue
         if op == ca.OP_INPUT:
-            key = inputs[extra[0]]
-            pieces[i] = CExpression(key if key in SCALAR_NAMES else f"{key}[{extra[1]}]")
-            continue
-        if op == ca.OP_CONST:
+            pieces[i] = CExpression(read(*extra))
+        elif op == ca.OP_CONST:
             pieces[i] = c_number(extra)
-            continue
-        pieces[i], line = assign_if_shared(apply_operation(op, [pieces[j] for j in args]), uses[i], f"a{len(lines) + 1}")
-        lines += line
-    return lines + _store_lines([(targets[entry], pieces[i].text, nodes[i][0] == ca.OP_CONST) for (_, entry), i in stores])
+        else:
+            pieces[i], line = assign_if_shared(apply_operation(op, [pieces[j] for j in args]), uses[i], f"a{len(lines) + 1}")
+            lines += line
+    return [(entry, pieces[i], nodes[i][0] == ca.OP_CONST) for (_, entry), i in stores]
 
 
 def assign_if_shared(piece: CExpression, uses: int, name: str) -> tuple[CExpression, list[str]]:
@@ -297,11 +311,7 @@ def looped_c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[s
     tables, body = LoopTables(name), []
     for form in found:
         body += _form_loop(form, list(inputs), tables)
-    given = ["s", *(key for key in inputs if not key.startswith(SOLVER_PREFIXES))]
-    arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
-    arguments += [f"double *restrict {key}" for key in outputs]
-    head = f"/* {comment} */\n" if comment else ""
-    return tables.text() + head + c_function_text(name, arguments, [*given, *outputs], body)
+    return tables.text() + c_function_text(name, inputs, outputs, body, comment)
 
 
 def _form_loop(form: LoopForm, inputs: list[str], tables: LoopTables) -> list[str]:
@@ -318,8 +328,7 @@ def _form_loop(form: LoopForm, inputs: list[str], tables: LoopTables) -> list[st
             own = c_number(values[0])
             piece = own if all(value == values[0] for value in values) else CExpression(tables.entry(values, "is"))
         elif op == ca.OP_INPUT:
-            key, entries = inputs[args[0]], next(leaf)
-            piece = CExpression(key if key in SCALAR_NAMES else f"{key}[{tables.index(entries)}]")
+            piece = CExpression(_input_text(inputs[args[0]], tables.index(next(leaf))))
         else:
             piece, line = assign_if_shared(apply_operation(op, [pieces[j] for j in args]), uses[k], f"a{len(lines) + 1}")
             lines += line

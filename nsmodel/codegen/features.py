@@ -44,51 +44,40 @@ def flags_of(spec: StepSpec) -> frozenset[str]:
 def _property_flags(spec: StepSpec) -> dict[str, bool]:
     """The flags that say what the scene is."""
     structure, law, problem, stepped = spec.structure, spec.law, spec.problem, _uses_newton(spec)
-    return (
-        {
-            "LAW": structure.m > 0,
-            "FIXED": spec.path == FIXED,
-            "LENGTHS": _has_lengths(spec),
-            "BANDED": spec.path == BANDED,
-            "NEWTON": stepped,
-            "INCLUSION": spec.path == INCLUSION,
-            "AFFINE": structure.affine,
-            "CONSTANT": structure.constant and stepped,
-            "IDENTITY": structure.identity,
-            "TERMS": stepped and varying_steps.is_rounding_bounded_by_terms(spec),
-            "EXPLICIT": stepped and bool(problem.explicit) and not structure.affine,
-            "ROWS": spec.uses_working_set,
-            "ENUMERATION": structure.m <= MAX_ENUMERATED_ROWS or _enumerates_index_sets(spec),
-            "FEEDTHROUGH": spec.jacobians[3].nnz() > 0,
-            "TRANSPOSED": stepped and varying_steps.is_jacobian_transposed(spec),
-            "PROJECTION": structure.projection,
-            "UNIT_ROWS": bool(structure.unit_rows),
-            "OVERREACH": problem.overreach is not None,
-            "FOLLOW_ROWS": bool(structure.follow_rows),
-            "REST_ROWS": bool(structure.rest_rows),
-            "EXACT_ROWS": bool(structure.unit_rows or structure.rest_rows),
-            "PARAMETERS": bool(spec.parameters),
-            "LAW_OF_PARAMETERS": spec.law_of_parameters,
-            "RANGES": problem.ranges.numel() > 0,
-            "CHECKED_PARAMETERS": spec.law_of_parameters or problem.ranges.numel() > 0,
-            "CURVED_OF_PARAMETERS": spec.law_of_parameters and laws.curved_block_numbers(problem.law).numel() > 0,
-            "REWRITTEN": problem.multipliers is not None,
-            "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
-            "VELOCITY": bool(problem.velocity),
-            "DIFFERENCE": bool(problem.velocity) and problem.difference,
-            "FORCE": problem.start is not None,
-            "FIXED_MAPS": spec.path == FIXED and structure.m > 0 and not law.curved,
-            "ONE_STEP": (spec.path in (FIXED, BANDED) and not _has_lengths(spec))
-            or varying_steps.is_step_fixed_by_tolerance(spec),
-        }
-        | _input_flags(spec)
-        | varying_steps.inclusion_flags(spec)
-    )
-
-
-def _input_flags(spec: StepSpec) -> dict[str, bool]:
-    """The flags that say what drives the scene."""
     return {
+        "LAW": structure.m > 0,
+        "FIXED": spec.path == FIXED,
+        "LENGTHS": _has_lengths(spec),
+        "BANDED": spec.path == BANDED,
+        "NEWTON": stepped,
+        "INCLUSION": spec.path == INCLUSION,
+        "AFFINE": structure.affine,
+        "CONSTANT": structure.constant and stepped,
+        "IDENTITY": structure.identity,
+        "TERMS": stepped and varying_steps.is_rounding_bounded_by_terms(spec),
+        "EXPLICIT": stepped and bool(problem.explicit) and not structure.affine,
+        "ROWS": spec.uses_working_set,
+        "ENUMERATION": structure.m <= MAX_ENUMERATED_ROWS or _enumerates_index_sets(spec),
+        "FEEDTHROUGH": spec.jacobians[3].nnz() > 0,
+        "TRANSPOSED": stepped and varying_steps.is_jacobian_transposed(spec),
+        "PROJECTION": structure.projection,
+        "UNIT_ROWS": bool(structure.unit_rows),
+        "OVERREACH": problem.overreach is not None,
+        "FOLLOW_ROWS": bool(structure.follow_rows),
+        "REST_ROWS": bool(structure.rest_rows),
+        "EXACT_ROWS": bool(structure.unit_rows or structure.rest_rows),
+        "PARAMETERS": bool(spec.parameters),
+        "LAW_OF_PARAMETERS": spec.law_of_parameters,
+        "RANGES": problem.ranges.numel() > 0,
+        "CHECKED_PARAMETERS": spec.law_of_parameters or problem.ranges.numel() > 0,
+        "CURVED_OF_PARAMETERS": spec.law_of_parameters and laws.curved_block_numbers(problem.law).numel() > 0,
+        "REWRITTEN": problem.multipliers is not None,
+        "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
+        "VELOCITY": bool(problem.velocity),
+        "DIFFERENCE": bool(problem.velocity) and problem.difference,
+        "FORCE": problem.start is not None,
+        "FIXED_MAPS": spec.path == FIXED and structure.m > 0 and not law.curved,
+        "ONE_STEP": (spec.path in (FIXED, BANDED) and not _has_lengths(spec)) or varying_steps.is_step_fixed_by_tolerance(spec),
         "INPUTS": spec.problem.inputs > 0,
         "GIVEN": bool(spec.places.given),
         "BLOCKS": spec.ticking,
@@ -98,7 +87,7 @@ def _input_flags(spec: StepSpec) -> dict[str, bool]:
         "RESTARTED": spec.finds_restart_reaction,
         "BEGUN": spec.finds_start_reaction,
         "RENEWED": spec.finds_restart_reaction or spec.finds_start_reaction,
-    }
+    } | varying_steps.inclusion_flags(spec)
 
 
 def _implied_flags(spec: StepSpec, given: dict[str, bool]) -> dict[str, bool]:
@@ -192,7 +181,7 @@ def sizes_of(spec: StepSpec, flags: frozenset[str]) -> dict[str, int]:
             "NUMBERS": max(1, laws.curved_block_numbers(own).numel()),
         }
     if spec.path == BANDED:
-        sizes |= not_none(spec.band).sizes
+        sizes |= constant_steps.band_sizes(not_none(spec.band))
     systems = {"AFFINE_PROBLEM": sizes["ROWS"], "FIXED_MAPS": m, "PIVOTING": sizes["LEMKE"], "NEARBY": n + m, "LENGTHS": n + m}
     return sizes | {"LINEAR": max((size for flag, size in systems.items() if flag in flags), default=0)}
 
@@ -207,71 +196,47 @@ def _lemke_size(law: NumericLaw, rows: int, by_rows: bool) -> int:
 
 def describe_used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
     """What a step does, a line for each part."""
-    lines = []
-    if "LENGTHS" in flags:
-        lines.append(f"matrices formed once for a length of steps; those of the {sizes['LENGTHS']} lengths used last are kept")
-    elif "FIXED" in flags:
-        lines.append("matrices written down as numbers for one time step")
-    elif "BANDED" in flags:
-        lines.append(
-            f"sparse matrices written down for one time step: a band of {sizes['BELOW']} + 1 + {sizes['UPPER'] - sizes['BELOW']} "
-            "diagonals, factored again where the index set changes"
-        )
-        if "LAW" in flags:
-            lines.append("index sets: the last one, then block principal pivoting from it")
-    elif "NEWTON" in flags and "CONSTANT" in flags:
-        lines.append("matrices factored when the step or a parameter is set, not in each step")
-    elif "NEWTON" in flags and "AFFINE" in flags:
-        lines.append("one linearisation a step: E and Y are affine in the unknowns")
-    elif "NEWTON" in flags:
-        lines.append("Newton's method with exact Jacobians")
-    if "FIXED_MAPS" in flags:
-        kept = "formed when a solver is initialised" if "WORST_CASE" in flags else "kept"
-        few = sizes["MAPS"] if "LENGTHS" in flags else min(sizes["MAPS"], sizes["SETS"])
-        lines.append(f"the last index set first; the inverses of {few} index sets are {kept}")
-    if "WORST_CASE" in flags:
-        lines.append(f"then that of {sizes['SETS']} index sets which is least violated")
-    elif "ENUMERATED" in flags:
-        lines.append(f"then all {sizes['SETS']} index sets, the nearest first")
-    elif "BOX_PROBLEM" in flags:
-        pivoting = ", then Lemke's pivoting" if "PIVOTING" in flags else ""
-        more = ", then every index set" if "ENUMERATION" in flags else ""
-        lines.append(f"a primal-dual active set method{pivoting}{more}")
-    if "CURVED" in flags or "SELECTION_CURVED" in flags:
-        lines.append("semismooth Newton for curved sets, block Gauss-Seidel behind it")
-    if "FRICTION" in flags:
-        lines.append(
-            "contacts with friction: the last modes first" + (", all modes last" if "CONTACTS_IN_PLANE" in flags else "")
-        )
-    if "NEARBY" in flags:
-        lines.append("where Newton's method does not settle, the index sets around the last one")
-    if "INCLUSION" in flags and "BOX_C" in flags:
-        lines.append("projection on bounds: a clip")
-    if "CUTS" in flags:
-        lines.append("approximate projection by an outer polyhedron")
-    return lines
+    kept = "formed when a solver is initialised" if "WORST_CASE" in flags else "kept"
+    box = "a primal-dual active set method" + ", then Lemke's pivoting" * ("PIVOTING" in flags)
+    friction = "contacts with friction: the last modes first" + ", all modes last" * ("CONTACTS_IN_PLANE" in flags)
+    lines = {
+        "matrices formed once for a length of steps; those of the {LENGTHS} lengths used last are kept": "LENGTHS" in flags,
+        "matrices written down as numbers for one time step": "FIXED" in flags and "LENGTHS" not in flags,
+        "sparse matrices written down for one time step: a band of {BELOW} + 1 + {ABOVE} diagonals, factored again where the "
+        "index set changes": "BANDED" in flags,
+        "index sets: the last one, then block principal pivoting from it": {"BANDED", "LAW"} <= flags,
+        "matrices factored when the step or a parameter is set, not in each step": {"NEWTON", "CONSTANT"} <= flags,
+        "one linearisation a step: E and Y are affine in the unknowns": {"NEWTON", "AFFINE"} <= flags and "CONSTANT" not in flags,
+        "Newton's method with exact Jacobians": "NEWTON" in flags and "AFFINE" not in flags,
+        f"the last index set first; the inverses of {{FEW}} index sets are {kept}": "FIXED_MAPS" in flags,
+        "then that of {SETS} index sets which is least violated": "WORST_CASE" in flags,
+        "then all {SETS} index sets, the nearest first": "ENUMERATED" in flags and "WORST_CASE" not in flags,
+        box + ", then every index set" * ("ENUMERATION" in flags): "BOX_PROBLEM" in flags and "ENUMERATED" not in flags,
+        "semismooth Newton for curved sets, block Gauss-Seidel behind it": bool({"CURVED", "SELECTION_CURVED"} & flags),
+        friction: "FRICTION" in flags,
+        "where Newton's method does not settle, the index sets around the last one": "NEARBY" in flags,
+        "projection on bounds: a clip": {"INCLUSION", "BOX_C"} <= flags,
+        "approximate projection by an outer polyhedron": "CUTS" in flags,
+    }
+    few = sizes["MAPS"] if "LENGTHS" in flags else min(sizes["MAPS"], sizes["SETS"])
+    numbers = sizes | {"FEW": few, "ABOVE": sizes.get("UPPER", 0) - sizes.get("BELOW", 0)}
+    return [line.format_map(numbers) for line, holds in lines.items() if holds]
 
 
 def describe_left_out(flags: Set[str]) -> list[str]:
     """What the scene does not need, and why."""
-    lines = []
-    if "LAW" not in flags:
-        lines.append("multipliers and every solver of a law: the model has none")
-    if "BANDED" in flags:
-        lines.append("Newton's method, Jacobians, dense matrices: the matrices are constant and sparse")
-    if "FIXED" in flags:
-        lines.append("Newton's method, Jacobians, linear systems in the state: the matrices are constant")
-    elif "NEWTON" in flags and "IDENTITY" in flags:
-        lines.append("linear systems in the state: E_z is the identity")
-    if "ENUMERATED" in flags or ("BOX_PROBLEM" in flags and "PIVOTING" not in flags):
-        lines.append("pivoting and quadratic programming: the index sets are few")
-    if "ROWS" in flags:
-        lines.append("rows that the prediction satisfies: they enter only if the solution violates them")
-    if "INCLUSION" in flags and "BOX_C" in flags:
-        lines.append("a solver for the projection: C is a box")
-    if "PARAMETERS" not in flags:
-        lines.append("parameters: all are numbers in the code")
-    return lines
+    few_sets = "ENUMERATED" in flags or ("BOX_PROBLEM" in flags and "PIVOTING" not in flags)
+    lines = {
+        "multipliers and every solver of a law: the model has none": "LAW" not in flags,
+        "Newton's method, Jacobians, dense matrices: the matrices are constant and sparse": "BANDED" in flags,
+        "Newton's method, Jacobians, linear systems in the state: the matrices are constant": "FIXED" in flags,
+        "linear systems in the state: E_z is the identity": {"NEWTON", "IDENTITY"} <= flags,
+        "pivoting and quadratic programming: the index sets are few": few_sets,
+        "rows that the prediction satisfies: they enter only if the solution violates them": "ROWS" in flags,
+        "a solver for the projection: C is a box": {"INCLUSION", "BOX_C"} <= flags,
+        "parameters: all are numbers in the code": "PARAMETERS" not in flags,
+    }
+    return [line for line, holds in lines.items() if holds]
 
 
 MAX_COUNT = 2**31 - 1  # The largest number that an int of 32 bits in C holds: what a step may count to.

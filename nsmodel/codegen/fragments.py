@@ -178,18 +178,8 @@ PIECE_CONSTANTS: Sequence[tuple[str, str]] = (
 )
 
 
-def step_defines() -> str:
-    """What a step uses, as lines of C; ``fragments.prune_unused`` leaves out what a scene does not."""
-    return define_lines(STEP_CONSTANTS)
-
-
-def piece_defines() -> str:
-    """What event-driven integration uses."""
-    return define_lines(PIECE_CONSTANTS)
-
-
 def define_lines(table: Sequence[tuple[str, str]]) -> str:
-    """``#define`` of the constants NAME, or NAME:NAME_IN_C, of (module, constants), as lines of C."""
+    """``#define`` of the constants NAME, or NAME:NAME_IN_C, of (module, constants), as lines of C; see `prune_unused`."""
     return "".join(define_line(module, name) for module, names in table for name in names.split())
 
 

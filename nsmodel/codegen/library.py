@@ -34,7 +34,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen.source import LibrarySource, write_source
+from nsmodel.codegen.source import write_source
 from nsmodel.codegen.step_spec import StepSpec, make_step_spec, spec_for_all_values
 from nsmodel.errors import CodegenError
 from nsmodel.files.cache_folder import LIBRARY_SUFFIX, cache_folder
@@ -263,11 +263,17 @@ def compiler() -> str | None:
 _FOUND_COMPILERS: dict[tuple[str, str | None], str] = {}  # Where CC and PATH are these.
 
 
-def no_compiler_error() -> CodegenError:
-    """The error where ``compiler`` gives None."""
+def required_compiler() -> str:
+    """What ``compiler`` finds.
+
+    Raises:
+        CodegenError: there is none.
+    """
+    if (found := compiler()) is not None:
+        return found
     named = os.environ.get("CC", "").strip()
     missing = f"CC names {named}, which is not there" if named else f"none of {', '.join(COMPILERS)}"
-    return CodegenError(
+    raise CodegenError(
         f"no C compiler was found ({missing}); install one (apt install gcc; xcode-select --install; on Windows MinGW-w64)"
     )
 
@@ -278,9 +284,7 @@ def compile_library(source: Path, target: Path, flags: tuple[str, ...] = COMPILE
     Raises:
         CodegenError: there is no compiler, or it fails.
     """
-    name = compiler()
-    if name is None:
-        raise no_compiler_error()
+    name = required_compiler()
     try:
         with tempfile.TemporaryDirectory(dir=target.parent) as folder:
             built = Path(folder) / target.name
@@ -426,50 +430,32 @@ BUILD_PREFIX = "building-"  # Folders of builds; one older than two builds can l
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # Bits of the mode of a file.
 
 
-def cached_steps(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
-    """The compiled steps of a bound model on a grid, built where they are not there, or not whole.
+def cached_steps(
+    model: Model, grid: TimeGrid, tolerance: float, compiler: str, *, for_all: bool = False, in_lanes: bool = False
+) -> Path:
+    """The compiled steps of a model on a grid, built where they are not there, or not whole.
+
+    ``for_all``: for all values of its parameters, else it is bound; ``in_lanes``: of these, with many runs in step (see
+    `simd_batch`).
 
     Raises:
-        CodegenError: the model has no C counterpart, the compiler fails, or the folder cannot be used.
+        CodegenError: the model has no C counterpart, the compiler fails, or the folder cannot be used; for all values also where
+            the code would depend on them (see `spec_for_all_values`).
     """
 
     def files() -> dict[str, str]:
-        return _spec_source_texts(make_step_spec(model, None, grid, tolerance))
+        spec = spec_for_all_values(model, grid, tolerance) if for_all else make_step_spec(model, None, grid, tolerance)
+        return step_source_texts(spec, in_lanes=in_lanes)
 
-    return cached_library(steps_key(model, grid, tolerance, compiler), files, COMPILER_FLAGS)
-
-
-def cached_steps_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
-    """The same for all values of the parameters of a model.
-
-    Raises:
-        CodegenError: besides, where the code would depend on values (see `all_values`).
-    """
-
-    def files() -> dict[str, str]:
-        return _spec_source_texts(spec_for_all_values(model, grid, tolerance))
-
-    return cached_library(steps_key_for_all(model, grid, tolerance, compiler), files, COMPILER_FLAGS)
+    key = (steps_key_for_all if for_all else steps_key)(model, grid, tolerance, compiler)
+    if in_lanes:
+        return cached_library(library_key([key, LANES_FLAGS]), files, LANES_FLAGS)
+    return cached_library(key, files, COMPILER_FLAGS)
 
 
-def cached_steps_in_lanes(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> Path:
-    """The same with many runs in step (see `lanes`).
-
-    Raises:
-        CodegenError: as above; not asked for models that lanes refuse.
-    """
-
-    def files() -> dict[str, str]:
-        return _source_texts(write_source(spec_for_all_values(model, grid, tolerance), STEP_NAME, "", in_lanes=True))
-
-    return cached_library(library_key([steps_key_for_all(model, grid, tolerance, compiler), LANES_FLAGS]), files, LANES_FLAGS)
-
-
-def _spec_source_texts(spec: StepSpec) -> dict[str, str]:
-    return _source_texts(write_source(spec, STEP_NAME, ""))
-
-
-def _source_texts(source: LibrarySource) -> dict[str, str]:
+def step_source_texts(spec: StepSpec, *, in_lanes: bool = False) -> dict[str, str]:
+    """The files that compiled steps are built from, the one to be compiled first."""
+    source = write_source(spec, STEP_NAME, "", in_lanes=in_lanes)
     return {"rollout.c": source.rollout, f"{STEP_NAME}.h": source.header, f"{STEP_NAME}.c": source.code}
 
 
@@ -494,16 +480,6 @@ def cached_library(key: str, files: Callable[[], Mapping[str, str]], flags: tupl
             return _build_library(Path(place), files(), folder, key, flags)
     except OSError as error:
         raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
-
-
-def is_cached(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> bool:
-    """Whether ``cached`` finds the compiled steps; nothing is built or changed."""
-    return has_cached_library(steps_key(model, grid, tolerance, compiler))
-
-
-def is_cached_for_all(model: Model, grid: TimeGrid, tolerance: float, compiler: str) -> bool:
-    """The same of ``cached_steps_for_all``."""
-    return has_cached_library(steps_key_for_all(model, grid, tolerance, compiler))
 
 
 def has_cached_library(key: str) -> bool:

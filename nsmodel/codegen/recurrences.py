@@ -3,8 +3,6 @@
 Order k of all rows that are stored lies together, in ``s->c[k]``: x, l and y first. What depends on t linearly has two terms,
 what is a number one, and the recurrences know that.
 
-The recurrences of `event_driven.recurrences` as C: a function that computes order k of all rows.
-
 The graphs of f, g and h as one table, which C runs on balls and on forms: `event_driven.disc_arithmetic`, `c/pieces_discs.c`.
 """
 
@@ -18,7 +16,7 @@ from typing import Any
 
 from nsmodel import event_driven
 from nsmodel.codegen.expressions import c_number
-from nsmodel.event_driven.recurrence_code import Dialect, higher_order_statements, order_0_statements, order_0_text, sum_text
+from nsmodel.event_driven.recurrence_code import Dialect, convolution_text, order_0_text, sum_text
 from nsmodel.event_driven.recurrences import Recurrence, TaylorRecurrences, independent_branches
 
 C_DIALECT = Dialect(
@@ -46,24 +44,6 @@ C_DIALECT = Dialect(
 def recurrence_kernels(stride: str = "1") -> str:
     """The recurrences themselves, once for all functions; ``stride``: how far apart the orders of a row are."""
     return f"#define STRIDE {stride}\n" + Path(event_driven.__file__).with_name("series.c").read_text(encoding="utf-8")
-
-
-def recurrence_function(jets: TaylorRecurrences, name: str, width: int) -> str:
-    """``static void name(double (*N)[width], double *choice, int k)``; rows of inputs are the caller's, as are the choices.
-
-    A choice that is not a number is made at order 0.
-    """
-    numbers = [f"N[{row}][0] = {c_number(value).text};" for row, value in jets.numbers.items()]
-    lines = [
-        "if (k == 0) {",
-        *(f"    {line}" for line in numbers + order_0_statements(jets, C_DIALECT)),
-        "    return;",
-        "}",
-        *higher_order_statements(jets, C_DIALECT),
-    ]
-    unused = "" if jets.branches else "    (void)choice;\n"
-    body = "\n".join(f"    {line}" for line in lines)
-    return f"static void {name}(double (*N)[{width}], double *choice, int k)\n{{\n{unused}{body}\n}}\n"
 
 
 LINEAR_KINDS = frozenset("sum difference minus scaled over shifted".split())
@@ -234,19 +214,13 @@ class RecurrencePrinter:
 
     def _convolution_text(self, line: Recurrence) -> str:
         rows, degree = [self._row_pointer(row) for row in line.args], [self.degree[row] for row in line.args]
-        own, factor = self._row_pointer(line.y), c_number(line.number).text
         if line.kind == "product" and min(degree) <= 1:
             low, other = (0, 1) if degree[0] <= degree[1] else (1, 0)
             return f"product_{'line' if degree[low] else 'point'}({rows[low]}, {rows[other]}, k)"
         if line.kind == "along" and degree[1] <= 1:
             value = f"along_line({rows[0]}, {rows[1]}, k)"
             return f"-{value}" if line.number < 0 else value
-        given = {
-            "product": rows, "square": rows, "along": rows,
-            "against": [own, rows[0], factor, rows[-1]], "power": [own, rows[0], factor],
-        }.get(line.kind, [own, *rows])  # fmt: skip
-        value = f"{line.kind}({', '.join(given)}, k)"
-        return f"-{value}" if line.kind == "along" and line.number < 0 else value
+        return convolution_text(line, self._row_pointer, C_DIALECT)
 
     def _row_pointer(self, row: int) -> str:
         return f"s->c[0] + {self.column[row]}"
@@ -321,7 +295,7 @@ def _prune_unused_names(lines: list[str]) -> list[str]:
         name = line.split()[2] if line.startswith("const double ") else None
         if name is None or name in tokens:
             kept.append(line)
-            tokens |= set("".join(ch if ch.isalnum() or ch == "_" else " " for ch in line).split())
+            tokens |= set(re.findall(r"\w+", line))
     return kept[::-1]
 
 

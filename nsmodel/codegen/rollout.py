@@ -19,10 +19,7 @@ from nsmodel.codegen.library import (
     STEP_NAME,
     Library,
     cached_steps,
-    cached_steps_for_all,
-    cached_steps_in_lanes,
-    compiler,
-    no_compiler_error,
+    required_compiler,
 )
 from nsmodel.codegen.structs import BAD_ARITHMETIC, NOT_SOLVED, SOLVER_NAMES, STATUSES
 from nsmodel.errors import CodegenError
@@ -77,11 +74,8 @@ class Rollout:
 
     def __init__(self, model: Model, grid: TimeGrid, tolerance: float, symbolic_model: Model | None = None) -> None:
         self.grid = grid
-        library, self.way = (
-            _load_step_library(model, grid, tolerance, cached_steps)
-            if symbolic_model is None
-            else library_for_all(symbolic_model, grid, tolerance)
-        )
+        whole, for_all = (model, False) if symbolic_model is None else (symbolic_model, True)
+        library, self.way = load_step_library(whole, grid, tolerance, for_all=for_all)
         pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._set_state = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
@@ -244,26 +238,18 @@ def _optional_function(library: Library, name: str, *kinds: Any) -> Any:
         return None
 
 
-def library_for_all(model: Model, grid: TimeGrid, tolerance: float, *, in_lanes: bool = False) -> tuple[Library, str]:
-    """The steps of a model on a grid for all values of its parameters, and by what they are compiled.
-
-    ``in_lanes``: with many runs in step.
+def load_step_library(
+    model: Model, grid: TimeGrid, tolerance: float, *, for_all: bool = False, in_lanes: bool = False
+) -> tuple[Library, str]:
+    """The steps of a model on a grid, and by what they are compiled; see `cached_steps`.
 
     Raises:
-        CodegenError: see `all_values`; there is no compiler, or it fails.
+        CodegenError: the model has no such code; there is no compiler, or it fails.
     """
-    library, backend = _load_step_library(model, grid, tolerance, cached_steps_in_lanes if in_lanes else cached_steps_for_all)
-    return library, f"{backend}, {ALL_VALUES_SUFFIX}"
-
-
-def _load_step_library(
-    model: Model, grid: TimeGrid, tolerance: float, of: Callable[[Model, TimeGrid, float, str], Path]
-) -> tuple[Library, str]:
-    name = compiler()
-    if name is None:
-        raise no_compiler_error()
-    path = of(model, grid, tolerance, name)
-    return _loaded_step_libraries(model).library(path), f"compiled by {name}"
+    name = required_compiler()
+    path = cached_steps(model, grid, tolerance, name, for_all=for_all, in_lanes=in_lanes)
+    way = f"compiled by {name}, {ALL_VALUES_SUFFIX}" if for_all else f"compiled by {name}"
+    return _loaded_step_libraries(model).library(path), way
 
 
 class _LibraryPool(dict[Path, Library]):

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen.expressions import apply_operation, assign_if_shared, c_function, c_number, expression_graph
+from nsmodel.codegen.expressions import add_graph_lines, c_function, c_number
 from nsmodel.codegen.step_spec import NEWTON, StepSpec
 from nsmodel.codegen.varying_steps import is_rounding_bounded_by_terms
 from nsmodel.solvers.rounding_errors import rounding_error_bound
@@ -146,22 +146,10 @@ class _StepStatements:
     def add(self, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> None:
         """Constants named by the outputs; {i} in the C of an input is the number of its entry."""
         function = ca.Function("f", list(inputs.values()), [ca.densify(ca.vertcat(*outputs.values()))], {"cse": True})
-        nodes, stores, uses = expression_graph(function)
-        keys, pieces = list(inputs), {}
-        for i, (op, args, extra) in enumerate(nodes):
-            if not uses[i]:
-                continue
-            if op == ca.OP_INPUT:
-                pieces[i] = c_number(0)._replace(text=keys[extra[0]].format(i=extra[1]))
-            elif op == ca.OP_CONST:
-                pieces[i] = c_number(extra)
-            else:
-                pieces[i], line = assign_if_shared(
-                    apply_operation(op, [pieces[k] for k in args]), uses[i], f"a{len(self.lines) + 1}"
-                )
-                self.lines += line
+        keys = list(inputs)
+        stores = add_graph_lines(function, lambda which, entry: keys[which].format(i=entry), self.lines)
         targets = [f"{key}_{i}" for key, e in outputs.items() for i in range(e.numel())]
-        self.lines += [f"const double {targets[at]} = {pieces[i].number.text};" for (_, at), i in stores]
+        self.lines += [f"const double {targets[at]} = {piece.number.text};" for at, piece, _ in stores]
 
 
 class _LaneWriter:

@@ -9,16 +9,17 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import blocks, constant_steps, fragments, laws, simd_batch, structs, varying_steps
-from nsmodel.codegen import structs as statuses
+from nsmodel.codegen import blocks, constant_steps, laws, simd_batch, structs, varying_steps
 from nsmodel.codegen.expressions import c_number, c_table, looped_c_function
 from nsmodel.codegen.features import MAX_COUNT, flags_of, sizes_of, work_bound
 from nsmodel.codegen.fragments import (
     C_FOLDER,
     DEFINE_PATTERN,
     FUNCTION_PATTERN,
+    STEP_CONSTANTS,
     comment_text,
     compiler_guard,
+    define_lines,
     prefix_names,
     prune_unused,
     read_fragment,
@@ -60,7 +61,7 @@ def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_CO
         return read_fragment(file, flags, replacements)
 
     groups = ("fixed", "banded", "newton", "affine", "inclusion")
-    struct = [f"members_{group}.h" for group in groups if _has_work_arrays(group, flags, sizes)]
+    struct = [f"members_{group}.h" for group in groups if (sizes["LINEAR"] if group == "affine" else _has_part(group, flags))]
     replacements["MEMBERS"] = "".join(map(part, struct))
     own = prefix_names(_step_tables(spec, flags) + "\n" + _step_functions(spec, flags), name)
     parts = [
@@ -68,7 +69,7 @@ def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_CO
         part("common.c"),
         *([part("times.c")] if "BLOCKS" in flags else []),
         own,
-        *(part(file) for file in _STEP_FRAGMENTS if _includes_fragment(file.removesuffix(".c"), flags)),
+        *(part(f"{name}.c") for name in _STEP_FRAGMENTS if _has_part(name, flags)),
     ]
     code = prune_unused("\n".join(parts))
     run_flags = flags | _run_flags(spec, flags)
@@ -84,28 +85,20 @@ def write_source(spec: StepSpec, name: str, fingerprint: str, most: int = MAX_CO
     return LibrarySource(name, part("header.h"), code, rollout, flags, sizes, bound)
 
 
-def _has_work_arrays(group: str, flags: frozenset[str], sizes: dict[str, int]) -> bool:
-    """Whether the work arrays of a group of fragments are needed."""
-    return sizes["LINEAR"] > 0 if group == "affine" else _includes_fragment(group, flags)
-
-
 def _missing_definitions(text: str, code: str) -> str:
     """The constants and the common functions that ``text`` uses and ``code`` does not have."""
     common = resolve_conditions((C_FOLDER / "common.c").read_text(encoding="utf-8"), frozenset())
-    used = prune_unused(fragments.step_defines() + common + "\n" + text)
+    used = prune_unused(define_lines(STEP_CONSTANTS) + common + "\n" + text)
     wanted = [
         match[0] for pattern in (DEFINE_PATTERN, FUNCTION_PATTERN) for match in pattern.finditer(used) if match[0] not in text
     ]
     return "".join(piece for piece in wanted if piece not in code)
 
 
-_STEP_FRAGMENTS = [
-    f"{name}.c"
-    for name in "solvers rounding linear affine curved lemke fixed banded newton rows inclusion state blocks api".split()
-]
+_STEP_FRAGMENTS = "solvers rounding linear affine curved lemke fixed banded newton rows inclusion state blocks api".split()
 
 
-def _includes_fragment(part: str, flags: frozenset[str]) -> bool:
+def _has_part(part: str, flags: frozenset[str]) -> bool:
     """Whether a fragment belongs into the code."""
     return {
         "fixed": "FIXED" in flags,
@@ -133,10 +126,10 @@ def _step_replacements(
     return {
         "NAME": name,
         "GUARD": compiler_guard(),
-        "CONSTANTS": fragments.step_defines(),
-        "SOLVERS": statuses.solver_enum(),
-        "STATUSES": prefix_names(statuses.status_enum(), name),
-        "STATUS_CASES": prefix_names(statuses.status_cases(), name),
+        "CONSTANTS": define_lines(STEP_CONSTANTS),
+        "SOLVERS": structs.solver_enum(),
+        "STATUSES": prefix_names(structs.status_enum(), name),
+        "STATUS_CASES": prefix_names(structs.status_cases(), name),
         "TITLE": comment_text(model.title) or type(model).__name__,
         "SCHEME": problem.scheme,
         "NAMES": "\n".join([" *", *(f" *   {head:12} {text}" for head, text in array_names(spec).items() if text)]),

@@ -40,7 +40,7 @@ from nsmodel.solvers.newton import uses_working_set
 from nsmodel.solvers.one_step_problem import OneStepProblem, one_step_problem
 from nsmodel.solvers.plan import is_sparse_step_faster
 from nsmodel.solvers.residuals import NumericLaw, numeric_law
-from nsmodel.solvers.sparse import MAX_BANDWIDTH
+from nsmodel.solvers.sparse import MAX_BANDWIDTH, FactoredJacobian, step_jacobian_function
 from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, MAX_STEP_SIZES, StepStructure, read_step_structure
 
 
@@ -198,16 +198,16 @@ class StepSpec:
         return self.for_all_values and self.problem.start is not None
 
     @cached_property
-    def band(self) -> constant_steps.BandedMatrices | None:
-        """The matrices of a large, sparse step where they are numbers."""
+    def band(self) -> FactoredJacobian | None:
+        """[E_z E_l; Y_z Y_l] of a large, sparse step in the order and scales of its band, where it is of numbers."""
         if self.has_several_lengths or not self._is_numeric or not is_sparse_step_faster(self.structure, self.law):
             return None
-        found = constant_steps.banded_matrices(self.problem, self.h, self.structure.n)
-        if found is None:
-            raise _singular_error(self.h)
-        order = found.at.order
-        if not order.is_band:
-            width = max(order.below, order.above)
+        try:
+            found = FactoredJacobian(step_jacobian_function(self.problem)(self.h), self.structure.n)
+        except np.linalg.LinAlgError:
+            raise _singular_error(self.h) from None
+        if not found.order.is_band:
+            width = max(found.order.below, found.order.above)
             raise CodegenError(f"sparse LU has no counterpart in C: the step's band is {width} wide, more than {MAX_BANDWIDTH}")
         return found
 

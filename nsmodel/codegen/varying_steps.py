@@ -141,7 +141,7 @@ def inclusion_flags(spec: StepSpec) -> dict[str, bool]:
         "SELECTION": given.l.numel() > 0,
         "SELECTION_CURVED": bool(selection_law(spec).curved),
         "BOX_C": given.box is not None,
-        "MOVING_BOX": _moving_box(spec, given),
+        "MOVING_BOX": given.box is not None and ca.depends_on(ca.vertcat(*given.box), spec.problem.t),
         "CONSTRAINED": given.c.numel() > 0,
         "APPROXIMATE": approximate,
         "CUTS": cuts,
@@ -233,10 +233,6 @@ def inclusion_code(spec: StepSpec) -> str:
     elif has["APPROXIMATE"]:
         parts.append(f"static double allowed(const model_solver *s) {{ (void)s; return {c_number(spec.allowed[0]).text}; }}\n")
     return "".join(tables) + "\n" + "\n".join(parts)
-
-
-def _moving_box(spec: StepSpec, given: Prediction) -> bool:
-    return given.box is not None and ca.depends_on(ca.vertcat(*given.box), spec.problem.t)
 
 
 def _supported_prediction(spec: StepSpec) -> Prediction:

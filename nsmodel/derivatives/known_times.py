@@ -135,7 +135,8 @@ class KnownTimes:
             rows.append(row)
             names.append(name)
         whole = max(rows, key=lambda row: float(np.abs(row).max()), default=np.zeros(len(x) + q))
-        blocks = [] if self._ticks is None else self._ticks.due_names(t)
+        ticks = model_ticks(self._model)
+        blocks = [] if ticks is None else [self._model.blocks[i].name for i in ticks.due_blocks(t)]
         edges_differ = any((row != whole).any() for row in rows)
         edges = tuple(zip(map(self._rows, names), rows, strict=True))
         return MovedTime(whole[: len(x)], whole[len(x) :], (*names, *blocks), edges_differ, edges)
@@ -200,17 +201,12 @@ class _TickSlopes:
     def __init__(self, model: Model, free: Model, places: HeldPlaces, by: Sequence[int]) -> None:
         self._model, self._ticks, self._places = model, not_none(model_ticks(model)), places
         self._values = np.array([model.bound_parameters.get(name, 0.0) for name in free.parameters], float)
-        self._entries = {name: i for i, name in enumerate(model.input_names)}
         l, p = getattr(free, "lam", ca.SX(0, 1)), free.p[list(by)]
         self._functions = []
         for block in free.blocks:
             following = ca.substitute(block.next, l, ca.SX.zeros(l.shape)) if l.numel() else block.next
             slopes = [ca.densify(ca.jacobian(following, symbol)) for symbol in (free.state, free.u, p)]
             self._functions.append(ca.Function("tick", [free.t, free.state, free.u, free.p], slopes))
-
-    def due_names(self, t: float) -> list[str]:
-        """The blocks that tick at t."""
-        return [self._model.blocks[i].name for i in self._ticks.due_blocks(t)]
 
     def put(self, t: float, x: np.ndarray, u: np.ndarray, by_state: np.ndarray, own: np.ndarray) -> None:
         """See `KnownTimes.put_held`; ``u``: what was held."""

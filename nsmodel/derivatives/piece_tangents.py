@@ -114,14 +114,10 @@ class PieceTangents:
         return found
 
     def _all_mode_rows(self, y_by_l: np.ndarray) -> list[ModeRows]:
-        known: dict[bytes, ModeRows] = {}
-        found = []
-        for codes, D in zip(self.codes, y_by_l, strict=True):
-            key = codes.tobytes() + D.tobytes()
-            if key not in known:
-                known[key] = self.equations.mode_rows(codes, D)
-            found.append(known[key])
-        return found
+        modes = list(zip(self.codes, y_by_l, strict=True))
+        keys = [codes.tobytes() + D.tobytes() for codes, D in modes]
+        made = {key: self.equations.mode_rows(*mode) for key, mode in dict(zip(keys, modes, strict=True)).items()}
+        return [made[key] for key in keys]
 
     def values(self, piece: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """T, x and l of pieces of these numbers at s (K,) in their units."""

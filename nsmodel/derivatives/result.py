@@ -5,7 +5,7 @@ A run as a function of CasADi, with its exact Jacobian: for optimisers that call
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -229,38 +229,43 @@ class _LastRun:
         return self._found
 
 
-class RunFunction(ca.Callback):
-    """The outputs at all times (K r,) as a function of the numbers (q,); see `Sensitivity.as_function`."""
+class _RunCallback(ca.Callback):
+    """What is ``of`` a run, a dense matrix, as a function of dense columns of these sizes, the first of which are its numbers."""
 
-    def __init__(self, name: str, source: Differentiable) -> None:
+    def __init__(
+        self, name: str, run: _LastRun, inputs: Sequence[int], shape: tuple[int, int], of: Callable[[Sensitivity], np.ndarray],
+        opts: Mapping[str, Any],
+    ) -> None:  # fmt: skip
         ca.Callback.__init__(self)
-        self._run = _LastRun(source)
-        self._inputs = source.start.size
-        self._outputs = self._run.at(source.start).value.size
-        self._jacobians: list[ca.Callback] = []  # CasADi holds no reference to them.
-        self.construct(name, {})
+        self._run, self._inputs, self._shape, self._of = run, inputs, shape, of
+        self.construct(name, dict(opts))
 
     def get_n_in(self) -> int:
-        """One: the numbers (q,)."""
-        return 1
-
-    def get_n_out(self) -> int:
-        """One: the outputs (K r,)."""
-        return 1
+        """The number of columns."""
+        return len(self._inputs)
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         """A dense column."""
-        del i
-        return ca.Sparsity.dense(self._inputs, 1)
+        return ca.Sparsity.dense(self._inputs[i], 1)
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         """A dense matrix."""
         del i
-        return ca.Sparsity.dense(self._outputs, 1)
+        return ca.Sparsity.dense(*self._shape)
 
     def eval(self, arg: Any) -> list[Any]:
-        """The outputs of a run."""
-        return [self._run.at(arg[0]).value.ravel()]
+        """The matrix of the run at these numbers."""
+        return [self._of(self._run.at(arg[0])).reshape(self._shape)]
+
+
+class RunFunction(_RunCallback):
+    """The outputs at all times (K r,) as a function of the numbers (q,); see `Sensitivity.as_function`."""
+
+    def __init__(self, name: str, source: Differentiable) -> None:
+        run = _LastRun(source)
+        self._sizes = source.start.size, run.at(source.start).value.size
+        self._jacobians: list[ca.Callback] = []  # CasADi holds no reference to them.
+        super().__init__(name, run, self._sizes[:1], (self._sizes[1], 1), lambda found: found.value, {})
 
     def has_jacobian(self) -> bool:
         """True: the Jacobian is exact."""
@@ -269,33 +274,6 @@ class RunFunction(ca.Callback):
     def get_jacobian(self, name: str, inames: list[str], onames: list[str], opts: dict[str, Any]) -> ca.Callback:  # pyrefly: ignore[bad-override]
         """The Jacobian of the run at the same numbers."""
         del inames, onames
-        self._jacobians.append(_RunJacobian(name, self._run, (self._inputs, self._outputs), opts))
-        return self._jacobians[-1]
-
-
-class _RunJacobian(ca.Callback):
-    def __init__(self, name: str, run: _LastRun, sizes: tuple[int, int], opts: dict[str, Any]) -> None:
-        ca.Callback.__init__(self)
-        self._run, self._sizes = run, sizes
-        self.construct(name, opts)
-
-    def get_n_in(self) -> int:
-        """The numbers and the outputs."""
-        return 2
-
-    def get_n_out(self) -> int:
-        """One: the matrix (K r, q)."""
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """A dense column."""
-        return ca.Sparsity.dense(self._sizes[i], 1)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """A dense matrix."""
-        del i
-        return ca.Sparsity.dense(self._sizes[1], self._sizes[0])
-
-    def eval(self, arg: Any) -> list[Any]:
-        """The derivatives of a run."""
-        return [self._run.at(arg[0]).jacobian.reshape(self._sizes[1], self._sizes[0])]
+        own = _RunCallback(name, self._run, self._sizes, self._sizes[::-1], lambda found: found.jacobian, opts)
+        self._jacobians.append(own)
+        return own

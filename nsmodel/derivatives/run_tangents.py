@@ -237,7 +237,8 @@ class SwitchJumps:
         Raises:
             StepError: nothing is seen to; or it only touches 0.
         """
-        guards = [*self._row_guards(before, after), *self._branch_guards(before, after)]
+        here, then = (self._tangents.choices[side.number] for side in (before, after))
+        guards = [*self._row_guards(before, after), *self._guards_of_branches(before, np.flatnonzero(here != then).tolist())]
         guards = guards or self._update_guards(before, after)
         pieces, t = self._tangents.pieces, float(self._tangents.pieces.t[after.number])
         length = float(pieces.tau[before.number] * self._tangents.ends[before.number])
@@ -290,10 +291,6 @@ class SwitchJumps:
         along = 2 * S @ before.l[rows]
         by_state, own, rate = (along @ part[rows] for part in (before.by_state, before.own, before.l_rate))
         return _guard(name, by_state, own, before, rate, lambda y, l, w: l[rows] @ S @ l[rows] - c)
-
-    def _branch_guards(self, before: _Side, after: _Side) -> list[Guard]:
-        here, then = (self._tangents.choices[side.number] for side in (before, after))
-        return self._guards_of_branches(before, np.flatnonzero(here != then).tolist())
 
     def _update_guards(self, before: _Side, after: _Side) -> list[Guard]:
         """What a block compares, where what it sets takes the comparison back to the side of before."""

@@ -11,10 +11,10 @@ does not (index 2); a block that slips has l = slip(y). Mixed rows are split by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,7 @@ from nsmodel.event_driven.multipliers import SINGULAR, generalised_inverse
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.radau import replay_recurrences
 from nsmodel.event_driven.recurrences import Branch, taylor_decompose
-from nsmodel.proof.verdict import attach_buffers, not_none
+from nsmodel.proof.verdict import BufferedFunction, not_none
 
 BRANCH_CHOICES = {"floor": np.floor, "ceil": np.ceil, "toward zero": np.trunc, "nearest": np.rint, "equal": np.sign}
 
@@ -82,26 +82,23 @@ class FunctionOfPoints:
 
     def __init__(self, given: ca.SX, column: ca.SX) -> None:
         self._function = ca.Function("at_points", [given], [ca.densify(column)])
-        self._of_many: dict[int, tuple[np.ndarray, np.ndarray, Any, Callable[[], None]]] = {}
+        self._of_many: dict[int, BufferedFunction] = {}
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Evaluate it: in calls of so many points at once that few functions are made, and kept."""
         count, out, first = len(points), [], 0
         while first < count:
             size = min(LARGEST_MAP, 1 << (count - first).bit_length() - 1)
-            given, found, _, call = self._mapped(size)
-            given[:] = points[first : first + size].T
-            call()
-            out.append(found.T.copy())
+            of_many = self._mapped(size)
+            of_many.inputs[0].T[:] = points[first : first + size]
+            of_many.run()
+            out.append(of_many.outputs[0].T.copy())
             first += size
         return np.concatenate(out) if out else np.zeros((0, self._function.numel_out()))
 
-    def _mapped(self, size: int) -> tuple[np.ndarray, np.ndarray, Any, Callable[[], None]]:
+    def _mapped(self, size: int) -> BufferedFunction:
         if size not in self._of_many:
-            given = np.zeros((self._function.numel_in(), size), order="F")
-            found = np.zeros((self._function.numel_out(), size), order="F")
-            function = self._function.map(size) if size > 1 else self._function
-            self._of_many[size] = (given, found, *attach_buffers(function, [given], [found]))
+            self._of_many[size] = BufferedFunction(self._function.map(size) if size > 1 else self._function)
         return self._of_many[size]
 
 
@@ -216,15 +213,11 @@ class TangentEquations:
     def mode_rows(self, codes: np.ndarray, y_by_l: np.ndarray) -> ModeRows:
         """Which equations hold in a mode with these codes (m,), where h_l is ``y_by_l`` (m, m)."""
         m = self.m
-        of_y, of_rate, of_slip, own = (np.zeros((m, m)) for _ in range(4))
+        of_y, of_rate = np.zeros((m, m)), np.zeros((m, m))
         slips = {i for start, rows in self.curved.items() if codes[start] for i in range(rows.start, rows.stop)}
         curved = {i for rows in self.curved.values() for i in range(rows.start, rows.stop)}
         a = [i for i in range(m) if codes[i] == 0 and i not in slips]
-        for i in range(m):
-            if i in slips:
-                of_slip[i, i] = 1.0
-            elif i not in a:
-                own[i, i] = 1.0
+        of_slip, own = (np.diag([float(i in rows) for i in range(m)]) for rows in (slips, {*range(m)} - slips - {*a}))
         found = generalised_inverse(y_by_l[np.ix_(a, a)])
         U = found.left
         if U.shape[1] == len(a):

@@ -153,16 +153,11 @@ def sample_pieces(arrays: RunArrays, points: int, begin: float, end: float) -> d
     number = np.repeat(inside, counts)
     found = evaluate_pieces(arrays, t, number)
     own = {"piece_start": starts, "t": t, "x": found.x, "y": found.y, "index_set": arrays["piece_codes"][number]}
-    own["multipliers"] = found.multipliers
-    if "reactions" in arrays:
-        own["reactions"] = found.multipliers
-    if found.v.shape[1]:
-        own["v"] = found.v
+    own |= {name: found.multipliers for name in ("multipliers", "reactions") if name == "multipliers" or name in arrays}
+    own |= {"v": found.v} if found.v.shape[1] else {}
     if "inputs" in arrays:
-        own["inputs"] = inputs_at(arrays, t)
-        own["inputs_begin"] = inputs_at(arrays, np.concatenate([t[:1], t[:-1]]), after=True)
-    kept = {name: arrays[name] for name in ("energy",) if name in arrays}
-    for name, column in kept.items():
-        flat = column.reshape(len(column), -1).astype(float)
-        own[name] = np.stack([np.interp(t, arrays["t"], c) for c in flat.T], axis=1).reshape(len(t), *column.shape[1:])
+        own |= {"inputs": inputs_at(arrays, t), "inputs_begin": inputs_at(arrays, np.concatenate([t[:1], t[:-1]]), after=True)}
+    if (energy := arrays.get("energy")) is not None:
+        flat = energy.reshape(len(energy), -1).astype(float)
+        own["energy"] = np.stack([np.interp(t, arrays["t"], c) for c in flat.T], axis=1).reshape(len(t), *energy.shape[1:])
     return own

@@ -13,15 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from nsmodel._utils import EPS, sum_in_order
-from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.mode_series import ModeSeries
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
-from nsmodel.event_driven.recurrences import TaylorRecurrences
+from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, RECURRENCES, TWO_OVER_ROOT_PI, TaylorRecurrences
 
 INF = math.inf
 _DISC_DIALECT = PYTHON_DIALECT._replace(choose="pass")  # The sides of branches are given.
@@ -30,13 +29,32 @@ PRODUCT_ROUNDINGS, FUNCTION_ROUNDINGS = 3, 8  # Roundings of a coefficient besid
 MAX_EXP_ARGUMENT = 700.0  # exp of less is a double: log of the largest one is 709.8.
 
 
-class DiscBall:
-    """|u - c| <= r on the disc: a form of degree 0. Rounding is not counted: what is bounded by it is cut off, and small."""
+class _OnDisc:
+    """What is known of a function on a disc: its centre or coefficients c, and what it may be off these by, r."""
 
     __slots__ = ("c", "r")
 
-    def __init__(self, c: float, r: float = 0.0) -> None:
+    def __init__(self, c: Any, r: float = 0.0) -> None:
         self.c, self.r = c, r if r == r else INF
+
+    def __neg__(self) -> Self:
+        return type(self)(-self.c, self.r)
+
+    def __truediv__(self, other: Any) -> Any:
+        return self * other.inverse() if type(other) is type(self) else type(self)(self.c / other, self.r / abs(other))
+
+    def __rtruediv__(self, other: float) -> Any:
+        return self.inverse() * other
+
+    def inverse(self) -> Any:
+        """The enclosure of 1/u."""
+        raise NotImplementedError
+
+
+class DiscBall(_OnDisc):
+    """|u - c| <= r on the disc: a form of degree 0. Rounding is not counted: what is bounded by it is cut off, and small."""
+
+    __slots__ = ()
 
     @property
     def moves(self) -> float:
@@ -58,9 +76,6 @@ class DiscBall:
         """Whether the centre is larger than a number."""
         return self.c > other
 
-    def __neg__(self) -> DiscBall:
-        return DiscBall(-self.c, self.r)
-
     def __mul__(self, other: Any) -> DiscBall:
         if type(other) is not DiscBall:
             return DiscBall(self.c * other, self.r * abs(other) if other else 0.0)
@@ -70,12 +85,6 @@ class DiscBall:
         return DiscBall(a * b, (abs(a) * q if a else 0.0) + (r * (abs(b) + q) if r else 0.0))
 
     __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> DiscBall:
-        return self * other.inverse() if type(other) is DiscBall else DiscBall(self.c / other, self.r / abs(other))
-
-    def __rtruediv__(self, other: float) -> DiscBall:
-        return self.inverse() * other
 
     def inverse(self) -> DiscBall:
         """The enclosure of 1/u."""
@@ -95,33 +104,20 @@ def _ball_function(of: Callable[[float, float], tuple[float, float]]) -> Callabl
     return evaluate
 
 
-def _ball_exp(c: float, r: float) -> tuple[float, float]:
-    return math.exp(c), -math.exp(c + r) * math.expm1(-r)
-
-
-def _ball_sin(c: float, r: float) -> tuple[float, float]:
-    return math.sin(c), abs(math.cos(c)) * math.sinh(r) + abs(math.sin(c)) * (math.cosh(r) - 1)
-
-
-def _ball_cos(c: float, r: float) -> tuple[float, float]:
-    return math.cos(c), abs(math.sin(c)) * math.sinh(r) + abs(math.cos(c)) * (math.cosh(r) - 1)
-
-
 def _ball_sqrt(c: float, r: float) -> tuple[float, float]:
     y = math.sqrt(c)
     return y, (r / (y + math.sqrt(c - r)) if r < c else 0.0 if r == 0 else INF)
 
 
-def _ball_log(c: float, r: float) -> tuple[float, float]:
-    return math.log(c), -math.log1p(-r / c) if r < c else INF
-
-
-def _ball_log1p(c: float, r: float) -> tuple[float, float]:
-    return math.log1p(c), -math.log1p(-r / (1 + c)) if r < 1 + c else INF
-
-
-def _ball_erf(c: float, r: float) -> tuple[float, float]:
-    return math.erf(c), r * series.TWO_OVER_ROOT_PI * math.exp((2 * abs(c) + r) * r - c * c) if r else 0.0
+_BALL_VALUES: dict[str, Callable[[float, float], tuple[float, float]]] = {
+    "exp": lambda c, r: (math.exp(c), -math.exp(c + r) * math.expm1(-r)),
+    "sin": lambda c, r: (math.sin(c), abs(math.cos(c)) * math.sinh(r) + abs(math.sin(c)) * (math.cosh(r) - 1)),
+    "cos": lambda c, r: (math.cos(c), abs(math.sin(c)) * math.sinh(r) + abs(math.cos(c)) * (math.cosh(r) - 1)),
+    "sqrt": _ball_sqrt,
+    "log": lambda c, r: (math.log(c), -math.log1p(-r / c) if r < c else INF),
+    "log1p": lambda c, r: (math.log1p(c), -math.log1p(-r / (1 + c)) if r < 1 + c else INF),
+    "erf": lambda c, r: (math.erf(c), r * TWO_OVER_ROOT_PI * math.exp((2 * abs(c) + r) * r - c * c) if r else 0.0),
+}  # A function at c, and how far it is from that on the disc |u - c| <= r.
 
 
 def _ball_function_from_slope(
@@ -152,9 +148,9 @@ def _disc_power(u: Any, p: Any) -> Any:
     if isinstance(p, DiscBall | TaylorForm):
         return _DISC_FUNCTIONS["exp"](p * _DISC_FUNCTIONS["log"](u))
     if not isinstance(u, DiscBall | TaylorForm):
-        return series.ORDER_0_FUNCTIONS["pow"](u, p)
+        return ORDER_0_FUNCTIONS["pow"](u, p)
     if not u.moves:
-        return _finite_constant_like(series.ORDER_0_FUNCTIONS["pow"](_centre_value(u), p), u)
+        return _finite_constant_like(ORDER_0_FUNCTIONS["pow"](_centre_value(u), p), u)
     return _ball_power(u, p) if isinstance(u, DiscBall) else _form_power(u, p)
 
 
@@ -180,13 +176,10 @@ def _disc_atan2(a: Any, b: Any) -> Any:
 # ---------------------------------------------------------------------------------------------- forms
 
 
-class TaylorForm:
+class TaylorForm(_OnDisc):
     """Coefficients c_0, ..., c_m and the rest, of z/R."""
 
-    __slots__ = ("c", "r")
-
-    def __init__(self, c: np.ndarray, r: float = 0.0) -> None:
-        self.c, self.r = c, r if r == r else INF
+    __slots__ = ()
 
     @property
     def sum(self) -> float:
@@ -217,9 +210,6 @@ class TaylorForm:
         """Whether the value at the centre is larger than a number."""
         return bool(self.c[0] > other)
 
-    def __neg__(self) -> TaylorForm:
-        return TaylorForm(-self.c, self.r)
-
     def __mul__(self, other: Any) -> TaylorForm:
         if type(other) is not TaylorForm:
             return TaylorForm(self.c * other, self.r * abs(other) if other else 0.0)
@@ -231,12 +221,6 @@ class TaylorForm:
         return TaylorForm(product, max(whole - kept, 0.0) + (n + PRODUCT_ROUNDINGS) * EPS * whole)
 
     __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> TaylorForm:
-        return self * other.inverse() if type(other) is TaylorForm else TaylorForm(self.c / other, self.r / abs(other))
-
-    def __rtruediv__(self, other: float) -> TaylorForm:
-        return self.inverse() * other
 
     def inverse(self) -> TaylorForm:
         """The enclosure of 1/u."""
@@ -375,7 +359,7 @@ def _form_asin(u: TaylorForm, a: float, v: float, n: int) -> TaylorForm:
 
 
 def _form_erf(u: TaylorForm, a: float, v: float, n: int) -> TaylorForm:
-    slope = series.TWO_OVER_ROOT_PI * math.exp(-a * a)
+    slope = TWO_OVER_ROOT_PI * math.exp(-a * a)
 
     def density(one: float, two: float) -> list[float]:
         y = [slope]
@@ -384,14 +368,14 @@ def _form_erf(u: TaylorForm, a: float, v: float, n: int) -> TaylorForm:
         return y
 
     majorant = _integrate_coefficients(abs(math.erf(a)), density(2 * abs(a), 1.0))
-    whole = abs(math.erf(a)) + v * series.TWO_OVER_ROOT_PI * math.exp((2 * abs(a) + v) * v - a * a)
+    whole = abs(math.erf(a)) + v * TWO_OVER_ROOT_PI * math.exp((2 * abs(a) + v) * v - a * a)
     return _compose_series(u, _integrate_coefficients(math.erf(a), density(-2 * a, -1.0)), majorant, whole)
 
 
 def _ball_or_form_function(
     of_ball: Callable[[DiscBall], DiscBall], of_form: Callable[[Any], Any], name: str
 ) -> Callable[[Any], Any]:
-    number = series.ORDER_0_FUNCTIONS[name]
+    number = ORDER_0_FUNCTIONS[name]
 
     def evaluate(u: Any) -> Any:
         if type(u) is DiscBall:
@@ -404,11 +388,7 @@ def _ball_or_form_function(
 
 
 def _disc_quotient(a: Any, b: Any) -> Any:
-    return (
-        a / b
-        if isinstance(a, DiscBall | TaylorForm) or isinstance(b, DiscBall | TaylorForm)
-        else series.RECURRENCES["divided"](a, b)
-    )
+    return a / b if isinstance(a, DiscBall | TaylorForm) or isinstance(b, DiscBall | TaylorForm) else RECURRENCES["divided"](a, b)
 
 
 _DISC_FUNCTIONS: dict[str, Callable[..., Any]] = {
@@ -418,11 +398,10 @@ _DISC_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "tanh": _disc_tanh,
 }
 _DISC_FUNCTIONS |= {
-    name: _ball_or_form_function(_ball_function(ball), _form_function(form), name)
-    for name, ball, form in (
-        ("exp", _ball_exp, _form_exp), ("sin", _ball_sin, _form_sin_or_cos(0)), ("cos", _ball_cos, _form_sin_or_cos(1)),
-        ("log", _ball_log, _form_log),
-        ("sqrt", _ball_sqrt, lambda u, a, v, n: _form_power(u, 0.5)), ("erf", _ball_erf, _form_erf),
+    name: _ball_or_form_function(_ball_function(_BALL_VALUES[name]), _form_function(form), name)
+    for name, form in (
+        ("exp", _form_exp), ("sin", _form_sin_or_cos(0)), ("cos", _form_sin_or_cos(1)), ("log", _form_log),
+        ("sqrt", lambda u, a, v, n: _form_power(u, 0.5)), ("erf", _form_erf),
     )
 }  # fmt: skip
 _DISC_FUNCTIONS |= {
@@ -452,21 +431,15 @@ _DISC_FUNCTIONS |= {
         ),
         lambda u: 0.5 * _DISC_FUNCTIONS["log"]((1.0 + u) / (1.0 - u)), "atanh",
     ),
-    "log1p": _ball_or_form_function(_ball_function(_ball_log1p), lambda u: _DISC_FUNCTIONS["log"](u + 1.0), "log1p"),
+    "log1p": _ball_or_form_function(_ball_function(_BALL_VALUES["log1p"]), lambda u: _DISC_FUNCTIONS["log"](u + 1.0), "log1p"),
     "expm1": lambda u: _DISC_FUNCTIONS["exp"](u) - 1.0,
     "acos": lambda u: math.pi / 2 - _DISC_FUNCTIONS["asin"](u),
     "sinh": lambda u: 0.5 * (_DISC_FUNCTIONS["exp"](u) - _DISC_FUNCTIONS["exp"](-u)),
     "cosh": lambda u: 0.5 * (_DISC_FUNCTIONS["exp"](u) + _DISC_FUNCTIONS["exp"](-u)),
     "tan": lambda u: _disc_quotient(_DISC_FUNCTIONS["sin"](u), _DISC_FUNCTIONS["cos"](u)),
     "hypot": lambda a, b: _DISC_FUNCTIONS["sqrt"](a * a + b * b),
+    "rounded": lambda u: DiscBall(u.c, u.r + EPS * abs(u.c)) if type(u) is DiscBall else u,
 }  # fmt: skip
-
-
-def _grown_by_rounding(u: Any) -> Any:
-    return DiscBall(u.c, u.r + EPS * abs(u.c)) if type(u) is DiscBall else u
-
-
-_DISC_FUNCTIONS["rounded"] = _grown_by_rounding
 
 
 class DiscEvaluator:

@@ -297,7 +297,8 @@ class SlipOnset:
         self.rows = [*active, *(i for block in blocks for i in block.at)]
         _, U, V, *_ = generalised_inverse(D[np.ix_(active, active)])
         self.free = U.shape[1]
-        self.U, self.V = (_extend_basis(basis, len(self.rows) - self.held) for basis in (U, V))
+        own = np.eye(len(self.rows) - self.held)  # Each row of a block is one of its own.
+        self.U, self.V = (np.block([[A, np.zeros((len(A), len(own)))], [np.zeros((len(own), A.shape[1])), own]]) for A in (U, V))
         self.W = self.U.T @ (C[self.rows] @ B[:, self.rows]) @ self.V
         self.blocks, self.still, self.at = blocks, list[FrictionBlock](), dict[FrictionBlock, slice]()
         start = self.free
@@ -386,11 +387,3 @@ class SlipOnset:
     def _boundary_excess(self, z: np.ndarray, block: FrictionBlock) -> float:
         S, c = block.quadric
         return float(z[self.at[block]] @ S @ z[self.at[block]] - c) / 2
-
-
-def _extend_basis(basis: np.ndarray, more: int) -> np.ndarray:
-    """The basis with so many rows and columns of their own."""
-    whole = np.zeros((basis.shape[0] + more, basis.shape[1] + more))
-    whole[: basis.shape[0], : basis.shape[1]] = basis
-    whole[basis.shape[0] :, basis.shape[1] :] = np.eye(more)
-    return whole

@@ -18,7 +18,6 @@ import numpy as np
 
 from nsmodel._utils import EPS
 from nsmodel.errors import StepError, UnrecoverableStepError, UsageError
-from nsmodel.event_driven import piece as lines
 from nsmodel.event_driven.bernstein import ORDERS, poly_value, poly_values, without_rounding
 from nsmodel.event_driven.event_location import NEAR, EventLocator, IsolatedRoot
 from nsmodel.event_driven.friction_modes import STOPS
@@ -47,7 +46,7 @@ from nsmodel.event_driven.modes import (
     update_scales,
 )
 from nsmodel.event_driven.multipliers import TIE, MultiplierSolver, RowScales
-from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector
+from nsmodel.event_driven.piece import Piece, StartEvent, ZenoDetector, may_leave_0, straight_line, trial_lengths
 from nsmodel.event_driven.piece_bounds import MAX_STILL_PIECES, SchwarzBound, piece_end
 from nsmodel.event_driven.problem import ContinuousProblem, SwitchTimes, reaches_time
 from nsmodel.event_driven.radau import StiffIntegrator
@@ -306,8 +305,8 @@ class Integrator:
         if self._has_series():
             return None
         l = [row[0] for row in system.push]
-        for h, octaves in lines.trial_lengths(place.t):
-            found = lines.straight_line(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
+        for h, octaves in trial_lengths(place.t):
+            found = straight_line(self.bound.equations, place.t, place.x, l, self.sizes.x, h, octaves, self.rtol, self.atol)
             if found is None or h > known - place.t:
                 continue
             v = found.v if place.t or not system.m else 0 * found.v  # At the start l is not known yet.
@@ -627,7 +626,7 @@ class Integrator:
         if not resting:
             return None
         l, pushed = [row[0] for row in system.push], np.any(system.slopes()[0], axis=1) if system.m else np.zeros(system.n)
-        leaves = (i for i in resting if not pushed[i] and lines.may_leave_0(self.bound.equations, place.t, place.x, l, i))
+        leaves = (i for i in resting if not pushed[i] and may_leave_0(self.bound.equations, place.t, place.x, l, i))
         return next((system.problem.names[i] for i in leaves), None)
 
     @property

@@ -80,19 +80,6 @@ class PieceBounds(NamedTuple):
         return np.maximum(-self.least.min(axis=1), 0.0)
 
 
-class _PartBounds(NamedTuple):
-    """The same on B parts, and the largest share of a bound that is remainder (B,)."""
-
-    defect: np.ndarray
-    integral: np.ndarray
-    rows: np.ndarray
-    slopes: np.ndarray
-    least: np.ndarray
-    reach: np.ndarray
-    size: np.ndarray
-    share: np.ndarray
-
-
 def prove_piece_bounds(problem: ContinuousProblem, stored: StoredPieces) -> PieceBounds:
     """Prove what can be proved; inf where there is no bound.
 
@@ -105,21 +92,22 @@ def prove_piece_bounds(problem: ContinuousProblem, stored: StoredPieces) -> Piec
     counts = np.ones(len(stored.start), int)
     parts = subdivide_pieces(stored.lengths, counts)
     with np.errstate(all="ignore"):
-        found = _bounds_on_parts(recurrences, stored, parts, ends)
+        found, share = _bounds_on_parts(recurrences, stored, parts, ends)
         for _ in range(DOUBLINGS):
             coarse = np.zeros(len(counts), bool)
-            np.logical_or.at(coarse, parts.piece, found.share > SHARE)
+            np.logical_or.at(coarse, parts.piece, share > SHARE)
             if not coarse.any():
                 break
             finer, kept = subdivide_pieces(stored.lengths, np.where(coarse, 2 * counts, 0)), ~coarse[parts.piece]
             counts = np.where(coarse, 2 * counts, counts)
-            new = _bounds_on_parts(recurrences, stored, finer, ends)
+            new, more = _bounds_on_parts(recurrences, stored, finer, ends)
             parts = PieceParts(*(np.concatenate([a[kept], b]) for a, b in zip(parts, finer, strict=True)))
-            found = _PartBounds(*(np.concatenate([a[kept], b]) for a, b in zip(found, new, strict=True)))
+            found = PieceBounds(*(np.concatenate([a[kept], b]) for a, b in zip(found, new, strict=True)))
+            share = np.concatenate([share[kept], more])
     return _merge_parts(found, parts, stored, counts)
 
 
-def _merge_parts(found: _PartBounds, parts: PieceParts, stored: StoredPieces, counts: np.ndarray) -> PieceBounds:
+def _merge_parts(found: PieceBounds, parts: PieceParts, stored: StoredPieces, counts: np.ndarray) -> PieceBounds:
     """Parts together, as pieces."""
     second = (counts[parts.piece] > 1) & (parts.centre > stored.lengths[parts.piece] / 2)
     first = (counts[parts.piece] > 1) & ~second
@@ -171,7 +159,8 @@ class _PartPolynomials(NamedTuple):
 
 def _bounds_on_parts(
     recurrences: TaylorRecurrences, stored: StoredPieces, parts: PieceParts, ends: list[np.ndarray]
-) -> _PartBounds:
+) -> tuple[PieceBounds, np.ndarray]:
+    """The bounds of B parts, sizes (B, c), and the largest share of one that is remainder (B,)."""
     p, codes = _polynomials_on_parts(recurrences, stored, parts), stored.codes[parts.piece]
     held = codes == 0
     residual = [_subtract_series(y, h) for y, h in zip(p.y, p.h, strict=True)]
@@ -195,10 +184,9 @@ def _bounds_on_parts(
     share = np.max([loose, *(np.where(np.isnan(one), 1.0, one) for one in remainders)], axis=0)
     width = 2 * parts.radius * stored.unit[parts.piece] * (1 + 4 * EPS)
     integral = [_magnitude_bound([a / (k + 1) for k, a in enumerate(c)]) * width for c in p.defect]
-    return _PartBounds(
-        _stack_columns([_magnitude_bound(c) for c in p.defect], len(held)), _stack_columns(integral, len(held)), rows,
-        np.where(held, next_up(slopes * (1 + 4 * EPS)), 0.0), lowest, reach, sizes, share,
-    )  # fmt: skip
+    defect = _stack_columns([_magnitude_bound(c) for c in p.defect], len(held))
+    slopes = np.where(held, next_up(slopes * (1 + 4 * EPS)), 0.0)
+    return PieceBounds(defect, _stack_columns(integral, len(held)), rows, slopes, lowest, reach, sizes), share
 
 
 def _stack_columns(arrays: Sequence[np.ndarray], count: int) -> np.ndarray:

@@ -24,10 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel._utils import EPS
-from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.bernstein import taylor_shift
 from nsmodel.event_driven.recurrence_code import PYTHON_DIALECT, compile_recurrences
-from nsmodel.event_driven.recurrences import TaylorRecurrences
+from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, RECURRENCES, TWO_OVER_ROOT_PI, TaylorRecurrences
 from nsmodel.proof.interval_arithmetic import next_down, next_up
 from nsmodel.proof.interval_functions import (
     ZERO_INTERVAL,
@@ -48,10 +47,6 @@ class PieceParts(NamedTuple):
     centre: np.ndarray
     radius: np.ndarray
 
-    def of(self, chosen: np.ndarray) -> PieceParts:
-        """Those of a mask."""
-        return PieceParts(*(array[chosen] for array in self))
-
 
 def subdivide_pieces(lengths: np.ndarray, counts: np.ndarray) -> PieceParts:
     """[0, lengths] (K,), each in ``counts`` parts of one length."""
@@ -65,7 +60,7 @@ def subdivide_pieces(lengths: np.ndarray, counts: np.ndarray) -> PieceParts:
 
 def number_interval(value: float) -> Interval:
     """A number of a recurrence; 2/sqrt(pi) lies between two doubles."""
-    if value == series.TWO_OVER_ROOT_PI:
+    if value == TWO_OVER_ROOT_PI:
         return Interval(next_down(np.array([value])), next_up(np.array([value])))
     return as_interval(value)
 
@@ -80,9 +75,7 @@ _CHOICE_FUNCTIONS = {
     "equal": lambda row: np.where(as_interval(row) == 0, 0.0, np.where(as_interval(row).middle < 0, -1.0, 1.0)),
     **{f"whole_{name}": _integer_choice(rounding) for name, rounding in _ROUNDING_FUNCTIONS.items()},
 }  # fmt: skip
-_INTERVAL_FUNCTIONS = (
-    series.RECURRENCES | {name: interval_function(name) for name in series.ORDER_0_FUNCTIONS} | _CHOICE_FUNCTIONS
-)
+_INTERVAL_FUNCTIONS = RECURRENCES | {name: interval_function(name) for name in ORDER_0_FUNCTIONS} | _CHOICE_FUNCTIONS
 _INTERVAL_FUNCTIONS |= {"number": number_interval, "where": interval_where, "of": as_interval}
 INTERVAL_DIALECT = PYTHON_DIALECT._replace(
     number=lambda value: f"number(float('{value!r}'))",

@@ -28,12 +28,11 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import cached_per_object, sum_in_order
-from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.friction_modes import FrictionBlocks
 from nsmodel.event_driven.multipliers import MatrixRows, MultiplierSolver, clear_rounding, matrix_times_vector
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrence_code import NUMERIC_FUNCTIONS, PYTHON_DIALECT, SYMBOL_DIALECT, Dialect, TaylorExpansion
-from nsmodel.event_driven.recurrences import TaylorRecurrences
+from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, RECURRENCES, TaylorRecurrences
 
 SeriesRows = Sequence[list[float]]
 RowTerms = Sequence[Sequence[tuple[int, float]]]  # (j, a_j) of each row.
@@ -405,7 +404,7 @@ class UnrolledOrders:
         code = self._kept[key]
         if code is None:
             return None
-        made: dict[str, Any] = dict(series.ORDER_0_FUNCTIONS)
+        made: dict[str, Any] = dict(ORDER_0_FUNCTIONS)
         exec(code, made)
         rows = _named_rows(system) | {f"{name}_choice": part.choice for name, part in system.parts.items()}
         return made["make"](**rows)
@@ -419,7 +418,7 @@ class UnrolledOrders:
             system.D,
             system.orders,
             SYMBOL_DIALECT,
-            series.RECURRENCES | tape.known(series.ORDER_0_FUNCTIONS),
+            RECURRENCES | tape.known(ORDER_0_FUNCTIONS),
         )
         own.t[:2] = tape.note("t[0]"), tape.note("t[1]")
         for name, rows in (("x", own.x), ("l", own.l)):

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel._utils import EPS
+from nsmodel._utils import EPS, remember
 from nsmodel.event_driven.bernstein import (
     HALF_ORDERS,
     ORDERS,
@@ -33,8 +33,7 @@ from nsmodel.event_driven.bernstein import (
 )
 from nsmodel.event_driven.disc_arithmetic import DiscBall, DiscValues
 from nsmodel.event_driven.friction_modes import FrictionBlock
-from nsmodel.event_driven.multipliers import TERM_ROUNDING, MultiplierSolver, multiplier_solver
-from nsmodel.event_driven.multipliers import TIE as TIE
+from nsmodel.event_driven.multipliers import TERM_ROUNDING, TIE, MultiplierSolver, multiplier_solver
 from nsmodel.event_driven.system import MAX_CACHED_MODES, RESTS, ModeSystem
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.residuals import NumericLaw, numeric_law
@@ -115,12 +114,9 @@ def condition_scale(system: ModeSystem, condition: SwitchCondition) -> float:
         return system.size_y(i) if block is None else block.unit * max(map(system.size_y, block.at))
     if condition.acts == "inside":
         return abs(condition.shift)
-    return system.size_l(i) if condition.acts == "l" else max(abs(condition.shift), _switch_scale(system, condition.of))
-
-
-def _switch_scale(system: ModeSystem, switch: Switch) -> float:
-    """What the argument of a switch is measured beside: the largest that it was the sum of so far."""
-    return system.sizes.switches[system.branches.index(switch)]
+    if condition.acts == "l":
+        return system.size_l(i)
+    return max(abs(condition.shift), system.sizes.switches[system.branches.index(condition.of)])
 
 
 def _switch_term_scales(system: ModeSystem) -> list[float]:
@@ -166,12 +162,7 @@ def mode_conditions(system: ModeSystem, codes: list[int], how: MultiplierSolver,
     if system.blocks.all:
         return list(_generate_conditions(system, codes, how, orders))
     mode = (orders, how.index, how.feeds, *codes, *(side for part in system.parts.values() for side in part.choice))
-    found = system.conditions.get(mode)
-    if found is None:
-        if len(system.conditions) >= MAX_CACHED_MODES:
-            system.conditions.clear()
-        found = system.conditions[mode] = list(_generate_conditions(system, codes, how, orders))
-    return found
+    return remember(system.conditions, mode, lambda: list(_generate_conditions(system, codes, how, orders)), MAX_CACHED_MODES)
 
 
 def _generate_conditions(system: ModeSystem, codes: list[int], how: MultiplierSolver, orders: int) -> Iterator[SwitchCondition]:

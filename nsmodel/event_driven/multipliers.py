@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import mul
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.modeling.expressions import derivatives
-from nsmodel.proof.verdict import attach_buffers, connected_components
+from nsmodel.proof.verdict import BufferedFunction, connected_components
 from nsmodel.solvers.residuals import ROUNDING
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
 
@@ -279,20 +278,6 @@ def constant_matrix(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
     return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
 
 
-class SlopesAtPoint:
-    """A function of a point with three outputs, the arrays ``out``: the next call overwrites them."""
-
-    def __init__(self, slopes: ca.Function) -> None:
-        self._given = np.zeros(slopes.numel_in(0))
-        self.out = tuple(np.zeros(slopes.size_out(i), order="F") for i in range(3))
-        self._buffer, self._call = attach_buffers(slopes, [self._given], self.out)
-
-    def __call__(self, point: Sequence[float]) -> None:
-        """Put them to ``out``."""
-        self._given[:] = point
-        self._call()
-
-
 TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
 NEGLIGIBLE_MOTION = 1e-6  # Of what moves a state on a piece.
 TERM_ROUNDING = ROUNDING * UNIT_ROUND_OFF  # c u of running error analysis: of what a number is the sum of, that much is rounding.
@@ -326,19 +311,14 @@ class ZeroTest:
         self._problem = problem
 
     @cached_property
-    def _compiled_motion(self) -> tuple[np.ndarray, np.ndarray, Any, Callable[[], None]]:
+    def _motion(self) -> BufferedFunction:
         symbols, moved = state_motion(self._problem)
-        given = ca.vertcat(*symbols.values())
-        array, found = np.zeros(given.numel()), np.zeros(moved.numel())
-        return array, found, *attach_buffers(ca.Function("moves", [given], [ca.densify(moved)]), [array], [found])
+        return BufferedFunction(ca.Function("moves", [ca.vertcat(*symbols.values())], [ca.densify(moved)]))
 
     def __call__(self, t: float, x: list[float], l: list[float], sizes: list[float], time: float) -> list[float]:
         """0 where there is no number."""
-        given, found, _, call = self._compiled_motion
-        given[:] = [t, *x, *l, *sizes]
-        call()
-        part = NEGLIGIBLE_MOTION * time
-        return [part * v if math.isfinite(v) else 0.0 for v in found.tolist()]
+        (found,), part = self._motion([t, *x, *l, *sizes]), NEGLIGIBLE_MOTION * time
+        return [part * v if math.isfinite(v) else 0.0 for v in found.ravel().tolist()]
 
 
 def state_motion(problem: ContinuousProblem) -> tuple[dict[str, ca.SX], ca.SX]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, NamedTuple
@@ -248,7 +248,7 @@ def input_states(model: Model, t: float, x: Sequence[float] | None) -> list[floa
     """What the states of the inputs are just after time t, where the state is x; at the start it is None."""
     ticks = model_ticks(model)
     if ticks is None:
-        return [value for column in _derivative_columns(model.inputs, t) for value in column]
+        return _derivative_values(model.inputs, t)
     if x is None:
         u = initial_inputs(model)
     else:
@@ -258,11 +258,7 @@ def input_states(model: Model, t: float, x: Sequence[float] | None) -> list[floa
         u = np.concatenate([signal.holding(kept).after(np.array([t]))[0] for signal in _plain_signals(model.inputs).values()])
         u = ticks.after(ticks.due_blocks(t), t, np.array(x[: ticks.states]), np.zeros(ticks.multipliers), u)
     kept = ticks.kept(u)
-    return [
-        v
-        for column in _derivative_columns({name: s.holding(kept) for name, s in _plain_signals(model.inputs).items()}, t)
-        for v in column
-    ]
+    return _derivative_values({name: s.holding(kept) for name, s in _plain_signals(model.inputs).items()}, t)
 
 
 def block_held_values(model: Model, x: Sequence[float]) -> np.ndarray:
@@ -321,10 +317,10 @@ def inputs_between_rows(problem: ContinuousProblem, model: Model) -> dict[str, A
     return found
 
 
-def _derivative_columns(inputs: Mapping[str, Any], t: float) -> Iterator[list[float]]:
-    for signal in inputs.values():
-        if isinstance(signal, Signal) and not isinstance(signal, Expression):
-            yield from np.asarray(signal.derivatives(t)).T.tolist()
+def _derivative_values(inputs: Mapping[str, Any], t: float) -> list[float]:
+    """Of each value of each signal its derivatives, as the states of the inputs are."""
+    signals = [signal for signal in inputs.values() if isinstance(signal, Signal) and not isinstance(signal, Expression)]
+    return [v for signal in signals for column in np.asarray(signal.derivatives(t)).T.tolist() for v in column]
 
 
 SAME_TIME = 4 * EPS  # Of a known time: an event that is as near is at it.

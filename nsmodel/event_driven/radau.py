@@ -45,7 +45,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel._utils import sum_in_order
-from nsmodel.event_driven import recurrences as series
 from nsmodel.event_driven.bernstein import poly_slope, poly_value
 from nsmodel.event_driven.collocation import (
     Collocation,
@@ -61,12 +60,12 @@ from nsmodel.event_driven.modes import PieceStart, SwitchCondition, condition_sc
 from nsmodel.event_driven.multipliers import NOTHING, TIE, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrence_code import SYMBOL_DIALECT, compile_recurrences
-from nsmodel.event_driven.recurrences import TaylorRecurrences
+from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, TaylorRecurrences
 from nsmodel.event_driven.step_size import MULTIPLIERS, SMALL, power_of_two_unit
 from nsmodel.event_driven.system import ModeSystem
-from nsmodel.proof.verdict import attach_buffers
+from nsmodel.proof.verdict import BufferedFunction
 
-_SYMBOLIC_FUNCTIONS = {name: getattr(ca, name if name != "pow" else "power") for name in series.ORDER_0_FUNCTIONS} | {
+_SYMBOLIC_FUNCTIONS = {name: getattr(ca, name if name != "pow" else "power") for name in ORDER_0_FUNCTIONS} | {
     "where": ca.if_else, "both": ca.logic_and, "one": ca.logic_or
 }  # fmt: skip
 
@@ -101,16 +100,6 @@ def fixed_branches(
     y = outputs["h"] if D is None else outputs["h"] + ca.mtimes(ca.SX(D), p.l)
     slopes = [ca.jacobian(a, b) for a in (rate, y) for b in (p.x, p.l)]
     return FixedBranches(ca.vertcat(ca.SX(0, 1), *choices), [rate, y, ca.vertcat(ca.SX(0, 1), *watched)], slopes)
-
-
-def fixed_branch_functions(system: ModeSystem) -> tuple[ca.Function, ca.Function]:
-    """The values and the slopes as functions of (t, x, l, choices)."""
-    p, of = system.problem, fixed_branches(system.problem, system.jets, system.B, system.D)
-    inputs = [p.t, p.x, p.l, of.choices]
-    return (
-        ca.Function("sides", inputs, [ca.densify(e) for e in of.values]),
-        ca.Function("slopes_on_sides", inputs, [ca.densify(e) for e in of.slopes]),
-    )
 
 
 def replay_recurrences(
@@ -200,9 +189,14 @@ class RadauMethod:
         return radau_collocation(self.stages)
 
     @cached_property
-    def _compiled_functions(self) -> tuple[Any, Any]:
-        values, slopes = fixed_branch_functions(self.system)
-        return _BufferedFunction(values.map(self.stages)), _BufferedFunction(slopes)
+    def _compiled_functions(self) -> tuple[BufferedFunction, BufferedFunction]:
+        system, p = self.system, self.system.problem
+        of = fixed_branches(p, system.jets, system.B, system.D)
+        values, slopes = (
+            ca.Function(name, [p.t, p.x, p.l, of.choices], [ca.densify(e) for e in part])
+            for name, part in (("sides", of.values), ("slopes_on_sides", of.slopes))
+        )
+        return BufferedFunction(values.map(self.stages)), BufferedFunction(slopes)
 
     def start(self, place: PieceStart, how: MultiplierSolver) -> CollocationStart:
         """Where a series of the mode has just been made."""
@@ -210,23 +204,18 @@ class RadauMethod:
         watched = np.array([row[0] for row in self._branch_rows()])
         x, l, y = (np.array([row[0] for row in rows]) for rows in (system.x, system.l, system.y))
         rounding = {acts: np.array([row[0] for row in rows]) for acts, rows in germ_rounding(system, 0).items()}
-        slopes = [a.copy() for a in self._evaluate_slopes(place)]
-        return CollocationStart(place.t, x, l, y, watched, self._branch_choices(), list(how.active), slopes, rounding)
+        choices = np.array([side for part in system.parts.values() for side in part.choice])
+        slopes = [a.copy() for a in self._compiled_functions[1](place.t, x, l, choices)]
+        return CollocationStart(place.t, x, l, y, watched, choices, list(how.active), slopes, rounding)
 
     def _branch_rows(self) -> list[list[float]]:
         """The rows that branches look at."""
         return [part.rows[b.row] for part in self.system.parts.values() for b in part.jets.branches]
 
-    def _branch_choices(self) -> np.ndarray:
-        return np.array([side for part in self.system.parts.values() for side in part.choice])
-
-    def _evaluate_slopes(self, place: PieceStart) -> list[np.ndarray]:
-        x, l = (np.array([row[0] for row in rows]) for rows in (self.system.x, self.system.l))
-        return self._compiled_functions[1](np.full((1, 1), place.t), x[:, None], l[:, None], self._branch_choices()[:, None])
-
     def fit(self, start: CollocationStart, h: float, rtol: float, atol: list[float]) -> CollocationFit | None:
         """The piece of length h; None where Newton's method does not settle."""
-        of, held, n, size = self.table, start.held, len(start.x), self._state_scales(start, atol)
+        of, held, n = self.table, start.held, len(start.x)
+        size = np.maximum(np.maximum(self.system.sizes.x, np.abs(start.x)) + atol, NOTHING)
         try:
             inverses = np.linalg.inv(_stage_matrices(start, h, of.rates))
         except np.linalg.LinAlgError:
@@ -287,10 +276,6 @@ class RadauMethod:
         """F + g, y and what branches look at, a row a point."""
         return [a.T for a in self._compiled_functions[0](t[None], x.T, l.T, start.choices[:, None])]
 
-    def _state_scales(self, start: CollocationStart, atol: list[float]) -> np.ndarray:
-        size = np.maximum(self.system.sizes.x, np.abs(start.x)) + atol
-        return np.maximum(size, NOTHING)
-
     def _with_error(self, start: CollocationStart, fit: CollocationFit, rtol: float, atol: list[float]) -> CollocationFit:
         scales = self._piece_tolerances(start, fit, rtol, atol)
         estimate = error = self._estimate(start, fit, scales)
@@ -346,21 +331,6 @@ class RadauMethod:
         errors.append(max_error_ratio(np.abs(y - h)[:, free] - scales.rounding_y[free], scales.y[free]))
         errors.append(max_error_ratio(np.abs(watched - looked) - scales.rounding_watched, scales.watched))
         return max(errors)
-
-
-class _BufferedFunction:
-    """A function of (t, x, l, choices) on arrays with a column a point; its results are overwritten."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self.inputs = [np.zeros(function.size_in(i), order="F") for i in range(4)]
-        self.outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
-        self.buffer, self.call = attach_buffers(function, self.inputs, self.outputs)
-
-    def __call__(self, *values: np.ndarray) -> list[np.ndarray]:
-        for array, given in zip(self.inputs, values, strict=True):
-            array[:] = given
-        self.call()
-        return self.outputs
 
 
 def _stage_matrices(start: CollocationStart, h: float, rates: np.ndarray) -> np.ndarray:

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.event_driven import recurrences as series
-from nsmodel.event_driven.recurrences import Branch, Recurrence, TaylorRecurrences
+from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, RECURRENCES, Branch, Recurrence, TaylorRecurrences
 
 
 class Dialect(NamedTuple):
@@ -142,14 +141,16 @@ def _higher_order_text(line: Recurrence, language: Dialect) -> str | None:
         return at_k[0]
     if line.kind in _LINEAR_TEXTS or line.kind in ("guarded", "chosen", "equal"):
         return _any_order_text(line, at_k, at_0, f"choice[{line.branch}]", language)
-    own, factor = language.row(line.y), language.number(line.number)
+    return convolution_text(line, language.row, language)
+
+
+def convolution_text(line: Recurrence, row: Callable[[int], str], language: Dialect) -> str:
+    """Order k > 0 of a line by a function of series; ``row``: where a row is."""
+    own, rows, factor = row(line.y), [row(of) for of in line.args], language.number(line.number)
     given = {
-        "product": rows,
-        "square": rows,
-        "along": rows,
-        "against": [own, rows[0], factor, rows[-1]],
-        "power": [own, rows[0], factor],
-    }.get(line.kind, [own, *rows])
+        "product": rows, "square": rows, "along": rows,
+        "against": [own, rows[0], factor, rows[-1]], "power": [own, rows[0], factor],
+    }.get(line.kind, [own, *rows])  # fmt: skip
     value = f"{line.kind}({', '.join(given)}, k)"
     return f"-{value}" if line.kind == "along" and line.number < 0 else value
 
@@ -166,9 +167,7 @@ def _chosen_text(line: Recurrence, at: list[str], choice: str, language: Dialect
     return language.either(f"{choice} == 0" if line.kind == "equal" else f"{choice} > 0", at[0], at[1])
 
 
-NUMERIC_FUNCTIONS = (
-    series.RECURRENCES | series.ORDER_0_FUNCTIONS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
-)
+NUMERIC_FUNCTIONS = RECURRENCES | ORDER_0_FUNCTIONS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
 
 
 class TaylorExpansion:

@@ -23,7 +23,7 @@ from nsmodel.event_driven.modes import PieceStart
 from nsmodel.event_driven.multipliers import NOTHING, TERM_ROUNDING, MultiplierSolver
 from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.system import LITTLE, ModeSystem
-from nsmodel.proof.verdict import attach_buffers
+from nsmodel.proof.verdict import BufferedFunction
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
 LARGEST_ORDER = 30  # Of a series, for which C has memory; rtol = 1e-14 asks for 22.
@@ -138,17 +138,15 @@ class ModelEquations:
     """(f + g, h) at (t, x, l), as declared; and what rounding does to f + g there."""
 
     def __init__(self, problem: ContinuousProblem) -> None:
-        self._problem, (n, m) = problem, (problem.x.numel(), problem.l.numel())
-        out = [ca.densify(problem.f + problem.g), ca.densify(problem.h)]
-        self._symbols = ca.vertcat(problem.t, problem.x, problem.l)
-        self._n, self._given, self._found = n, np.zeros(1 + n + m), np.zeros(n + m)
-        function = ca.Function("equations", [self._symbols], [ca.vertcat(*out)])
-        self._buffer, self._call = attach_buffers(function, [self._given], [self._found])
+        self._problem, self._symbols = problem, ca.vertcat(problem.t, problem.x, problem.l)
+        out = ca.vertcat(ca.densify(problem.f + problem.g), ca.densify(problem.h))
+        self._function, self._n = BufferedFunction(ca.Function("equations", [self._symbols], [out])), problem.x.numel()
+        (self._given,), self._found = self._function.inputs, self._function.outputs[0].ravel("K")
 
     def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[list[float], list[float]]:
         """The derivatives x' and the values y of the model at a point."""
         self._given[:] = [time, *state, *multipliers]
-        self._call()
+        self._function.run()
         found = self._found.tolist()
         return found[: self._n], found[self._n :]
 

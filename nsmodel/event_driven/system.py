@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel._utils import EPS, sum_in_order
+from nsmodel._utils import EPS, remember, sum_in_order
 from nsmodel.event_driven.disc_arithmetic import EquationsOnDisc
 from nsmodel.event_driven.friction_modes import SlipOnset
 from nsmodel.event_driven.mode_series import ModeSeries, UnrolledOrders, nonzero_terms
@@ -34,7 +34,6 @@ from nsmodel.event_driven.multipliers import (
     ErrorPropagation,
     MultiplierSolver,
     RowScales,
-    SlopesAtPoint,
     StateScales,
     ZeroTest,
     constant_matrix,
@@ -47,7 +46,7 @@ from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven
 from nsmodel.event_driven.recurrence_code import rescale_time
 from nsmodel.event_driven.recurrences import independent_branches, taylor_decompose
 from nsmodel.modeling.expressions import derivatives
-from nsmodel.proof.verdict import not_none
+from nsmodel.proof.verdict import BufferedFunction, not_none
 
 TIME_ROUNDING = EPS / TERM_ROUNDING  # What time is known to, in the rounding of an operation.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
@@ -216,7 +215,7 @@ class ModeSystem(ModeSeries):
             self._point = point
             self._point_cache.clear()
             self._slope_evaluator(point)
-        B, D, C = self._slope_evaluator.out
+        B, D, C = self._slope_evaluator.outputs
         return B, D, C
 
     def rounding(self, orders: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -248,13 +247,10 @@ class ModeSystem(ModeSeries):
         return u * of_x[:, :-1], u * of_l, u * of_y
 
     def _error_propagation(self, how: MultiplierSolver) -> ErrorPropagation:
-        found = self._propagations.get(how.active) if self.is_linear else None
-        if found is None:
-            found = error_propagation(how, self.rate_slopes(), *self.slopes())
-            if len(self._propagations) >= MAX_CACHED_MODES:
-                self._propagations.clear()
-            self._propagations[how.active] = found
-        return found
+        def make() -> ErrorPropagation:
+            return error_propagation(how, self.rate_slopes(), *self.slopes())
+
+        return remember(self._propagations, how.active, make, MAX_CACHED_MODES) if self.is_linear else make()
 
     def rate_slopes(self) -> np.ndarray:
         """(f + g)_x (n, n) at order 0."""
@@ -267,8 +263,8 @@ class ModeSystem(ModeSeries):
         return ca.Function("A", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(derivatives(p.f + p.g, p.x))])
 
     @cached_property
-    def _slope_evaluator(self) -> SlopesAtPoint:
-        return SlopesAtPoint(self._slopes)
+    def _slope_evaluator(self) -> BufferedFunction:
+        return BufferedFunction(self._slopes)
 
     def cached_from_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
         """What ``make`` makes of (B, D, C) at order 0, or ``of`` some of them: kept while these stay what they are."""
@@ -287,13 +283,12 @@ class ModeSystem(ModeSeries):
         return self.cached_from_slopes(active, lambda *slopes: self._cached_solver(active, slopes))
 
     def _cached_solver(self, active: tuple[int, ...], slopes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> MultiplierSolver:
-        key = (active, *(() if self.constant else (a.tobytes() for a in slopes)))
-        if key not in self._solvers:
-            if len(self._solvers) >= MAX_CACHED_MODES:
-                self._solvers.clear()
+        def make() -> MultiplierSolver:
             found = multiplier_solver(active, *slopes, lifts=bool(self.blocks.all))
-            self._solvers[key] = replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
-        return self._solvers[key]
+            return replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
+
+        key = (active, *(() if self.constant else (a.tobytes() for a in slopes)))
+        return remember(self._solvers, key, make, MAX_CACHED_MODES)
 
     def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> MultiplierSolver | None:
         """Compute orders 0, ..., ``orders`` of x and y, and of l as far as its index lets; None: the mode has no solution.

@@ -83,6 +83,23 @@ def attach_buffers(
     return buffer, call
 
 
+class BufferedFunction:
+    """A function with arrays of its own: ``run()`` reads ``inputs``, columns as 1-D, and writes ``outputs``, all 2-D."""
+
+    def __init__(self, function: ca.Function) -> None:
+        sizes = [function.size_in(i) for i in range(function.n_in())]
+        self.inputs = [np.zeros(size[0] if size[1] == 1 else size, order="F") for size in sizes]
+        self.outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
+        self._buffer, self.run = attach_buffers(function, self.inputs, self.outputs)
+
+    def __call__(self, *values: Any) -> list[np.ndarray]:
+        """The outputs at these inputs; the next call overwrites them."""
+        for array, value in zip(self.inputs, values, strict=True):
+            array[:] = value
+        self.run()
+        return self.outputs
+
+
 def connected_components(pattern: np.ndarray) -> list[list[int]]:
     """Return the connected parts of a graph, given by its symmetric pattern (n, n) of edges.
 

@@ -173,12 +173,12 @@ class SchemePropagator:
             return False
         from nsmodel.codegen import library
 
-        name = library.compiler()
+        name, tolerance = library.compiler(), self.stepper.tolerance
         if name is None:
             return False
         if self.whole is not None:
-            return library.is_cached_for_all(self.whole, self.in_c, self.stepper.tolerance, name)
-        return library.is_cached(self.model, self.in_c, self.stepper.tolerance, name)
+            return library.has_cached_library(library.steps_key_for_all(self.whole, self.in_c, tolerance, name))
+        return library.has_cached_library(library.steps_key(self.model, self.in_c, tolerance, name))
 
     @property
     def runaway(self) -> tuple[str, float] | None:

@@ -143,12 +143,8 @@ class CatchingUpStepper:
 
     def _determined_multipliers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The multipliers that u decides, 0 elsewhere, and which rows are left."""
-        l, tied, face = np.zeros(u.size), np.zeros(u.size, bool), self._face
-        for i in range(u.size):
-            if u[i] == 0:
-                tied[i] = True
-            else:
-                l[i] = face.lower[i] if u[i] > 0 else face.upper[i]
+        face, tied = self._face, u == 0
+        l = np.where(tied, 0.0, np.where(u > 0, face.lower, face.upper))
         for rows, K in face.curved:
             tied[rows] = not u[rows].any()
             if u[rows].any():
@@ -173,11 +169,8 @@ class CatchingUpStepper:
         return np.linalg.lstsq(slopes, -rates.ravel(), rcond=None)[0]
 
     def _box_multipliers(self, e: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        l = []
-        for i in range(self._n):
-            l += [max(e[i], 0.0)] if np.isfinite(lower[i]) else []
-            l += [max(-e[i], 0.0)] if np.isfinite(upper[i]) else []
-        return np.array(l)
+        both = np.column_stack([e, -e])
+        return np.where(both < 0, 0.0, both)[np.isfinite(np.column_stack([lower, upper]))]
 
     def _approximate_projection(
         self, t: float, end: float, y: np.ndarray, eps: float, u: np.ndarray

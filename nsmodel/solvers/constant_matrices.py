@@ -11,7 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.verdict import attach_buffers
+from nsmodel.proof.verdict import BufferedFunction
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import (
     CASADI_OPERATIONS,
@@ -24,8 +24,8 @@ from nsmodel.solvers.residuals import (
     symbolic_max,
 )
 from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF, equilibrate_matrix, is_elimination_fragile, least_condition_number
-from nsmodel.solvers.step import RowLayout, extra_columns
-from nsmodel.solvers.structure import StepStructure
+from nsmodel.solvers.step import extra_columns
+from nsmodel.solvers.structure import StepStructure, with_exact_unknowns
 
 MAX_UNKNOWN_ERROR = 1e-2  # Part of z that rounding may decide.
 ILL_CONDITIONED = 1e13  # Condition from which on a matrix counts as singular.
@@ -39,22 +39,18 @@ class StepKernel:
         numpy.linalg.LinAlgError: E_z is singular at this h.
     """
 
-    def __init__(
-        self, problem: OneStepProblem, structure: StepStructure, law: NumericLaw, where: RowLayout, h: float, tolerance: float
-    ) -> None:
+    def __init__(self, problem: OneStepProblem, structure: StepStructure, law: NumericLaw, h: float, tolerance: float) -> None:
         E_z, E_l, Y_z, Y_l = matrices = step_matrices_at(problem, h)
-        m, self.h, self._matrices = structure.m, h, matrices
+        self.h, self._matrices = h, matrices
         inverse = regular_inverse(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
         function, self.b_function = _kernel_functions(problem, structure, law, h, tolerance, matrices, inverse, self.Z, self.W)
-        self._t, self._state = np.zeros(1), np.zeros(problem.state.numel())
-        self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)
-        self.out = np.zeros(where.width)
-        self._one = np.ones(1)
-        self.consistent = np.zeros(1)  # 1 where no other index set is called for.
-        given = self._t, self._state, self._S, self._s, self._free, self._one
-        self._buffer, self._run = attach_buffers(function, given, (self.out, self.consistent))
+        self._function = BufferedFunction(function)
+        self._t, self._state, self._S, self._s, self._free, one = self._function.inputs
+        one[:] = 1.0
+        # The packed row; 1 where no other index set is called for.
+        self.out, self.consistent = (out.ravel("K") for out in self._function.outputs)
         self._maps: dict[bytes, tuple[np.ndarray, np.ndarray, bool, bool]] = {}
         self.loaded: np.ndarray | None = None
         self.fragile = False  # Whether the map in place loses digits that the whole system has;
@@ -65,7 +61,7 @@ class StepKernel:
         """Fill and return ``out`` (not a copy)."""
         self._t[0] = t
         self._state[:] = state
-        self._run()
+        self._function.run()
         return self.out
 
     def load(self, index: np.ndarray) -> bool:
@@ -198,14 +194,7 @@ def _kernel_functions(
     b = at.Y_0 + at.Y_z @ z_0
     l = S @ b + s
     z = z_0 + Z_sx @ l
-    for row, column, factor in structure.unit_rows:
-        z[column] = ca.if_else(free[row], -at.Y_0[row] / factor, z[column])
-    for i, needed in structure.follow_rows:
-        given = [ca.sum1(free[list(rows)]) > 0 for _, rows in needed]
-        known = at.E_0[i] + sum(at.E_z[i, j] * z[j] for j, _ in needed)
-        z[i] = ca.if_else(ca.sum1(ca.vertcat(*given)) == len(given), -known / at.E_z[i, i], z[i])
-    if structure.rest_rows:
-        z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
+    z = with_exact_unknowns(structure, free, z, at.E_0, at.Y_0, at.E_z)
     one = ca.SX.sym("one")
     judged = _residual_function(p, at, structure, law, tolerance, Z, W).call(
         [p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free]

@@ -40,11 +40,6 @@ def solve_on_modes(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray,
     return fixed + basis @ solve_or_least_squares(W[rows] @ basis, -(b + W @ fixed)[rows])
 
 
-def modes_of(law: NumericLaw, index: np.ndarray) -> bool:
-    """Whether every contact has a mode in ``index``."""
-    return all((index[rows] == index[rows][0]).all() for rows, _ in law.curved)
-
-
 def associated_law(law: NumericLaw) -> NumericLaw:
     """The law without ŷ: of a psd W a convex problem, which all that can stick solves by y = 0."""
     sets = tuple((rows, replace(K, shifts=False) if isinstance(K, CoulombSet) else K) for rows, K in law.curved)

@@ -241,12 +241,8 @@ class MlcpSolution:
     solver: str
 
 
-def affine_law_residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray:
-    """Return the law's residual of each row at y = W l + b."""
-    return _residual_given_rounding(W, b, law, l, 0.0)
-
-
-def _residual_given_rounding(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, unseen: Any) -> np.ndarray:
+def affine_law_residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, unseen: Any = 0.0) -> np.ndarray:
+    """Return the law's residual of each row at y = W l + b; ``unseen``: of y, see `law_residual`."""
     w_max = np.abs(W).max(axis=1, initial=0.0)
     return law_residual(law, l, W @ l + b, output_scale(b, np.abs(W) @ np.abs(l), w_max), w_max, unseen)
 
@@ -260,7 +256,7 @@ def _residual_with_rounding(
     if free.any():
         of[free] = row_maxima(dense_solution_errors(W[np.ix_(free, free)], error[free]))
     c_u = ROUNDING * UNIT_ROUND_OFF / tolerance
-    return _residual_given_rounding(W, b, law, l, c_u * (error + np.abs(W) @ of))
+    return affine_law_residual(W, b, law, l, c_u * (error + np.abs(W) @ of))
 
 
 def solve_mlcp(
@@ -333,14 +329,12 @@ def _is_well_scaled(sizes: np.ndarray) -> bool:
 def _solver_candidates(name, W, b, law, warm, index, symmetric):
     """Yield (l, index set) of one solver: first polished, then as it came."""
     if name == INDEX_SET:
-        found = active_set.primal_dual_active_set(W, b, law, index)
-        if found is not None:
+        if (found := active_set.primal_dual_active_set(W, b, law, index)) is not None:
             yield found
         return
     if name == ENUMERATION:
         for code in active_set.enumerate_index_sets(law, index):
-            l = active_set.solve_on_index_set(W, b, law, code)
-            if l is not None:
+            if (l := active_set.solve_on_index_set(W, b, law, code)) is not None:
                 yield l, code
         return
     if name == NEARBY:
@@ -366,12 +360,11 @@ def _solver_candidates(name, W, b, law, warm, index, symmetric):
     y = W @ l + b
     y[np.abs(y) <= 4 * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))] = 0.0  # a tie: a row at its bound stays there
     code = active_set.estimate_index_set(l, y, law, active_set.row_scale(W))
-    polished = active_set.solve_on_index_set(W, b, law, code)
-    if polished is not None:
+    if (polished := active_set.solve_on_index_set(W, b, law, code)) is not None:
         yield polished, code
     yield l, code
-    near = active_set.primal_dual_active_set(W, b, law, code)  # rows that are small beside others may be on the wrong side
-    if near is not None:
+    # Rows that are small beside others may be on the wrong side.
+    if (near := active_set.primal_dual_active_set(W, b, law, code)) is not None:
         yield near
 
 
@@ -387,9 +380,8 @@ def _friction_candidates(
 
     Where the last multiplier is 0 it says nothing, and contacts that close stick first.
     """
-    if friction_contacts.modes_of(law, index):
-        l = friction_contacts.solve_on_modes(W, b, law, warm, W @ warm + b, index)
-        yield l, index
+    if all((index[rows] == index[rows][0]).all() for rows, _ in law.curved):  # Every contact has a mode.
+        yield friction_contacts.solve_on_modes(W, b, law, warm, W @ warm + b, index), index
     starts = [warm] if warm.any() else []
     associated = friction_contacts.associated_law(law)
     stuck = semismooth_newton(W, b, associated, np.zeros_like(warm))

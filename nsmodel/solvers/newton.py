@@ -43,7 +43,7 @@ from nsmodel.solvers.residuals import (
 )
 from nsmodel.solvers.rounding_errors import FRAGILE, SUM_ERROR, UNIT_ROUND_OFF, is_elimination_fragile
 from nsmodel.solvers.step import RowLayout, extra_columns
-from nsmodel.solvers.structure import StepStructure, least_eigenvalue
+from nsmodel.solvers.structure import StepStructure, least_eigenvalue, with_exact_unknowns
 
 UNSOLVED = 3  # Affine problems with friction that no solver solves, each by the whole chain, after which a step is given up.
 GAIN = 10  # Factor by which an iteration must better the residual for another one to follow.
@@ -176,7 +176,7 @@ class NewtonSolver(IndexSetNewton):
                 self.update_least_eigenvalue(W)
             return mlcp.solve_mlcp(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / STRICTER)
         chosen = (b < 0) | (index == 0)
-        for _ in range(l.size + 1):
+        while True:  # Every pass adds a row.
             rows = np.flatnonzero(chosen)
             law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
             W = at.Y_z[rows] @ Z[:, rows] + at.Y_l[np.ix_(rows, rows)]
@@ -191,7 +191,6 @@ class NewtonSolver(IndexSetNewton):
             if not violated.any():
                 return mlcp.MlcpSolution(full, code, part.residual, part.solver if rows.size else "none needed")
             chosen |= violated
-        raise AssertionError("unreachable: every pass adds a row")  # pragma: no cover
 
     def _is_elimination_fragile(self, at: Linearisation, index: np.ndarray) -> bool:
         """Whether W, eliminated at an iterate, keeps too little of the whole system on its index set."""
@@ -325,14 +324,7 @@ def _newton_iteration(
     z = ca.densify(at.z + at.dz_0 + at.Z @ (l_next - l))
     zero = [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)]
     Y_0, E_0 = ca.substitute([p.Y, p.E], [p.z, p.l], zero)
-    for row, j, factor in structure.unit_rows:
-        z[j] = ca.if_else(free[row], -Y_0[row] / factor, z[j])
-    for i, needed in structure.follow_rows:
-        given = [ca.sum1(free[list(rows)]) > 0 for _, rows in needed]
-        rest = E_0[i] + sum(at.E_z[i, j] * z[j] for j, _ in needed)
-        z[i] = ca.if_else(ca.sum1(stack_column(given)) == len(given), -rest / at.E_z[i, i], z[i])
-    if structure.rest_rows:
-        z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
+    z = with_exact_unknowns(structure, free, z, E_0, Y_0, at.E_z)
     y, noise = at.W @ l_next + b, 4 * EPS * (ca.fabs(at.W) @ ca.fabs(l_next) + ca.fabs(b))
     multiplier_error, stays = ca.fabs(inverse) @ (free * noise), ca.SX(1)
     for i in range(m):

@@ -193,16 +193,17 @@ def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:
 
 
 def rewrite_as_basic_law(
-    law: Law, names: tuple[str, ...], y: ca.SX, driven: ca.SX, at: ca.SX | None = None, *, guarded: bool = True
+    law: Law, names: tuple[str, ...], y: ca.SX, driven: ca.SX, at: ca.SX | None = None
 ) -> RewrittenLaw:  # fmt: skip
     """Rewrite what is no basic law, such as a polyhedron, or moves, in terms of boxes and curved sets with numbers.
+
+    The multipliers are NaN where a set that moves is none.
 
     Args:
         law, names: the law as declared, and the names of its rows.
         y: the output (m, 1) that it speaks of; it must not depend on the new symbols.
         driven: the symbols of time and inputs in the law; at: what stands in their place in the result, such as those of the
             end of a step.
-        guarded: whether the multipliers are NaN where a set that moves is none.
     """
     parts, moving = [], driven
     if at is not None and any(law.moves(driven)):
@@ -210,13 +211,13 @@ def rewrite_as_basic_law(
     for rows, block in law.parts():
         l = ca.SX.sym("l", block.size)
         own = y[rows.start : rows.stop], tuple(names[rows])
-        parts.append(block.rewritten(*own, moving, guarded=guarded) or RewrittenLaw(Law((block,)), l, l, own[1], own[0]))
+        parts.append(block.rewritten(*own, moving) or RewrittenLaw(Law((block,)), l, l, own[1], own[0]))
     labels = tuple(name for part in parts for name in part.rows)
     ends = tuple(end for part in parts for end in part.ends)
-    scale = _stack_symbols([ca.SX.ones(part.l.numel()) if part.scale is None else part.scale for part in parts]) if ends else None
+    scale = stack_column([ca.SX.ones(part.l.numel()) if part.scale is None else part.scale for part in parts]) if ends else None
     return RewrittenLaw(
-        product(*(part.law for part in parts)), _stack_symbols([part.l for part in parts]),
-        _stack_symbols([part.multipliers for part in parts]), labels, _stack_symbols([part.y for part in parts]), ends, scale,
+        product(*(part.law for part in parts)), stack_column([part.l for part in parts]),
+        stack_column([part.multipliers for part in parts]), labels, stack_column([part.y for part in parts]), ends, scale,
     )  # fmt: skip
 
 
@@ -288,7 +289,7 @@ def subdifferential(phi: ConvexSplit, y: ca.SX, name: str, *, guarded: bool = Tr
     force = -ca.gradient(lagrangian, y)
     if guarded and operation_codes(phi.smooth) & DOMAIN_OPERATIONS:
         force = ca.if_else(ca.fabs(phi.smooth) < np.inf, force, np.nan)
-    return Subdifferential(product(*laws), _stack_symbols(symbols), force, _stack_symbols(us), tuple(rows))
+    return Subdifferential(product(*laws), stack_column(symbols), force, stack_column(us), tuple(rows))
 
 
 _LAW_OF_TERM = {
@@ -299,10 +300,6 @@ _LAW_OF_TERM = {
     "equality": lambda m, w: equality(m),
     "cone": lambda m, w: second_order_cone(m),
 }
-
-
-def _stack_symbols(columns: list[ca.SX]) -> ca.SX:
-    return ca.vertcat(ca.SX(0, 1), *columns)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,6 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.modeling.laws import Law
 from nsmodel.solvers import mlcp
-from nsmodel.solvers import mlcp as qp
 from nsmodel.solvers.newton import uses_working_set
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import NumericLaw
@@ -39,7 +38,7 @@ INTERNAL_SOLVERS = {
     "enumeration": mlcp.ENUMERATION,
     "semismooth": mlcp.SEMISMOOTH,
 }
-STEP_SOLVERS = ("auto", *qp.QP_SOLVERS, IPOPT_SOLVER, *INTERNAL_SOLVERS)
+STEP_SOLVERS = ("auto", *mlcp.QP_SOLVERS, IPOPT_SOLVER, *INTERNAL_SOLVERS)
 MAX_ENUMERATED_ROWS = 10  # Rows up to which all index sets are tried where the other solvers find none.
 MIN_SPARSE_SIZE = 120  # Unknowns and multipliers of a sparse step: of a chain it takes as long as a dense one, preparing it half.
 MAX_SPARSE_FILL = 0.1  # Part of its matrix that may be nonzero.
@@ -148,7 +147,7 @@ def _check_solver_applies(solver: str, structure: StepStructure, law: NumericLaw
     if law.curved and solver not in (IPOPT_SOLVER, "semismooth"):
         kinds = " and ".join(dict.fromkeys(K.plural for _, K in law.curved))
         raise UsageError(f"solver '{solver}' does not apply: the law has {kinds}; use semismooth or ipopt")
-    if solver in qp.QP_SOLVERS and not monotone:
+    if solver in mlcp.QP_SOLVERS and not monotone:
         raise UsageError(
             f"solver '{solver}' does not apply: the step is not a convex QP (least eigenvalue of W + W' {least:.3g}); "
             "use active-set, lemke, enumeration or ipopt"
@@ -158,34 +157,30 @@ def _check_solver_applies(solver: str, structure: StepStructure, law: NumericLaw
 def _plan_lines(
     path: str, structure: StepStructure, law: NumericLaw, monotone: bool, least: float
 ) -> tuple[list[str], list[str]]:
+    """What is used and what is left out."""
     n, m = structure.n, structure.m
     size = f"{n} unknown{'s' * (n != 1)}, {m} multiplier{'s' * (m != 1)}"
-    used, left_out = [f"{size}, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
-    if not m:
-        left_out.append("multipliers and every solver: the model has no law")
-    if path == "sparse":
-        left_out.append("Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients")
-    elif path == "kernel":
-        used.append("constant matrices: factored once for each step size, one function call a step")
-        left_out.append("Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients")
-    elif structure.affine:
-        used.append("one linearisation a step")
-        left_out.append("Newton iterations: E and Y are affine in the unknowns")
-    else:
-        used.append("Newton's method with exact Jacobians: E or Y is not affine")
-    if structure.identity and n:
-        left_out.append("linear systems: E_z is the identity")
-    if m and not law.curved:
-        if monotone and structure.symmetric:
-            used.append("W symmetric psd: a box QP")
-        elif monotone:
-            used.append("W psd: a gap QP" if m == 1 else "W psd, not known to be symmetric: a gap QP")
-        else:
-            used.append(f"W not psd (least eigenvalue {least:.3g}): complementarity conditions; uniqueness is not guaranteed")
-            left_out.append("quadratic programmes: not convex here")
-    if path == "newton" and uses_working_set(structure, law):
-        left_out.append("rows that the prediction satisfies: they enter only if the solution violates them")
-    return used, left_out
+    newton, affine, box = path == "newton", structure.affine, m > 0 and not law.curved
+    not_psd = box and not monotone
+    used = {
+        f"{size}, {structure.nonzeros} nonzeros of {(n + m) ** 2}": True,
+        "constant matrices: factored once for each step size, one function call a step": path == "kernel",
+        "one linearisation a step": newton and affine,
+        "Newton's method with exact Jacobians: E or Y is not affine": newton and not affine,
+        "W symmetric psd: a box QP": box and monotone and structure.symmetric,
+        f"W psd{', not known to be symmetric' * (m != 1)}: a gap QP": box and monotone and not structure.symmetric,
+        f"W not psd (least eigenvalue {least:.3g}): complementarity conditions; uniqueness is not guaranteed": not_psd,
+    }
+    left_out = {
+        "multipliers and every solver: the model has no law": not m,
+        "Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients": not newton,
+        "Newton iterations: E and Y are affine in the unknowns": newton and affine,
+        "linear systems: E_z is the identity": structure.identity and n > 0,
+        "quadratic programmes: not convex here": not_psd,
+        "rows that the prediction satisfies: they enter only if the solution violates them": newton
+        and uses_working_set(structure, law),
+    }
+    return [line for line, holds in used.items() if holds], [line for line, holds in left_out.items() if holds]
 
 
 REPEATED_PATH = "repeated"  # The path "newton" where most steps are those of `repeated`.

@@ -90,16 +90,13 @@ def _select_entries(mask: np.ndarray, a: Any, b: Any) -> ca.SX:
     return ca.vertcat(*((a if holds else b)[i] for i, holds in enumerate(mask)))
 
 
-def _largest_selected(mask: np.ndarray, a: ca.SX) -> ca.SX:
-    return ca.mmax(ca.vertcat(*(a[int(i)] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0)
-
-
 NUMPY_OPERATIONS = ResidualOperations(
     np.abs, np.maximum, np.minimum, np.where, np.where, lambda mask, a: a.max(where=mask, initial=0.0),
     lambda a, b, end: np.where(np.isfinite(end), np.minimum(a, b), a), lambda a, s: np.where(a == 0, 0, a / s),
 )  # fmt: skip
 CASADI_OPERATIONS = ResidualOperations(
-    ca.fabs, ca.fmax, ca.fmin, ca.if_else, _select_entries, _largest_selected,
+    ca.fabs, ca.fmax, ca.fmin, ca.if_else, _select_entries,
+    lambda mask, a: ca.mmax(ca.vertcat(*(a[int(i)] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0),
     lambda a, b, end: _select_entries(np.isfinite(end), ca.fmin(a, b), a), lambda a, s: ca.if_else(a == 0, 0, a / s),
 )  # fmt: skip
 

@@ -30,7 +30,7 @@ from scipy.linalg.lapack import dgbtrf, dgbtrs  # pyrefly: ignore[missing-module
 from scipy.sparse.csgraph import breadth_first_order, connected_components, reverse_cuthill_mckee
 from scipy.sparse.linalg import LinearOperator, splu
 
-from nsmodel._utils import EPS
+from nsmodel._utils import EPS, remember
 from nsmodel.solvers import active_set, mlcp
 from nsmodel.solvers.linearisation import REFINEMENTS, BufferedStepFunction, Iterate
 from nsmodel.solvers.one_step_problem import OneStepProblem
@@ -113,12 +113,7 @@ class FactoredJacobian:
         Raises:
             Singular: a pivot is round-off.
         """
-        key = held.tobytes(), shift
-        if key not in self._factors:
-            if len(self._factors) >= MAX_KEPT_FACTORS:
-                self._factors.pop(next(iter(self._factors)))
-            self._factors[key] = self._factorise(held, shift)
-        return self._factors[key]
+        return remember(self._factors, (held.tobytes(), shift), lambda: self._factorise(held, shift), MAX_KEPT_FACTORS)
 
     def _factorise(self, held: np.ndarray, shift: float) -> Any:
         rows = np.concatenate([np.zeros(self.n, bool), held])
@@ -189,13 +184,8 @@ class FactoredJacobian:
         return LinearOperator((m, m), matvec=scaled(multiply), rmatvec=scaled(multiply_transposed))  # pyrefly: ignore[missing-argument, unexpected-keyword]
 
 
-def step_jacobian(problem: OneStepProblem, h: float) -> sp.csr_matrix:
-    """J at h, where it depends on nothing else."""
-    return step_jacobian_function(problem)(h)
-
-
 def step_jacobian_function(p: OneStepProblem) -> Callable[[float], sp.csr_matrix]:
-    """J as a function of h."""
+    """J as a function of h, where it depends on nothing else."""
     E_z, E_l, Y_z, Y_l = p.jacobians
     known = ca.vertcat(p.t, p.state, p.z, p.l)
     function = ca.Function("J", [p.h, known], [ca.vertcat(ca.horzcat(E_z, E_l), ca.horzcat(Y_z, Y_l))])
@@ -240,11 +230,11 @@ class SparseStepSolver:
         Raises:
             numpy.linalg.LinAlgError: E_z is singular at this h.
         """
-        if h not in self._steps:
-            if len(self._steps) >= MAX_STEP_SIZES:
-                self._steps.pop(next(iter(self._steps)))
-            self._steps[h] = FactoredJacobian(self._J(h), self.structure.n, next(iter(self._steps.values()), None))
-        return self._steps[h]
+
+        def make() -> FactoredJacobian:
+            return FactoredJacobian(self._J(h), self.structure.n, next(iter(self._steps.values()), None))
+
+        return remember(self._steps, h, make, MAX_STEP_SIZES)
 
     def _step_data(self, t: float, h: float, state: np.ndarray) -> _AffineStepData:
         constant, guess = self._constant_part(t, h, state)

@@ -97,6 +97,23 @@ def read_step_structure(problem: OneStepProblem) -> StepStructure:
     )
 
 
+def with_exact_unknowns(structure: StepStructure, free: ca.SX, z: ca.SX, E_0: ca.SX, Y_0: ca.SX, E_z: ca.SX | ca.DM) -> ca.SX:
+    """The unknowns z with those exact that unit, follow and rest rows give where rows are ``free`` (1, else 0): y = 0 there.
+
+    ``E_0``, ``Y_0``: E and Y at z = 0, l = 0.
+    """
+    z = ca.SX(z)
+    for row, j, factor in structure.unit_rows:
+        z[j] = ca.if_else(free[row], -Y_0[row] / factor, z[j])
+    for i, needed in structure.follow_rows:
+        given = [ca.sum1(free[list(rows)]) > 0 for _, rows in needed]
+        known = E_0[i] + sum(E_z[i, j] * z[j] for j, _ in needed)
+        z[i] = ca.if_else(ca.sum1(stack_column(given)) == len(given), -known / E_z[i, i], z[i])
+    if structure.rest_rows:
+        z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
+    return z
+
+
 def _is_shifted_identity(p: OneStepProblem) -> bool:
     """Whether E = z - p without multipliers."""
     J = ca.jacobian(ca.substitute([p.E], [p.l], [ca.SX.zeros(p.l.shape)])[0] - p.z, p.z)

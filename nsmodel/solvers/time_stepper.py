@@ -15,14 +15,12 @@ import numpy as np
 
 from nsmodel.errors import StepError, UsageError
 from nsmodel.proof.verdict import not_none
-from nsmodel.solvers import active_set, diagnosis, mlcp
-from nsmodel.solvers import mlcp as curved
-from nsmodel.solvers import newton as repeated
+from nsmodel.solvers import active_set, mlcp
 from nsmodel.solvers.constant_matrices import StepKernel
-from nsmodel.solvers.diagnosis import find_empty_law
+from nsmodel.solvers.diagnosis import describe_overreach, explain_step_failure, find_empty_law
 from nsmodel.solvers.fallbacks import NonlinearProgramme, connected_parts, part_problem
 from nsmodel.solvers.linearisation import ENOUGH, BufferedStepFunction, Iterate
-from nsmodel.solvers.newton import LastIndexSetStep, NewtonSolver
+from nsmodel.solvers.newton import MAX_GRAPH_UNKNOWNS, LastIndexSetStep, NewtonSolver
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.plan import DUAL_ACTIVE_SET, choose_plan, is_sparse_step_faster
 from nsmodel.solvers.residuals import REACH, STRICTER, numeric_law
@@ -82,12 +80,7 @@ class Stepper:
     def _last_index_set_step(self) -> LastIndexSetStep | None:
         """The step on the last index set of a problem whose matrices change, where it is small enough for one graph."""
         s = self.structure
-        if (
-            self.plan.path != "newton"
-            or not self.plan.use_last
-            or self.law.curved
-            or not 0 < s.n + s.m <= repeated.MAX_GRAPH_UNKNOWNS
-        ):
+        if self.plan.path != "newton" or not self.plan.use_last or self.law.curved or not 0 < s.n + s.m <= MAX_GRAPH_UNKNOWNS:
             return None
         found = LastIndexSetStep(self._newton, self.layout)
         return found if found.useful else None
@@ -164,8 +157,7 @@ class Stepper:
         if ratio[worst] <= REACH:
             return
         raise StepError(
-            f"no verified step from t = {t:.10g} to {t + h:.10g}: "
-            f"{diagnosis.describe_overreach(self.rows[worst], ratio[worst])}, or rtol",
+            f"no verified step from t = {t:.10g} to {t + h:.10g}: {describe_overreach(self.rows[worst], ratio[worst])}, or rtol",
             residual=float(ratio[worst]),
             component=self.rows[worst],
         )
@@ -203,7 +195,7 @@ class Stepper:
         if self.plan.path != "kernel":
             return None
         try:
-            self._kernels[h] = StepKernel(self.problem, self.structure, self.law, self.layout, h, self.tolerance)
+            self._kernels[h] = StepKernel(self.problem, self.structure, self.law, h, self.tolerance)
         except np.linalg.LinAlgError:
             raise singular_matrix_error(t, h) from None
         return self._kernels[h]
@@ -336,14 +328,14 @@ class Stepper:
         if W is None:
             return None
         if self.law.curved:
-            index = curved.curved_index_set(self.law, l, y, curved.block_scale(W, self.law))
+            index = mlcp.curved_index_set(self.law, l, y, mlcp.block_scale(W, self.law))
             return self._newton.solve(t, h, state, l, index, (mlcp.SEMISMOOTH if self.law.is_normal_cone else mlcp.NEARBY,))
         index = active_set.estimate_index_set(l, y, self.law, active_set.row_scale(W))
         return self._newton.solve_on_index_set(t, h, state, z, l, index)
 
     def _sparse_step_error(self, t: float, h: float, state: np.ndarray, found: Iterate) -> StepError:
         size = self.structure.n + self.structure.m
-        if (empty := diagnosis.find_empty_law(self.problem, t, h, state)) is not None:
+        if (empty := find_empty_law(self.problem, t, h, state)) is not None:
             return empty
         if not np.isfinite(state).all():
             reason = "the state is not finite"
@@ -362,12 +354,12 @@ class Stepper:
         )
 
     def _step_error(self, t: float, h: float, state: np.ndarray, warm: WarmStart, best: StepAttempt | None) -> StepError:
-        if (empty := diagnosis.find_empty_law(self.problem, t, h, state)) is not None:
+        if (empty := find_empty_law(self.problem, t, h, state)) is not None:
             return empty
         W, b = self._newton.affine_problem(t, h, state, warm.l)
         at = self._newton.linearise(t, h, state, self._newton.guess(t, h, state, warm.l), warm.l)
         finite = bool(np.isfinite(at.E).all())
-        reason = diagnosis.explain_step_failure(
+        reason = explain_step_failure(
             self.problem, self.structure, self.law, self.plan, W, b, (t, h, state), finite, self._newton.least_eigenvalue
         )
         residual = np.inf if best is None else best.residual

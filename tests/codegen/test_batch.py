@@ -347,7 +347,7 @@ def test_nothing_is_read_off_the_defaults():
             A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], D=model.p[0], y=SYM("y"), phi=0, x0=[0, 0], t_end=1, step=0.02,
             parameters=dict(zip(ca.vertsplit(model.p), declared.values(), strict=True)),
         )  # fmt: skip
-        return cache._spec_source_texts(spec_for_all_values(other, grid_of(other), 1e-9)), cache.steps_key_for_all(
+        return cache.step_source_texts(spec_for_all_values(other, grid_of(other), 1e-9)), cache.steps_key_for_all(
             other, grid_of(other), 1e-9, "cc"
         )
 

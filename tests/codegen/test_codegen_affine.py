@@ -162,7 +162,7 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
         m=m,
         lemke=lemke if box_too else m,
         curved=len(law.curved),
-        constants=fragments.step_defines(),
+        constants=fragments.define_lines(fragments.STEP_CONSTANTS),
         members=members,
         common=read_fragment("common.c", frozenset(), {}).replace("static double sign_of", "double sign_of"),
     )
@@ -707,7 +707,7 @@ def test_hostile_numbers_end_and_nothing_false_passes(boxes, on_law):
                 rounding = (
                     ROUNDING * UNIT_ROUND_OFF / ACCEPTED * (np.abs(W) @ np.abs(answer.l) + np.abs(b))
                 )  # sums in another order
-                assert mlcp._residual_given_rounding(W, b, law, answer.l, rounding).max() <= 2 * ACCEPTED
+                assert mlcp.affine_law_residual(W, b, law, answer.l, rounding).max() <= 2 * ACCEPTED
     assert answered > 50
 
 

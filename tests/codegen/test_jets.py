@@ -11,9 +11,9 @@ import pytest
 from conftest import optimised
 from fuzz_models import share
 
-from nsmodel.codegen.recurrences import recurrence_function as in_c_text
-from nsmodel.codegen.recurrences import recurrence_kernels
-from nsmodel.event_driven.recurrence_code import TaylorExpansion
+from nsmodel.codegen.expressions import c_number
+from nsmodel.codegen.recurrences import C_DIALECT, recurrence_kernels
+from nsmodel.event_driven.recurrence_code import TaylorExpansion, higher_order_statements, order_0_statements
 from nsmodel.event_driven.recurrences import BINARY_RECURRENCES, UNARY_RECURRENCES, taylor_decompose
 from nsmodel.proof.expression_graph import OpaqueExpression, fold_graph
 
@@ -240,6 +240,15 @@ def test_random_compositions(seed):
 
 
 # ------------------------------------------------------------------------------------------------------------------- in C
+
+
+def in_c_text(jets, name, width):
+    """``static void name(double (*N)[width], double *choice, int k)``: order k of all rows but those of inputs."""
+    numbers = [f"N[{row}][0] = {c_number(value).text};" for row, value in jets.numbers.items()]
+    first = "\n".join([*numbers, *order_0_statements(jets, C_DIALECT)])
+    later = "\n".join(higher_order_statements(jets, C_DIALECT))
+    head = f"static void {name}(double (*N)[{width}], double *choice, int k)"
+    return f"{head}\n{{\n(void)choice;\nif (k == 0) {{\n{first}\nreturn;\n}}\n{later}\n}}\n"
 
 
 @pytest.fixture(scope="module")

@@ -230,7 +230,7 @@ def test_hostile_numbers_end_and_nothing_false_passes(tmp_path):
             for l in found:
                 assert np.isfinite(l).all()
                 rounding = 8 * 2.0**-53 / 1e-10 * (np.abs(W) @ np.abs(l) + np.abs(b))
-                assert mlcp._residual_given_rounding(W, b, law, l, rounding).max() <= 2e-10
+                assert mlcp.affine_law_residual(W, b, law, l, rounding).max() <= 2e-10
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------

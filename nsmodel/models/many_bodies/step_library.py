@@ -29,7 +29,7 @@ from nsmodel.codegen.expressions import c_function, c_table
 from nsmodel.codegen.features import MAX_COUNT
 from nsmodel.codegen.fragments import comment_text, compiler_guard, define_lines, prefix_names, prune_unused, read_fragment
 from nsmodel.codegen.library import COMPILER_FLAGS as PORTABLE
-from nsmodel.codegen.library import NATIVE_FLAGS, MappedLibrary, cached_library, compiler, library_key, no_compiler_error
+from nsmodel.codegen.library import NATIVE_FLAGS, MappedLibrary, cached_library, compiler, library_key, required_compiler
 from nsmodel.codegen.structs import BAD_ARITHMETIC, NO_ROOM, STATUSES
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.modeling.fingerprint import versions
@@ -217,9 +217,7 @@ def load_cached_library(text: str, name: str) -> MappedLibrary:
     Raises:
         CodegenError: there is no compiler or it fails, or the folder cannot be used.
     """
-    by = compiler()
-    if by is None:
-        raise no_compiler_error()
+    by = required_compiler()
     path = cached_library(_source_key(text, by), lambda: {f"{name}.c": text}, BODIES_FLAGS)
     try:
         return MappedLibrary(path)
