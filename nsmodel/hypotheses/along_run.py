@@ -36,12 +36,6 @@ CONTINUITY_HYPOTHESIS = Hypothesis(
     "run-continuous", "no state jumps: where a multiplier that enters neither y nor y' sets in, y' = 0",
     "definition of a solution: x is absolutely continuous",
 )  # fmt: skip
-RUN_HYPOTHESES = (
-    RESIDUAL_HYPOTHESIS,
-    FEASIBILITY_HYPOTHESIS,
-    QUALIFICATION_HYPOTHESIS,
-    CONTINUITY_HYPOTHESIS,
-)  # A class's own are the `run_hypotheses` of its checks.
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverges is judged like any other

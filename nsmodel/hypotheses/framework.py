@@ -82,8 +82,7 @@ class HypothesisChecks:
     Attributes:
         hypotheses: in the order of the report.
         decide: (model, region, runs, quick), a finding for each hypothesis, and what follows.
-        along_run: (model, run, findings by id, second run, quick), the inequalities that the class promises along a run;
-            ``run_hypotheses``: their statements.
+        along_run: (model, run, findings by id, second run, quick), the inequalities that the class promises along a run.
         uniform: proofs for all values of parameters in a box.
         driven: what is decided where inputs move.
         symbolic: the conditions on parameters without value.
@@ -99,7 +98,6 @@ class HypothesisChecks:
     hypotheses: tuple[Hypothesis, ...]
     decide: Callable[[Any, Region, Sequence[Trajectory], bool], tuple[list[Finding], list[Consequence]]]
     along_run: Callable[[Any, Trajectory, Mapping[str, Finding], Trajectory | None, bool], list[Finding]] | None = None
-    run_hypotheses: tuple[Hypothesis, ...] = ()
     uniform: UniformChecks | None = None
     driven: DrivenChecks | None = None
     symbolic: Callable[[Any], list[Finding]] | None = None

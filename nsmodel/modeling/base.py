@@ -355,8 +355,8 @@ class Model(Picklable):
 
     @property
     def row_names(self) -> tuple[str, ...]:
-        """Names of what besides states may have a unit."""
-        return ()
+        """Names of what besides states may have a unit: of the multipliers, where a class does not say more."""
+        return getattr(self, "multiplier_names", ())
 
     @property
     def tied_to_step(self) -> bool:

@@ -124,8 +124,8 @@ def omega_lower_bound(near: BalancedCoordinates) -> float:
     return float(max(bounds))
 
 
-def search_omega(near: BalancedCoordinates, least: float) -> tuple[float, np.ndarray]:
-    """Return the least omega and its Y_hat, by bisection between what no Y can beat and the best one so far."""
+def search_omega(near: BalancedCoordinates, least: float) -> np.ndarray:
+    """Return the Y_hat of the least omega, by bisection between what no Y can beat and the best one so far."""
     best, count = np.eye(near.free), 24 if len(near.left) <= 8 else 14 if len(near.left) <= 14 else 9
     omega = min(max(growth_rate(near.middle(best), J) for J in near.J), MAX_STORAGE_SPREAD * near.scale)
     low = least
@@ -139,7 +139,7 @@ def search_omega(near: BalancedCoordinates, least: float) -> tuple[float, np.nda
             omega, best = value, answer
         if value > middle + 1e-8 * near.scale:
             low = max(low, middle)
-    return omega, best
+    return best
 
 
 def solve_sdp(near: BalancedCoordinates, omega: float, kernels: Sequence[np.ndarray] | None = None) -> np.ndarray | None:
@@ -356,7 +356,7 @@ def _energy_candidates(problem: _RateProblem) -> list[np.ndarray]:
 
 def _sdp_candidates(problem: _RateProblem) -> Iterator[np.ndarray]:
     """The answer of the semidefinite program, and the same without the entries that are 0 up to its accuracy."""
-    Y = search_omega(problem.near, omega_lower_bound(problem.near))[1]
+    Y = search_omega(problem.near, omega_lower_bound(problem.near))
     d = np.sqrt(np.abs(np.diagonal(Y)))
     for kept in (np.where(np.abs(Y) > 1e-6 * np.outer(d, d), Y, 0.0), Y):
         yield exact.rational(problem.near.from_hat(kept))

@@ -372,7 +372,7 @@ class _GoalEvaluator:
     """Evaluates a goal at points, keeps those that are feasible and counts them."""
 
     def __init__(self, goal: SearchGoal, space: SearchSpace) -> None:
-        self._goal, self._space = goal, space
+        self._goal = goal
         self._numel = goal.held.numel()
         self._constant = not ca.symvar(goal.held)
         both = ca.vertcat(ca.vec(goal.held), space.where)

@@ -178,11 +178,6 @@ def square(x: IntervalPair) -> IntervalPair:
     return make_interval(np.where(exact, lo * lo, np.maximum(next_down(lo * lo), 0)), np.where(exact, hi * hi, next_up(hi * hi)))
 
 
-def scale_interval(x: IntervalPair, number: float) -> IntervalPair:
-    """Return a number times x."""
-    return mul(x, point_interval(number))
-
-
 def in_domain(x: IntervalPair, low: float, high: float) -> Array:
     """Whether the interval lies in [low, high] but for rounding (and does not lie outside altogether)."""
     slack = DOMAIN_ROUNDING * np.minimum(np.maximum(np.abs(x[0]), np.abs(x[1])), 1.0)

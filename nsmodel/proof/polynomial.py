@@ -321,25 +321,19 @@ def derivative_coefficients(p: PolynomialCoefficients) -> list[Fraction]:
     return [k * number for k, number in enumerate(p)][1:]
 
 
-def approximate_minimum(
-    p: PolynomialCoefficients, low: Fraction | None = Fraction(0), high: Fraction | None = None
-) -> tuple[float, float]:
-    """(least value, where) on [low, high] (None: infinite), in doubles; (-inf, +-inf) where p has no lower bound."""
+def approximate_minimum(p: PolynomialCoefficients, low: Fraction | None, high: Fraction | None) -> float:
+    """The least value on [low, high] (None: infinite), in doubles; -inf where p has no lower bound."""
     p = _trim_zeros(p)
-    if len(p) > 1 and high is None and p[-1] < 0:
-        return -np.inf, np.inf
-    if len(p) > 1 and low is None and (p[-1] > 0) == (len(p) % 2 == 0):
-        return -np.inf, -np.inf
+    if len(p) > 1 and ((high is None and p[-1] < 0) or (low is None and (p[-1] > 0) == (len(p) % 2 == 0))):
+        return -np.inf
     critical = np.roots([float(number) for number in reversed(derivative_coefficients(p))]) if len(p) > 2 else np.zeros(0)
     a, b = (-np.inf if low is None else float(low)), (np.inf if high is None else float(high))
     points = [float(root.real) for root in critical if a < root.real < b]
     points += [end for end in (a, b) if np.isfinite(end)] or [0.0]
-    values = [float(evaluate_at(p, Fraction(point))) for point in points]
-    best = int(np.argmin(values))
-    return values[best], points[best]
+    return min(float(evaluate_at(p, Fraction(point))) for point in points)
 
 
-def polynomial_lower_bound(p: PolynomialCoefficients, low: Fraction | None = Fraction(0), high: Fraction | None = None) -> float:
+def polynomial_lower_bound(p: PolynomialCoefficients, low: Fraction | None, high: Fraction | None) -> float:
     """A double that p nowhere falls below on [low, high] (None: infinite), the largest one but for rounding; -inf: no bound."""
     p = _trim_zeros(p)
     if len(p) > 1 and ((high is None and p[-1] < 0) or (low is None and (p[-1] > 0) == (len(p) % 2 == 0))):

@@ -44,19 +44,12 @@ def sos_decomposition(p: Polynomial, n: int, monomials: Sequence[MonomialPowers]
     m = _prune_monomials(list(_half_degree_monomials(target, n)) if monomials is None else list(monomials), target)
     if not m or len(m) > MAX_GRAM_MONOMIALS or not _covers_target(m, target):
         return None
-    unit = _variable_units(target, n)
-    size = Fraction(2) ** _approximate_log2(max(abs(number) * _unit_scale(power, unit) for power, number in target.items()))
-    scaled = {power: number * _unit_scale(power, unit) / size for power, number in target.items()}
+    unit, size, scaled = _scaled_target(target, n)
     G = _gram_matrix(m, scaled)
     if G is None:
         return None
     back = exact.rational([[1 / _unit_scale(power, unit)] for power in m])
     return SosDecomposition(m, G * back * back.T * size)
-
-
-def is_nonnegative(p: Polynomial, n: int) -> bool:
-    """Whether p >= 0 is proved: p is a sum of squares."""
-    return sos_decomposition(p, n) is not None
 
 
 def is_sos_convex(p: Polynomial, n: int) -> bool:
@@ -78,9 +71,7 @@ def sos_lower_bound(p: Polynomial, n: int) -> Fraction | None:
     m = _prune_monomials(list(_half_degree_monomials({**target, zero: Fraction(1)}, n)), {**target, zero: Fraction(1)})
     if not m or len(m) > MAX_GRAM_MONOMIALS or zero not in m or not _covers_target(m, target):
         return None
-    unit = _variable_units(target, n)
-    size = Fraction(2) ** _approximate_log2(max(abs(number) * _unit_scale(power, unit) for power, number in target.items()))
-    scaled = {power: number * _unit_scale(power, unit) / size for power, number in target.items()}
+    _, size, scaled = _scaled_target(target, n)
     best = _largest_constant(m, scaled)
     if best is None:
         return None
@@ -141,6 +132,13 @@ def _variable_units(target: dict[MonomialPowers, Fraction], n: int) -> list[int]
 
 def _unit_scale(power: MonomialPowers, unit: Sequence[int]) -> Fraction:
     return Fraction(2) ** sum(k * u for k, u in zip(power, unit, strict=True))
+
+
+def _scaled_target(target: dict[MonomialPowers, Fraction], n: int) -> tuple[list[int], Fraction, dict[MonomialPowers, Fraction]]:
+    """These units, the size of the largest coefficient in them, and the coefficients as parts of that size."""
+    unit = _variable_units(target, n)
+    size = Fraction(2) ** _approximate_log2(max(abs(number) * _unit_scale(power, unit) for power, number in target.items()))
+    return unit, size, {power: number * _unit_scale(power, unit) / size for power, number in target.items()}
 
 
 def _approximate_log2(number: Fraction) -> int:

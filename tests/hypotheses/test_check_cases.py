@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
+from importlib import import_module
 
 import casadi as ca
 import numpy as np
@@ -13,7 +15,7 @@ from search.golden import BOUNDS
 import nsmodel
 from nsmodel.hypotheses import along_run
 from nsmodel.hypotheses.check import hypotheses_of
-from nsmodel.hypotheses.findings import VERDICTS
+from nsmodel.hypotheses.findings import VERDICTS, Hypothesis
 from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.modeling.parts import MODEL_CLASSES
 
@@ -223,10 +225,11 @@ def test_consequences_rest_on_findings_of_the_report(case_file, report_of):
 def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
     page = (REPOSITORY / "docs" / "hypotheses.md").read_text()
     headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
-    checks = [HYPOTHESIS_CHECKS.of(getattr(nsmodel, name)) for name in MODEL_CLASSES]
-    hypotheses = list(dict.fromkeys(hypothesis for own in checks for hypothesis in own.hypotheses))
-    hypotheses += [*along_run.RUN_HYPOTHESES, *(hypothesis for own in checks for hypothesis in own.run_hypotheses)]
-    ids = [hypothesis.id for hypothesis in hypotheses]
-    assert len(set(ids)) == len(ids)
-    assert set(ids) <= headings
-    assert all(hypothesis.statement and hypothesis.source for hypothesis in hypotheses)
+    decided = {item for name in MODEL_CLASSES for item in HYPOTHESIS_CHECKS.of(getattr(nsmodel, name)).hypotheses}
+    names = [module.name for module in pkgutil.walk_packages(nsmodel.__path__, "nsmodel.") if "models" in module.name]
+    parts = [part for module in (along_run, *map(import_module, names)) for part in vars(module).values()]
+    along = {part for part in parts if isinstance(part, Hypothesis)} - decided
+    assert {"run-residual", "run-energy", "run-motion"} <= {hypothesis.id for hypothesis in along}
+    assert len({hypothesis.id for hypothesis in decided}) == len(decided)
+    assert {hypothesis.id for hypothesis in decided | along} <= headings
+    assert all(hypothesis.statement and hypothesis.source for hypothesis in decided | along)

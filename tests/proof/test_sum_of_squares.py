@@ -53,13 +53,13 @@ def test_a_certificate_is_exact(name):
     ],
 )  # fmt: skip
 def test_what_is_no_sum_of_squares_has_no_certificate(expr):
-    assert not sum_of_squares.is_nonnegative(read(expr), 3)
+    assert sum_of_squares.sos_decomposition(read(expr), 3) is None
 
 
 def test_zero_and_numbers():
-    assert sum_of_squares.is_nonnegative({}, 3)
-    assert sum_of_squares.is_nonnegative({(): Fraction(2)}, 3)
-    assert not sum_of_squares.is_nonnegative({(): Fraction(-2)}, 3)
+    assert sum_of_squares.sos_decomposition({}, 3) is not None
+    assert sum_of_squares.sos_decomposition({(): Fraction(2)}, 3) is not None
+    assert sum_of_squares.sos_decomposition({(): Fraction(-2)}, 3) is None
     assert sum_of_squares.sos_lower_bound({(): Fraction(-2)}, 3) == -2
 
 

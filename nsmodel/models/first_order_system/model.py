@@ -78,11 +78,6 @@ class FirstOrderSystem(Model):
         check_weights(self.theta, self.gamma)
 
     @property
-    def row_names(self) -> tuple[str, ...]:
-        """Those of the multipliers."""
-        return self.multiplier_names
-
-    @property
     def weights(self) -> tuple[float, float]:
         """theta and gamma."""
         return self.theta, self.gamma

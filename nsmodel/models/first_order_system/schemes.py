@@ -178,17 +178,13 @@ def impact_system(model: FirstOrderSystem) -> ImpactStructure | None:
     if not model.law.size or _is_mass_singular(model.M):
         return None
     x, l, Y = model.x, model.lam, model.h
-    F = ca.solve(model.M, model.f + model.g) if not _is_identity(model.M) else model.f + model.g
+    F = ca.solve(model.M, model.f + model.g) if not (model.M - ca.SX.eye(model.M.shape[0])).is_zero() else model.f + model.g
     return impact_structure(model, model.law, l, F, Y, (ca.jacobian(F, l), ca.jacobian(Y, x), ca.jacobian(Y, l)))
 
 
 def _is_mass_singular(M: ca.SX) -> bool:
     """Whether M, a constant matrix, has no inverse that double precision would know."""
     return M.is_constant() and bool(np.linalg.matrix_rank(equilibrate_matrix(np.array(ca.DM(M)))[0]) < M.shape[0])
-
-
-def _is_identity(M: ca.SX) -> bool:
-    return (M - ca.SX.eye(M.shape[0])).is_zero()
 
 
 SCHEMES = {

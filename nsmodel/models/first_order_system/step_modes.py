@@ -141,7 +141,7 @@ class StepModes:
             theta * f + (1 - theta) * model.f + gamma * g + (1 - gamma) * (r_k if gamma < 1 else 0)
         )
         self.Y = ca.substitute([basic.y], [y_user], [y])[0]
-        self.x, self.user_l = x, basic.multipliers
+        self.x = x
         inputs, both = [x, self.l, self.t, self.x_k, self.step], ca.vertcat(self.E, self.Y)
         self.values = ca.Function("values", inputs, [ca.densify(ca.horzcat(both, ca.jacobian(both, ca.vertcat(x, self.l))))])
         self.in_x_k = ca.Function("in_x_k", inputs, [ca.densify(ca.jacobian(self.E, self.x_k))])

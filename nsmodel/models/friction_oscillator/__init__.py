@@ -17,7 +17,6 @@ def hypothesis_checks() -> HypothesisChecks:
         hypotheses=check.HYPOTHESES,
         decide=check.check,
         along_run=along_run.class_findings_along_run,
-        run_hypotheses=along_run.RUN_HYPOTHESES,
         stay_times=inputs_and_parameters.stay_times,
         uniform=UniformChecks(
             special_values=inputs_and_parameters.special_values,

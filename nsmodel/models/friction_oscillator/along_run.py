@@ -20,12 +20,6 @@ RUN_ENERGY = Hypothesis(
     "run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1"
 )
 RUN_DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
-RUN_BOUND = Hypothesis(
-    "run-bound",
-    "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
-    "catching-up 2026, Lemma 4.4",
-)
-RUN_HYPOTHESES = (RUN_ENERGY, RUN_DISSIPATED)
 
 
 def class_findings_along_run(

@@ -316,14 +316,10 @@ def _is_nested_level(term: ConvexTerm, tau: ca.SX) -> bool:
     if not tau.numel() or not ca.depends_on(term.u, tau):
         return False
     if term.kind in ("abs", "max", "norm") or (
-        term.kind == "cone" and any(_is_equal_expression(term.u[0], s) for s in ca.vertsplit(tau))
+        term.kind == "cone" and any(bool(ca.is_equal(term.u[0], s, 5)) for s in ca.vertsplit(tau))
     ):
         return True
     raise UndecidedDomain(f"the domain of phi has a nested bound, {term.u}: write it with separate conditions")
-
-
-def _is_equal_expression(a: ca.SX, b: ca.SX) -> bool:
-    return bool(ca.is_equal(a, b, 5))
 
 
 def _affine_term(term: ConvexTerm, y: ca.SX) -> AffineTerm:

@@ -102,11 +102,6 @@ class LureSystem(Model):
         return tuple(entry for name, size in rows.items() for entry in numbered_row_names(name, size))
 
     @property
-    def row_names(self) -> tuple[str, ...]:
-        """Those of the multipliers."""
-        return self.multiplier_names
-
-    @property
     def weights(self) -> tuple[float, float]:
         """theta and gamma."""
         return self.theta, self.gamma

@@ -48,6 +48,7 @@ from nsmodel.models.sweeping_process.admissible_points import build_process
 from nsmodel.models.sweeping_process.check import sweeping_consequences, weaken_findings
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, AnswersById, Constraint, HypothesisAnswer
 from nsmodel.models.sweeping_process.constraint_constants import decide_constraint
+from nsmodel.models.sweeping_process.model import SweepingProcess
 from nsmodel.models.sweeping_process.qualification import QualificationResult
 from nsmodel.models.sweeping_process.witnesses import ROUNDING_DEFICIT, start_sign
 from nsmodel.proof.global_search import searches_are_quick
@@ -84,7 +85,6 @@ RUN_MOTION = Hypothesis(
     "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",
     "projection on a convex set that holds q_k",
 )  # fmt: skip
-RUN_HYPOTHESES = (RUN_MOTION,)
 
 
 def class_findings_along_run(
@@ -301,8 +301,7 @@ def known_start_point(model: ManyBodies, region: Region, start: Finding) -> Hypo
     still = copy(model)
     still._set(f=ca.SX.zeros(model.bodies.d))
     one = still.written_out()
-    given = {name: (region.lower[k % model.bodies.d], region.upper[k % model.bodies.d]) for k, name in enumerate(one.names)}
-    box = region_of(one, (), given)
+    box = _region_written_out(one, region, ())
     return sweeping.known_start_point(one, box, start, build_process(one, box, (), 0))
 
 
@@ -366,8 +365,13 @@ def _written_out_mfcq(
 ) -> tuple[QualificationResult, QualificationResult]:
     """That of all bodies together, which is that of each part of them: where one has left, fewer constraints act."""
     one = model.written_out()
-    given = {name: (region.lower[k % model.bodies.d], region.upper[k % model.bodies.d]) for k, name in enumerate(one.names)}
-    return sweeping.mfcq_results(one, region_of(one, runs, given), runs, quick)
+    return sweeping.mfcq_results(one, _region_written_out(one, region, runs), runs, quick)
+
+
+def _region_written_out(one: SweepingProcess, region: Region, runs: Sequence[Trajectory]) -> Region:
+    """The box of one body as that of all of them."""
+    d = len(region.lower)
+    return region_of(one, runs, {name: (region.lower[k % d], region.upper[k % d]) for k, name in enumerate(one.names)})
 
 
 def _network_mfcq(

@@ -24,13 +24,14 @@ from nsmodel.models.sweeping_process.velocity_field import (
     FieldBlock,
     lipschitz_bound,
     lipschitz_proved_answer,
+    replace_held_switches,
     steep_point,
     switch_jumps,
 )
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.domain import check_defined_in_time
-from nsmodel.proof.expression_graph import rewrite_nodes, stack_column
-from nsmodel.proof.jumps import SWITCH_OPERATIONS, jump_lower_bound, jump_nodes, jump_sizes
+from nsmodel.proof.expression_graph import stack_column
+from nsmodel.proof.jumps import jump_lower_bound, jump_nodes, jump_sizes
 
 MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first.
 MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
@@ -118,19 +119,12 @@ def _body_field_block(model: ManyBodies, region: Region, table: np.ndarray) -> F
 
     The numbers, parameters without value, and switches that depend on these and on time alone are symbols within bounds.
     """
-    d, nodes = model.bodies.d, []
+    d = model.bodies.d
     used, numbers = _used_numbers(model), model.me.symbols[d:]
     plain = ca.SX.sym("q", d)
     chosen = ca.vertcat(stack_column(numbers[k] for k in used), model.p)
     z = ca.vertcat(model.t, chosen)
-
-    def switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        if ca.depends_on(old, plain):
-            return None
-        nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
-        return nodes[-1][0]
-
-    f = rewrite_nodes(ca.substitute(model.f, model.me.q, plain), switch, SWITCH_OPERATIONS, z, "f")
+    f, nodes = replace_held_switches(ca.substitute(model.f, model.me.q, plain), plain, z)
     lower, upper = (
         np.concatenate([[time], end(table[:, used], axis=0), p])
         for time, end, p in zip((region.t0, region.t1), (np.min, np.max), region.parameter_bounds(), strict=True)

@@ -252,11 +252,6 @@ class MechanicalSystem(Model):
         """Those of the impulses of contacts, then of joints."""
         return (*(row for one in self.contact_rows for row in one.rows), *self.joint_names)
 
-    @property
-    def row_names(self) -> tuple[str, ...]:
-        """What may have a unit beside states: the impulses."""
-        return self.multiplier_names
-
 
 def applied_forces(model: MechanicalSystem) -> ca.SX:
     """F, and the forces of the potential."""

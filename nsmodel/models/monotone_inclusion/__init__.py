@@ -17,7 +17,6 @@ def hypothesis_checks() -> HypothesisChecks:
         hypotheses=check.HYPOTHESES,
         decide=check.check,
         along_run=along_run.class_findings_along_run,
-        run_hypotheses=along_run.RUN_HYPOTHESES,
         uniform=UniformChecks(
             special_values=parameters.special_values,
             findings=check.uniform_findings,

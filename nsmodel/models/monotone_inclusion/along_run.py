@@ -46,7 +46,6 @@ CESARO = Hypothesis(
 RUN_CONTRACTION = Hypothesis(
     "run-contraction", "|x(t) - x~(t)| <= e^{L t} |x_0 - x~_0| for two runs", "catching-up 2026, one-sided Lipschitz bound"
 )
-RUN_HYPOTHESES = (NORM_BOUND, DEFECTS, CESARO, RUN_CONTRACTION)
 
 
 def class_findings_along_run(

@@ -280,7 +280,7 @@ def _polynomial_upper_bound(p: polynomial.Polynomial, low: float, high: float) -
     """A number that a polynomial in one variable does not exceed on [low, high], verified exactly."""
     c = [-number for number in polynomial.univariate_coefficients(p)]
     a, b = (Fraction(end) if np.isfinite(end) else None for end in (low, high))
-    least, _ = polynomial.approximate_minimum(c, a, b)
+    least = polynomial.approximate_minimum(c, a, b)
     if not np.isfinite(least):
         return None
     for more in (1e-12, 1e-9, 1e-6):

@@ -17,7 +17,6 @@ def hypothesis_checks() -> HypothesisChecks:
         hypotheses=check.HYPOTHESES,
         decide=check.check,
         along_run=check.class_findings_along_run,
-        run_hypotheses=check.RUN_HYPOTHESES,
         uniform=UniformChecks(
             findings=inputs_and_parameters.uniform_findings,
             consequences=inputs_and_parameters.uniform_consequences,

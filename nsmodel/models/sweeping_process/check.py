@@ -53,7 +53,7 @@ from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
-BERNICOT_VENEL_2010 = "Bernicot and Venel 2010"
+BERNICOT_VENEL = "Bernicot and Venel 2010"
 REGULARITY_HYPOTHESES = ("S-convex", "A1", "A4", "A5'")
 MOTION_HYPOTHESES = ("S-convex", "A0", "A1", "A2", "A5")
 SOLVABILITY_HYPOTHESES = ("S-convex", "A0", "A1", "A2", "A4", "A5", "S-f", "S-start")
@@ -115,12 +115,12 @@ def sweeping_consequences(
     found = [
         make_consequence(
             "well posed", "one and only one absolutely continuous solution", findings, SOLVABILITY_HYPOTHESES,
-            f"{BERNICOT_VENEL_2010}, Theorem 2.5",
+            f"{BERNICOT_VENEL}, Theorem 2.5",
         ),
         *_set_consequences(findings, known),
         make_consequence(
             "step bound", f"the scheme is well defined for {'every h' if np.isinf(bound) else 'h < c / K_L'}{met}", findings,
-            MOTION_HYPOTHESES, f"{BERNICOT_VENEL_2010}, section 3", steps,
+            MOTION_HYPOTHESES, f"{BERNICOT_VENEL}, section 3", steps,
         ),
         *_linearisation_consequences(findings, known, p),
     ]  # fmt: skip
@@ -167,10 +167,10 @@ def _set_consequences(findings: Sequence[Finding], known: _TheoryConstants) -> l
     return [
         make_consequence(
             "prox-regular", _regularity_statement(known.eta, local["eta"]), findings, REGULARITY_HYPOTHESES,
-            f"{BERNICOT_VENEL_2010}, Proposition 2.3", {"eta": known.eta, "eta on U": known.eta_on_U}, moving=False,
+            f"{BERNICOT_VENEL}, Proposition 2.3", {"eta": known.eta, "eta on U": known.eta_on_U}, moving=False,
         ),
         make_consequence(
-            "K_L", _speed_statement(local["K_L"]), findings, MOTION_HYPOTHESES, f"{BERNICOT_VENEL_2010}, Proposition 2.4",
+            "K_L", _speed_statement(local["K_L"]), findings, MOTION_HYPOTHESES, f"{BERNICOT_VENEL}, Proposition 2.4",
             {"K_L": known.K_L, "K_L with b": known.K_L_paper}, moving=False,
         ),
     ]  # fmt: skip
@@ -181,13 +181,13 @@ def _linearisation_consequences(findings: Sequence[Finding], known: _TheoryConst
     return [
         make_consequence(
             "linearisation error", "the distance from q in Q(t) to the linearised Q_i(t) at q_k is at most M/(2a) |q - q_k|^2",
-            findings, ("S-convex", "A1", "A4"), f"{BERNICOT_VENEL_2010}, Proposition 3.6", {"M/(2a)": known.bend}, moving=False,
+            findings, ("S-convex", "A1", "A4"), f"{BERNICOT_VENEL}, Proposition 3.6", {"M/(2a)": known.bend}, moving=False,
         ),
         make_consequence(
             "metric qualification",
             "d(q, linearised Q) <= Theta sum d(q, linearised Q_i) within r/4, r = min(rho/(6b), a/(4 M gamma)), "
             f"Theta = 2 gamma b/a; kappa = Theta p M/(2a) with p = {p}, the number of all constraints",
-            findings, ("S-convex", "A1", "A4", "A5"), f"{BERNICOT_VENEL_2010}, Theorem 4.9",
+            findings, ("S-convex", "A1", "A4", "A5"), f"{BERNICOT_VENEL}, Theorem 4.9",
             {"r": known.r, "Theta": known.Theta, "kappa": known.kappa, "p": p}, moving=False,
         ),
     ]  # fmt: skip
@@ -237,7 +237,7 @@ def _order_consequence(
     if not np.isfinite(L_t):
         statement += "; it needs f to be Lipschitz in t, and no L_t is known"
     rests_on = ("S-convex", "A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-f", "S-start")
-    source = f"{BERNICOT_VENEL_2010}, Theorem 3.4, whose proof bounds the square of the error"
+    source = f"{BERNICOT_VENEL}, Theorem 3.4, whose proof bounds the square of the error"
     found = make_consequence("order 1/2", statement, findings, rests_on, source, value)
     found = replace(found, scope=intersect_scopes(found.scope, Scope(time=(0.0, T)))) if rows else found  # C_0 grows with T
     return found if np.isfinite(L_t) else replace(found, verdict=UNKNOWN)
@@ -273,7 +273,6 @@ def _product_or_zero(x: float, y: float) -> float:
 
 
 TimedState = tuple[float, np.ndarray]
-BERNICOT_VENEL = "Bernicot and Venel 2010"
 S_CONVEX = Hypothesis("S-convex", "g_i(t, .) is convex", f"{BERNICOT_VENEL}, section 2")
 A0 = Hypothesis("A0", "the boundary of U_i(t) stays at a distance > c from Q_i(t)", f"{BERNICOT_VENEL}, (A0)")
 A1 = Hypothesis("A1", "a <= |grad_q g_i| <= b on U_i(t)", f"{BERNICOT_VENEL}, (A1)")
@@ -314,8 +313,7 @@ def check(
         warnings.simplefilter("ignore", RuntimeWarning)  # NaN and inf are met on purpose, where gradients do not exist.
         constraints = _constraints_on_region(model, region)
         process = _process_with_points(model, constraints, region, runs)
-        unknown = sum(c.shape.kind == "other" for c in constraints)
-        each = _answers_of_constraints(constraints, quick or unknown > MANY_UNKNOWN_SHAPES)
+        each = _answers_of_constraints(constraints, quick)
         findings = [joined_finding(hypothesis, constraints, each, region) for hypothesis in CONSTRAINT_HYPOTHESES]
         points = _admissible_sample(process, len(model.names) > MANY_STATES, quick or searches_are_quick())
         near, active = _mfcq_of_constraints(constraints, each, process, points, model, quick or searches_are_quick())
@@ -337,8 +335,7 @@ def mfcq_results(
     quick = quick or searches_are_quick()
     constraints = _constraints_on_region(model, region)
     process = _process_with_points(model, constraints, region, runs)
-    unknown = sum(c.shape.kind == "other" for c in constraints)
-    each = _answers_of_constraints(constraints, quick or unknown > MANY_UNKNOWN_SHAPES)
+    each = _answers_of_constraints(constraints, quick)
     if not quick and len(model.names) > MAX_BOX_STATES:  # Bounds of so many states need no points.
         known = [(t, q) for t, q in process.known if process.admits(*process.at(t, q))]
         found = _mfcq_of_constraints(constraints, each, process, known, model, True)
@@ -378,7 +375,8 @@ def _constraints_on_region(model: SweepingProcess, region: Region) -> list[Const
 
 def _answers_of_constraints(constraints: Sequence[Constraint], quick: bool) -> list[AnswersById]:
     """The answers of each constraint."""
-    return [decide_constraint(constraint, quick) for constraint in constraints]
+    easy = quick or sum(c.shape.kind == "other" for c in constraints) > MANY_UNKNOWN_SHAPES
+    return [decide_constraint(constraint, easy) for constraint in constraints]
 
 
 def joined_finding(
@@ -526,7 +524,6 @@ def _start_bounds(model: SweepingProcess, rows: list[int], q0: np.ndarray) -> tu
     return low, high
 
 
-RUN_HYPOTHESES = ()
 MAX_GAMMA_ROWS = 2000  # of a run, where gamma is evaluated
 
 

@@ -329,7 +329,7 @@ def _norm_matrix(c: Constraint, squares: Squares) -> np.ndarray:
 
 def _quadratic_answers(c: Constraint) -> AnswersById:
     """q'Hq/2 + b(t)'q + c(t) with a constant H, rational."""
-    H_exact, _ = form_hessian(c.shape.written)
+    H_exact = form_hessian(c.shape.written)
     sign, H = exact.definiteness(H_exact), exact.doubles(H_exact)
     values = np.linalg.eigvalsh(H)
     slack = 16 * len(H) * exact.MACHINE_EPSILON * float(np.linalg.norm(H))  # More than eigenvalues in doubles err by.

@@ -141,11 +141,11 @@ def is_convex_form(form: ConstraintForm) -> bool:
         return False
     if all(w >= 0 for w, _ in form.squares):
         return True
-    return definiteness(form_hessian(form)[0]).psd
+    return definiteness(form_hessian(form)).psd
 
 
-def form_hessian(form: ConstraintForm) -> tuple[np.ndarray, list[int]]:
-    """The constant Hessian of a form without norms: Fractions (k, k), and the indices of its rows."""
+def form_hessian(form: ConstraintForm) -> np.ndarray:
+    """The constant Hessian of a form without norms in the states that it depends on: Fractions (k, k)."""
     indices = sorted({i for a in affine_parts(form) for i in a.row})
     place = {i: k for k, i in enumerate(indices)}
     H = np.full((len(indices), len(indices)), _ZERO_FRACTION, dtype=object)
@@ -153,7 +153,7 @@ def form_hessian(form: ConstraintForm) -> tuple[np.ndarray, list[int]]:
         for i, x in a.row.items():
             for j, y in a.row.items():
                 H[place[i], place[j]] += 2 * w * x * y
-    return H, indices
+    return H
 
 
 ROUNDED_CONSTANT_TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.

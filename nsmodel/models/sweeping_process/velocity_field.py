@@ -103,19 +103,23 @@ def _other_symbols(f: ca.SX, q: ca.SX) -> list[ca.SX]:
     return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
 
 
-def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], columns: list[int]) -> FieldBlock:
-    own = process.q[columns]
-    plain = ca.SX.sym("q", len(columns))
-    formula = ca.substitute(f, own, plain)
+def replace_held_switches(f: ca.SX, q: ca.SX, z: ca.SX) -> tuple[ca.SX, list[tuple[ca.SX, ca.SX]]]:
+    """Return f, of q and z, with symbols in place of the switches that do not depend on q, and (symbol, switch) of each."""
     nodes: list[tuple[ca.SX, ca.SX]] = []
 
     def replace_switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        if ca.depends_on(old, plain):
+        if ca.depends_on(old, q):
             return None
         nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
         return nodes[-1][0]
 
-    formula = rewrite_nodes(formula, replace_switch, SWITCH_OPERATIONS, process.t, "f")
+    return rewrite_nodes(f, replace_switch, SWITCH_OPERATIONS, z, "f"), nodes
+
+
+def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], columns: list[int]) -> FieldBlock:
+    own = process.q[columns]
+    plain = ca.SX.sym("q", len(columns))
+    formula, nodes = replace_held_switches(ca.substitute(f, own, plain), plain, process.t)
     ends = [0, *(1 + j for j in columns)]
     lower, upper = process.lower[ends].copy(), process.upper[ends].copy()
     bounds = (

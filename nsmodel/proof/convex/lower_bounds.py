@@ -375,7 +375,7 @@ def _separable_polynomial_bound(g: ca.SX, C: ConvexSet) -> float | None:
             {monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == i}
         )
         a, b = (Fraction(float(end[i])) if np.isfinite(end[i]) else None for end in C.bounding_box)
-        least = polynomial.approximate_minimum(c, a, b)[0]
+        least = polynomial.approximate_minimum(c, a, b)
         levels = (
             [Fraction(least) - Fraction(less * (1 + abs(least))) for less in (1e-12, 1e-9, 1e-6)] if np.isfinite(least) else []
         )

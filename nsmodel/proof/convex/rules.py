@@ -210,7 +210,7 @@ class _ConvexityAnalysis:
     def _node_polynomial(self, node: _ConvexityNode) -> polynomial.Polynomial | None:
         if node.op == ca.OP_INPUT:
             # The symbol itself is the variable's name: only sums and products of few are looked at.
-            return None if node.constant else {((_symbol_hash(node.expr), 1),): Fraction(1)}
+            return None if node.constant else {((node.expr.element_hash(), 1),): Fraction(1)}
         if node.op == ca.OP_CONST:
             return polynomial.constant_polynomial(float(node.expr))
         args = [self.polynomials[j] for j in node.source]
@@ -374,10 +374,6 @@ class _ConvexityAnalysis:
         place = {variable: i for i, variable in enumerate(used)}
         short = {tuple(sorted((place[v], power) for v, power in monomial)): number for monomial, number in p.items()}
         return polynomial.as_quadratic(short, len(used))
-
-
-def _symbol_hash(symbol: ca.SX) -> int:
-    return symbol.element_hash()
 
 
 Direction = tuple[tuple[int, Fraction], ...]  # (variable, coefficient), the first coefficient 1
