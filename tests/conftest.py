@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import pickle
 import shutil
 import signal
 import sys
@@ -204,18 +205,37 @@ def cases_of(load_case):
 
 
 @pytest.fixture(scope="session")
-def run_case(load_case):
+def run_case(load_case, tmp_path_factory):
     """Return run_case(stem) -> Trajectory of the case file as it stands, shared: do not change its arrays.
 
-    It is interpreted; crowds run in C where there is a compiler, which takes less time.
+    It is interpreted; crowds run in C where there is a compiler, which takes less time. Of several processes that run tests the
+    first one makes it.
     """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "runs of cases"
+    folder.mkdir(exist_ok=True)
 
     @functools.cache
     def run(stem):
-        model = load_case(stem)
-        return nsmodel.simulate(model, compiled=isinstance(model, nsmodel.ManyBodies) and library.compiler() is not None)
+        kept = folder / stem
+        if not kept.exists():
+            model = load_case(stem)
+            made = nsmodel.simulate(model, compiled=isinstance(model, nsmodel.ManyBodies) and library.compiler() is not None)
+            part = folder / f"{stem}-{os.getpid()}"
+            part.write_bytes(pickle.dumps(made))
+            part.replace(kept)
+            return made
+        return pickle.loads(kept.read_bytes())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def quick_check(load_case):
+    """Return quick_check(stem) -> Report of the quick check of the case file, shared."""
+    from search.boxes import BOUNDS  # which loads what fast tests do without
+
+    return functools.cache(lambda stem: nsmodel.check(load_case(stem), bounds=BOUNDS.get(stem), quick=True))
 
 
 @pytest.fixture(scope="session")

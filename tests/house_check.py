@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import gc
 import re
 import sys
 import tomllib
@@ -44,13 +45,18 @@ BANNED = set(  # No name in the code and no file has one of these as a part; the
     """.split()
 )
 ALLOWED = {"LaterFormatError", "beside"}  # Public names: an error, an argument of `nsmodel.crowd`.
+Modules = dict[Path, list[ast.AST]]  # The nodes of each file, the module first.
 PART_OF_NAME = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
-def read_modules() -> dict[Path, ast.Module]:
+def read_modules() -> Modules:
     """Parse every file of the package."""
     paths = sorted((REPOSITORY / "nsmodel").rglob("*.py"))
-    return {path.relative_to(REPOSITORY): ast.parse(path.read_text()) for path in paths}
+    gc.disable()  # A million nodes, none of them garbage: looking for some takes most of the time.
+    try:
+        return {path.relative_to(REPOSITORY): list(ast.walk(ast.parse(path.read_text()))) for path in paths}
+    finally:
+        gc.enable()
 
 
 def find_import_circles(graph: grimp.ImportGraph) -> list[str]:
@@ -79,7 +85,7 @@ def find_upward_imports(graph: grimp.ImportGraph) -> list[str]:
     ]
 
 
-def find_modules_by_string(modules: dict[Path, ast.Module]) -> Iterator[str]:
+def find_modules_by_string(modules: Modules) -> Iterator[str]:
     """Yield the calls that import a module by a name in a string, which no tool follows."""
     for path, call in calls(modules):
         called, first = getattr(call.func, "id", getattr(call.func, "attr", "")), call.args[0] if call.args else None
@@ -88,35 +94,35 @@ def find_modules_by_string(modules: dict[Path, ast.Module]) -> Iterator[str]:
             yield f"{path}:{call.lineno} {ast.unparse(call)}"
 
 
-def find_options_by_position(modules: dict[Path, ast.Module]) -> Iterator[str]:
+def find_options_by_position(modules: Modules) -> Iterator[str]:
     """Yield the calls of ``Options`` that do not name what they give."""
     return (f"{path}:{call.lineno}" for path, call in calls(modules) if getattr(call.func, "id", "") == "Options" and call.args)
 
 
-def calls(modules: dict[Path, ast.Module]) -> Iterator[tuple[Path, ast.Call]]:
+def calls(modules: Modules) -> Iterator[tuple[Path, ast.Call]]:
     """Yield every call with the file in which it stands."""
-    return ((path, node) for path, tree in modules.items() for node in ast.walk(tree) if isinstance(node, ast.Call))
+    return ((path, node) for path, nodes in modules.items() for node in nodes if isinstance(node, ast.Call))
 
 
-def find_repeated_class_names(modules: dict[Path, ast.Module]) -> list[str]:
+def find_repeated_class_names(modules: Modules) -> list[str]:
     """Return the class names that two modules have; an underscore before the name makes it no other name."""
-    classes = [node for tree in modules.values() for node in tree.body if isinstance(node, ast.ClassDef)]
+    classes = [node for nodes in modules.values() for node in nodes[0].body if isinstance(node, ast.ClassDef)]
     count = Counter(node.name.lstrip("_") for node in classes)
     return [f"{name} in {number} modules" for name, number in count.items() if number > 1]
 
 
-def find_banned_words(modules: dict[Path, ast.Module]) -> Iterator[str]:
+def find_banned_words(modules: Modules) -> Iterator[str]:
     """Yield the files, and the names that the code binds, of which a part is banned."""
-    for path, tree in modules.items():
-        for name, line in [(path.stem, 0), *bound_names(tree)]:
+    for path, nodes in modules.items():
+        for name, line in [(path.stem, 0), *bound_names(nodes)]:
             parts = {name, *PART_OF_NAME.findall(name)}
             if name not in ALLOWED and BANNED & (parts | {part.lower() for part in parts}):
                 yield f"{path}:{line} {name}"
 
 
-def bound_names(tree: ast.Module) -> Iterator[tuple[str, int]]:
+def bound_names(nodes: Iterable[ast.AST]) -> Iterator[tuple[str, int]]:
     """Yield functions, classes, arguments, variables and attributes that a module binds, each with its line."""
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name) | ast.arg(arg=name):
                 yield name, node.lineno
@@ -124,10 +130,10 @@ def bound_names(tree: ast.Module) -> Iterator[tuple[str, int]]:
                 yield name, node.lineno
 
 
-def find_short_docstrings(modules: dict[Path, ast.Module]) -> Iterator[str]:
+def find_short_docstrings(modules: Modules) -> Iterator[str]:
     """Yield the docstrings that are too short to say what something returns or does."""
-    for path, tree in modules.items():
-        for node in ast.walk(tree):
+    for path, nodes in modules.items():
+        for node in nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module):
                 text = ast.get_docstring(node)
                 if text is not None and len(text) <= SHORT:

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from conftest import optimised
 from library_fuzz import COMPILER, STRICT
 
 from nsmodel import codegen
 
-SANITIZE = ("-g", "-O1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+SANITIZE = ("-g", optimised("-O1"), "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 SECONDS = 120
 INIT, SET_STATE, SET_PARAMETERS, RESET, SET_INPUTS, SET_MOST, ADVANCE, THROUGH = range(8)
 COMMANDS = 8

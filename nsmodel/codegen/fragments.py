@@ -86,17 +86,30 @@ def prune_unused(text: str) -> str:
 
 
 def _prune_definitions(text: str) -> str:
-    while True:
-        token_counts = Counter(re.findall(r"\w+", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
-        declared = Counter(match[1] for match in DECLARATION_PATTERN.finditer(text))
-        unused = [match for match in FUNCTION_PATTERN.finditer(text) if token_counts[match[1]] == 1 + declared[match[1]]]
-        names = {match[1] for match in unused}
-        unused += [match for match in DECLARATION_PATTERN.finditer(text) if match[1] in names]
-        unused += [match for match in DEFINE_PATTERN.finditer(text) if token_counts[match[1]] == 1]
-        if not unused:
-            return re.sub(r"\n{3,}", "\n\n", text)
-        for match in sorted(unused, key=lambda match: -match.start()):
-            text = text[: match.start()] + text[match.end() :]
+    counts = _count_tokens(text)
+    parts: dict[str, list[re.Match[str]]] = {}  # A function with its declarations; a constant.
+    for pattern in (FUNCTION_PATTERN, DEFINE_PATTERN):
+        for match in pattern.finditer(text):
+            parts.setdefault(match[1], []).append(match)
+    for match in DECLARATION_PATTERN.finditer(text):
+        if match[1] in parts:
+            parts[match[1]].append(match)
+    unused = [name for name, matches in parts.items() if counts[name] == len(matches)]
+    removed: list[re.Match[str]] = []
+    for name in unused:
+        for match in parts[name]:
+            removed.append(match)
+            tokens = _count_tokens(match[0])
+            counts.subtract(tokens)
+            unused += [token for token in tokens if token in parts and token != name and counts[token] == len(parts[token])]
+    for match in sorted(removed, key=lambda match: -match.start()):
+        text = text[: match.start()] + text[match.end() :]
+    return re.sub(r"\n{3,}", "\n\n", text)
+
+
+def _count_tokens(text: str) -> Counter[str]:
+    """How often each name or number stands in C, comments left out."""
+    return Counter(re.findall(r"\w+", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
 
 
 BOX_CONSTANTS: Sequence[tuple[str, str]] = (

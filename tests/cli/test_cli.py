@@ -642,7 +642,7 @@ def test_what_moves_a_cursor_or_turns_the_direction_is_not_printed(command, tmp_
 
 FINISHED = {  # Commands, and the file that is theirs when all is done.
     "run": (["run", "m.py", "--quiet"], "trajectory.npz"),
-    "study": (["study", "m.py", "--steps", "0.1,0.05,0.025"], "study.json"),
+    "study": (["study", "m.py", "--steps", "0.1,0.05", "--budget", "0.2"], "study.json"),
     "stress": (["stress", "m.py", "--budget", "1e-3"], "stress.json"),
     "sensitivity": (["sensitivity", "m.py", "--by", "x(0)", "--rtol", "1e-6"], "sensitivity.json"),
 }

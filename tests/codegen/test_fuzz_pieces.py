@@ -19,7 +19,8 @@ NAMES = (
     "repressilator rlc_diode sandpile three_pulse_rectifier toggle_switch total_variation tumbler twisting two_surfaces "
     "voltage_doubler zener_limiter zhuravlev_ivanov"
 ).split()
-SCENES = MODELS | STIFF | {name: (lambda name=name: nsmodel.load(name)) for name in NAMES}
+SMALLER = {"obstacle": {"n": 7}}
+SCENES = MODELS | STIFF | {name: (lambda name=name: nsmodel.load(name, **SMALLER.get(name, {}))) for name in NAMES}
 SEEDS = range(20 if COUNT >= FULL else 4)
 CALLS = 300
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

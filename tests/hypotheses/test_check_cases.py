@@ -195,10 +195,10 @@ def test_findings_of_a_case_carry_numbers_reasons_and_sources(case_file, report_
             assert finding.witness
 
 
-def test_a_quick_check_never_says_more_than_a_full_one(case_file, load_case, report_of):
+def test_a_quick_check_never_says_more_than_a_full_one(case_file, quick_check, report_of):
     """What is proved quickly is proved; what fails quickly fails."""
     full = report_of(case_file.stem)
-    quick = nsmodel.check(load_case(case_file.stem), quick=True, bounds=BOUNDS.get(case_file.stem))
+    quick = quick_check(case_file.stem)
     assert "quick" in quick.verdict
     for finding in quick.findings:
         if finding.verdict in ("holds", "violated"):

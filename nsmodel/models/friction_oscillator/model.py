@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 
+from nsmodel._utils import cached_per_object
 from nsmodel.errors import ModelError
 from nsmodel.modeling.base import Model
 from nsmodel.modeling.convex_split import ConvexSplit, split_convex
@@ -108,6 +109,7 @@ class FrictionOscillator(Model):
         return ca.depends_on(element.theta, ca.vertcat(self.t, self.u))
 
     @property
+    @cached_per_object
     def keeps_velocity(self) -> bool:
         """Whether the velocity goes on where steps change, as they do at edges and ticks, whatever reads them."""
         return self.is_forced or bool(self.u.numel())
