@@ -61,9 +61,8 @@ def _write_library(arguments: argparse.Namespace) -> int:
     """Write the C library of a file; a parameter given with --set becomes a number in the code."""
     from nsmodel import codegen
 
-    step = arguments.step and [
-        float(one) for one in parse_numbers(arguments.step, f"--step {arguments.step}", "--step 1e-3,2e-3")
-    ]
+    text = arguments.step
+    step = None if text is None else [float(one) for one in parse_numbers(text, f"--step {text}", "--step 1e-3,2e-3")]
     model, values = load_model(arguments.file, arguments.set)
     stem = Path(arguments.file).stem
     name = codegen.identifier(stem) if arguments.name is None else arguments.name
