@@ -297,13 +297,19 @@ def save_picture(ax: Any, path: Path) -> None:
 # -- what a command returns to the shell -------------------------------------------------------------------------------
 
 
+REFUSALS: tuple[tuple[type[NsmodelError], str, int], ...] = (
+    (ModelError, "model error", EXIT_USAGE),
+    (StorageError, "storage error", EXIT_STORAGE),
+    (CodegenError, "no C code", EXIT_REFUSED),
+    (NsmodelError, "error", EXIT_USAGE),
+)
+
+
 def report_refusal(error: NsmodelError) -> int:
     """Say what was refused, and return the status of that."""
-    kinds = ((ModelError, "model error"), (StorageError, "storage error"), (CodegenError, "no C code"), (NsmodelError, "error"))
-    print(f"nsmodel: {next(name for kind, name in kinds if isinstance(error, kind))}: {error}", file=sys.stderr)
-    if isinstance(error, StorageError):
-        return EXIT_STORAGE
-    return EXIT_REFUSED if isinstance(error, CodegenError) else EXIT_USAGE
+    what, status = next((what, status) for kind, what, status in REFUSALS if isinstance(error, kind))
+    print(f"nsmodel: {what}: {error}", file=sys.stderr)
+    return status
 
 
 def close_stdout(error: OSError) -> int:

@@ -61,9 +61,8 @@ def _write_library(arguments: argparse.Namespace) -> int:
     """Write the C library of a file; a parameter given with --set becomes a number in the code."""
     from nsmodel import codegen
 
-    step = arguments.step and [
-        float(one) for one in parse_numbers(arguments.step, f"--step {arguments.step}", "--step 1e-3,2e-3")
-    ]
+    text = arguments.step
+    step = None if text is None else [float(one) for one in parse_numbers(text, f"--step {text}", "--step 1e-3,2e-3")]
     model, values = load_model(arguments.file, arguments.set)
     stem = Path(arguments.file).stem
     name = codegen.identifier(stem) if arguments.name is None else arguments.name
@@ -97,29 +96,27 @@ def _no_run_hint(given: Path) -> str:
     return f"there is no run in '{given}': runs are saved by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 
 
-def _saved_run(given: str) -> Path:
-    """The file of the run in a folder, or that is given; UsageError where there is none."""
+def _load_run(given: str) -> tuple[Path, Trajectory]:
+    """The file of the run in a folder, or that is given, and the run; UsageError where there is none.
+
+    That it could not be verified is said in a line.
+    """
     path = Path(given)
     file = path / RUN_FILE if path.is_dir() else path
     if not file.is_file() or path.suffix == ".py":
         raise UsageError(_no_run_hint(path))
-    return file
-
-
-def _load_run(file: Path) -> Trajectory:
-    """The run; that it could not be verified is said in a line."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UnverifiedWarning)
         run = Trajectory.load(file)
     for one in caught:
         print(f"nsmodel: note: {one.message}", file=sys.stderr)
-    return run
+    return file, run
 
 
 def _write_view(arguments: argparse.Namespace) -> int:
     """Write the page of a saved run, and say where it is."""
-    file = _saved_run(arguments.run)
-    path = _load_run(file).view(arguments.out or file.parent / "view.html")
+    file, run = _load_run(arguments.run)
+    path = run.view(arguments.out or file.parent / "view.html")
     print(f"page  {path}")
     if arguments.open:
         from nsmodel.plot.html.page import open_in_browser
@@ -157,8 +154,8 @@ def add_report_command(commands: Commands) -> None:
 
 def _write_report(arguments: argparse.Namespace) -> int:
     """Write the report of a saved run, and say where it is."""
-    file = _saved_run(arguments.run)
-    run, path = _load_run(file), Path(arguments.out or file.parent / REPORT_FILE)
+    file, run = _load_run(arguments.run)
+    path = Path(arguments.out or file.parent / REPORT_FILE)
     write_text(path, without_machine(_report_text(run, _model_text(file.parent, arguments.model))))
     print(f"report  {path}")
     return EXIT_DONE

@@ -45,10 +45,11 @@ def add_sensitivity_command(commands: Commands) -> None:
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:
     check_free(arguments.out, "sensitivity.json", arguments)
-    (model, values), at = load_model(arguments.file, arguments.set), arguments.at
+    model, values = load_model(arguments.file, arguments.set)
+    at = arguments.at
     try:
         found = sensitivity(
-            model, by=_parse_names(arguments.by), at=at and parse_numbers(at, f"--at {at}", "--at 1,2.5"),
+            model, by=_parse_names(arguments.by), at=None if at is None else parse_numbers(at, f"--at {at}", "--at 1,2.5"),
             outputs=None if arguments.outputs is None else _parse_names(arguments.outputs), rtol=arguments.rtol,
             atol=arguments.atol, parameters=values, inputs=parse_inputs(arguments.input, model.input_groups) or None,
             t_end=arguments.t_end, method=arguments.method, step=arguments.step,

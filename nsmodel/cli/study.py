@@ -60,8 +60,9 @@ def _run_study(arguments: argparse.Namespace) -> int:
     status, steps, given = EXIT_DONE, arguments.steps, arguments.solvers
     try:
         found = study(
-            model, steps=steps and parse_numbers(steps, f"--steps {steps}", "--steps 1e-2,5e-3"), target=arguments.target,
-            t_end=arguments.t_end, parameters=values, budget=arguments.budget, progress=not arguments.json,
+            model, steps=None if steps is None else parse_numbers(steps, f"--steps {steps}", "--steps 1e-2,5e-3"),
+            target=arguments.target, t_end=arguments.t_end, parameters=values, budget=arguments.budget,
+            progress=not arguments.json,
             inputs=parse_inputs(arguments.input, model.input_groups),
             solvers=None if given is None else [name for name in map(str.strip, given.split(",")) if name],
         )  # fmt: skip
@@ -69,16 +70,16 @@ def _run_study(arguments: argparse.Namespace) -> int:
         ignore_signals()
         found, status = stop.study, signal_exit_status(stop)
     document = {"file": arguments.file, **found.document()}
-    if arguments.csv:
-        found.to_csv(arguments.csv)
-    if arguments.html:
-        found.view(arguments.html)
     more: dict[str, Any] = {"csv": found.to_csv}
     if any(point.drawn for line in found.lines for point in line.points):
         more["png"] = lambda path: save_picture(found.plot(), path)
     report_result(arguments, "study", found.text(), document, more)
-    if arguments.html and not arguments.json:
-        print(f"\npage  {arguments.html}")
+    if arguments.csv:
+        found.to_csv(arguments.csv)
+    if arguments.html:
+        found.view(arguments.html)
+        if not arguments.json:
+            print(f"\npage  {arguments.html}")
     if status != EXIT_DONE:
         print("nsmodel: interrupted; what was measured before is above", file=sys.stderr)
     return status

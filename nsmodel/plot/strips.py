@@ -338,10 +338,7 @@ def _time_cells(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _number_edges(numbers: np.ndarray) -> np.ndarray:
     """The edges between numbers (K + 1,)."""
-    if len(numbers) == 1:
-        return np.array([numbers[0] - 0.5, numbers[0] + 0.5])
-    middle = (numbers[1:] + numbers[:-1]) / 2
-    return np.concatenate([[numbers[0] - 0.5], middle, [numbers[-1] + 0.5]])
+    return np.concatenate([[numbers[0] - 0.5], (numbers[1:] + numbers[:-1]) / 2, [numbers[-1] + 0.5]])
 
 
 def _sticking_members(run: Trajectory, chain: QuantityChain) -> np.ndarray | None:

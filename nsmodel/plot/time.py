@@ -220,12 +220,11 @@ def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -
     picks = style.evenly_spread(len(known), limit).tolist()
     t = np.repeat(run.t, 2)[1:-1]
     values = np.stack([begin[1:], end[1:]], axis=1).reshape(t.size, -1)[:, picks]
-    looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
     drawn = replace(run, arrays={**run.arrays, "t": t})
     names = [known[k] for k in picks]
     title = f"Inputs{style.selection_note(len(picks), len(known), 'evenly spread')}"
     units = [style.quantity_unit(run, name) for name in names]
-    return _draw_series(ax, drawn, title, "input", _PlotColumns(values, names, units, np.zeros(len(names), bool)), looks)
+    return _draw_series(ax, drawn, title, "input", _PlotColumns(values, names, units, np.zeros(len(names), bool)))
 
 
 def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
@@ -255,13 +254,12 @@ def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int =
         values = np.column_stack([pair.reshape(2 * len(run), -1) for pair in ends])
         run = replace(run, arrays={**run.arrays, "t": np.repeat(run.t, 2)[1:-1]})
     picks = _largest_positions(style.largest_magnitudes(values), limit if names is None else len(entries)).tolist()
-    looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
     units = [style.quantity_unit(run, entries[k][0]) for k in picks]
     title = f"Outputs{style.selection_note(len(picks), len(entries), 'the largest')}"
     tables = [(name, whole.arrays[name].reshape(len(whole.t), -1)) for name in wanted]
     still = np.concatenate([output_is_rounding(whole, name, table) for name, table in tables])
     drawn = _PlotColumns(values[:, picks], [entries[k][1] for k in picks], units, still[picks])
-    return _draw_series(ax, run, title, "output", drawn, looks)
+    return _draw_series(ax, run, title, "output", drawn)
 
 
 def _largest_positions(size: np.ndarray, limit: int) -> np.ndarray:
@@ -282,10 +280,16 @@ class _PlotColumns(NamedTuple):
 
 
 def _draw_series(
-    ax: Axes | None, run: Trajectory, title: str, word: str, columns: _PlotColumns, looks: Sequence[dict[str, Any]]
+    ax: Axes | None,
+    run: Trajectory,
+    title: str,
+    word: str,
+    columns: _PlotColumns,
+    looks: Sequence[dict[str, Any]] | None = None,
 ) -> Axes:
     """Draw columns over time, with units, with a second axis on the right where two units or sizes are mixed."""
     ax = style.get_axes(ax)
+    looks = looks or [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(columns.names))]
     names, units, values = columns.names, columns.units, columns.values
     values = np.where(columns.still, 0 * values, values) if columns.still.any() else values
     labels = [style.mark_rounding(style.shorten(name), own) for name, own in zip(names, columns.still, strict=True)]

@@ -145,8 +145,11 @@ class ChunkStore:
         if not self._manifest["chunks"]:
             raise StorageError(f"nothing to join in {self.directory}: no chunk was appended")
         path = path_inside(self.directory, JOINED_FILE, "nsmodel")
-        layout, files, total = self._whole_layout(), self._chunk_paths(), _total_lengths(self._manifest["chunks"])
-        members = {name: ArchiveMember(dtype, shape, array_blocks(files, name)) for name, (dtype, shape) in layout.items()}
+        files, total = self._chunk_paths(), _total_lengths(self._manifest["chunks"])
+        members = {
+            name: ArchiveMember(dtype, (total[_length_key(name)], *shape[1:]), array_blocks(files, name))
+            for name, (dtype, shape) in self._first_layout().items()
+        }
         whole: dict[str, Any] = {"file": JOINED_FILE, **total}
         with atomic_stream(path) as stream:
             write_archive(stream, members, metadata)
@@ -232,11 +235,6 @@ class ChunkStore:
                 f"{self.directory / MANIFEST_FILE} counts {self._manifest['rows']} rows, its chunks have others; "
                 f"{_START_AFRESH_HINT}"
             )
-
-    def _whole_layout(self) -> ArchiveLayout:
-        """Data type and shape of each array of the whole run."""
-        total = _total_lengths(self._manifest["chunks"])
-        return {name: (dtype, (total[_length_key(name)], *shape[1:])) for name, (dtype, shape) in self._first_layout().items()}
 
     def _first_layout(self) -> ArchiveLayout:
         """Of the first chunk."""

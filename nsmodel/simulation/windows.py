@@ -195,18 +195,13 @@ def spectrum(run: RunData, what: Any, t0: float | None, t1: float | None, harmon
     if run.is_event_driven and len(run.arrays["piece_start"]):
         t, number, weights = _gauss_nodes(run, begin, end, int(harmonics))
         q = _quantity_within_pieces(run, quantity, label, t, number)
-        coefficient = _fourier_sums(t - begin, weights, q, frequency)
+        weighted = (weights * q.T).T
+        coefficient = np.array([np.exp(-2j * math.pi * f * (t - begin)) @ weighted for f in frequency])
     else:
         coefficient = _fourier_of_segments(*_step_segments(run, quantity, label, begin, end), frequency, begin)
     coefficient = 2 * coefficient / (end - begin)
     coefficient[0] /= 2
     return Spectrum(frequency, coefficient)
-
-
-def _fourier_sums(t: np.ndarray, weights: np.ndarray, q: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-    """sum_j w_j q_j exp(-2 pi i f t_j) of each frequency."""
-    columns = (weights * q.T).T
-    return np.array([np.exp(-2j * math.pi * f * t) @ columns for f in frequency])
 
 
 def _step_segments(

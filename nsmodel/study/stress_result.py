@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,23 +112,17 @@ class Stress:
         lines = [self.title, f"  model class  {self.model_class}", f"  cells        {len(self.cells)}: {counts}"]
         lines += labelled_lines("judged by", ", ".join(_check_kinds(self.cells)), 13)
         lines += ["", *self._table(f"step, in units of {self.step:g}{unit}"), ""]
-        wrong = sorted(self.wrong, key=lambda cell: -cell.worst[1])
-        if wrong:
-            lines.append("Wrong (misfit beside what is allowed)")
-            lines += [
-                f"  {cell.row}, step x {cell.factor:g}: {cell.worst[0]}, {_ratio_text(cell.worst[1])}"
-                for cell in wrong[:_MAX_LISTED_CELLS]
-            ]
-            lines += [f"  ... {len(wrong) - _MAX_LISTED_CELLS} more"] * (len(wrong) > _MAX_LISTED_CELLS) + [""]
+        wrong = [
+            [f"  {cell.row}, step x {cell.factor:g}: {cell.worst[0]}, {_ratio_text(cell.worst[1])}"]
+            for cell in sorted(self.wrong, key=lambda cell: -cell.worst[1])
+        ]
+        lines += _list_entries("Wrong (misfit beside what is allowed)", wrong)
         if self.count(LEFT_OUT):
             lines += [f"{self.count(LEFT_OUT)} cells were left out for the time budget: raise it to run them", ""]
         stopped = [cell for cell in self.cells if cell.verdict == STOPPED]
-        if stopped:
-            lines.append("Stopped")
-            for cell in stopped[:_MAX_LISTED_CELLS]:
-                text = f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}"
-                lines += textwrap.wrap(text, TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ")
-            lines += [f"  ... {len(stopped) - _MAX_LISTED_CELLS} more"] * (len(stopped) > _MAX_LISTED_CELLS) + [""]
+        texts = [f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}" for cell in stopped]
+        wrapped = [textwrap.wrap(text, TEXT_WIDTH, initial_indent="  ", subsequent_indent="    ") for text in texts]
+        lines += _list_entries("Stopped", wrapped)
         return escape_invisible("\n".join(lines).rstrip())
 
     def _table(self, head: str) -> list[str]:
@@ -152,6 +146,12 @@ class Stress:
     def plot(self, ax: Any = None) -> Any:
         """Draw the table as a heat map, on ``ax`` or a new figure; return the axes (see `nsmodel.plot.stress`)."""
         return display("stress", self, ax=ax)
+
+
+def _list_entries(title: str, entries: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of the first entries below a title, and how many more there are; nothing where there is none."""
+    more = [f"  ... {len(entries) - _MAX_LISTED_CELLS} more"] if len(entries) > _MAX_LISTED_CELLS else []
+    return [title, *(line for entry in entries[:_MAX_LISTED_CELLS] for line in entry), *more, ""] if entries else []
 
 
 def _check_kinds(cells: Iterable[Cell]) -> list[str]:

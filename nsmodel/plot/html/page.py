@@ -45,18 +45,27 @@ PAGE_TEMPLATE = """<!DOCTYPE html>
 def standalone_page(title: str, document: Any, scripts: Sequence[str]) -> str:
     """The page of a document, drawn by scripts of these names.
 
-    What is the user's stands in the title, escaped, and in the data, whose ``<`` are escaped: no text ends their element.
+    What is the user's stands in the title and in the data, both escaped: no text ends their element, none hides what it says.
     Scripts set it as text.
     """
     style = (VIEW_FOLDER / "view.css").read_text(encoding="utf-8")
     parts = [(VIEW_FOLDER / f"{name}.js").read_text(encoding="utf-8") for name in scripts]
     script = "\n".join(['"use strict";', "(() => {", *parts, "})();"])
-    data = json.dumps(document, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(_with_visible_text(document), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_csp_hash(script)}'; style-src '{_csp_hash(style)}'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
     )
     return PAGE_TEMPLATE.format(policy=policy, title=html.escape(escape_invisible(title)), style=style, data=data, script=script)
+
+
+def _with_visible_text(value: Any) -> Any:
+    """The document with an escape for each character in its texts that is not seen."""
+    if isinstance(value, str):
+        return escape_invisible(value)
+    if isinstance(value, dict):
+        return {key: _with_visible_text(one) for key, one in value.items()}
+    return [*map(_with_visible_text, value)] if isinstance(value, list | tuple) else value
 
 
 def write_page(text: str, path: str | Path | None, title: str) -> Path:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from nsmodel._utils import escape_invisible
 from nsmodel.hypotheses.report import (
     Report,
     decision_text,
@@ -45,22 +44,22 @@ def report_document(report: Report) -> dict[str, Any]:
     ]
     return {
         "kind": "report",
-        "title": escape_invisible(report.title),
-        "facts": [[label, [escape_invisible(line) for line in lines]] for label, lines in facts.items() if lines],
+        "title": report.title,
+        "facts": [[label, list(lines)] for label, lines in facts.items() if lines],
         "findings": findings,
         "consequences": consequences,
-        "notes": [escape_invisible(note) for note in report.notes],
+        "notes": list(report.notes),
     }
 
 
 def _finding_card(name: str, found: Any, lines: Sequence[str]) -> dict[str, Any]:
-    texts = {
-        "name": escape_invisible(name),
+    return {
+        "name": name,
         "verdict": found.verdict,
-        "statement": escape_invisible(found.statement),
-        "source": escape_invisible(found.source),
+        "statement": found.statement,
+        "source": found.source,
+        "lines": [line for line in lines if line],
     }
-    return texts | {"lines": [escape_invisible(line) for line in lines if line]}
 
 
 def _value_text(found: Any) -> str:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel._utils import escape_invisible
 from nsmodel.files.archive import LIST_PREFIXES
 from nsmodel.models.crowd.measure import present
 from nsmodel.plot import crowd, rounding, style
@@ -80,11 +79,11 @@ class TimePanel:
         for k, (name, values) in enumerate(zip(self.names, self.values, strict=True)):
             missing = int(np.count_nonzero(np.isnan(values[1:])))
             columns.append(
-                {"name": escape_invisible(name), "shown": k in first, "missing": missing}
+                {"name": name, "shown": k in first, "missing": missing}
                 | pack_column(values, self.begins[k] if self.begins else None, rows)
             )
-        kept = {"title": escape_invisible(self.title), "unit": escape_invisible(self.unit), "look": self.look, "open": self.open}
-        return kept | {"note": self.note, "level": self.level, "clock": clock, "columns": columns}
+        own = {name: getattr(self, name) for name in ("title", "unit", "look", "open", "note", "level")}
+        return own | {"clock": clock, "columns": columns}
 
 
 def run_panels(run: Trajectory, notes: Mapping[str, str] = MappingProxyType({})) -> list[TimePanel]:
@@ -143,9 +142,9 @@ def index_set_bands(run: Trajectory, rows: PackedRows, clock: int) -> dict[str, 
     entries = []
     for k in picks:
         kind, own = kinds[k]
-        labels[kind] = [[1 << (code + 2), role, escape_invisible(text)] for code, (role, text) in own.items()]
+        labels[kind] = [[1 << (code + 2), role, text] for code, (role, text) in own.items()]
         seen = np.bitwise_or.reduceat(bits[np.clip(found[:, k] + 2, 0, 7)], starts)
-        entries.append({"name": escape_invisible(names[k]), "kind": kind, "seen": pack_codes(seen)})
+        entries.append({"name": names[k], "kind": kind, "seen": pack_codes(seen)})
     note = style.selection_note(len(picks), found.shape[1], "those that change most").strip()
     return {"title": "Index set", "look": "bands", "open": True, "note": note, "clock": clock, "bands": entries, "words": labels}
 
@@ -255,14 +254,14 @@ def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
         **lines,
         "radii": [float(radius) for radius in about["radii"]],
         "window": [float(end) for ends in zip(*crowd.scene_corners(run), strict=True) for end in ends],
-        "unit": escape_invisible(unit),
+        "unit": unit,
         "rows": [int(row) for row in rows],
         "of": len(run.t),
         "times": pack_numbers(run.t[rows]),
         "places": pack_numbers(run.x[rows].T.ravel(), exact=False),
         "pressure": None if pressure is None else pack_numbers(pressure.T.ravel(), exact=False),
         "top": crowd.pressure_scale(pressure),
-        "pressure_unit": escape_invisible(units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", "")),
+        "pressure_unit": units_of(run).get("pressure" if "pressure" in run.arrays else "reactions", ""),
     }
 
 
@@ -316,13 +315,10 @@ def run_document(run: Trajectory, model: Any = None) -> dict[str, Any]:
         clocks = [_panels_with_clock(drawn, own, drawn), _panels_with_clock(run, rest, None)]
     return {
         "kind": "run",
-        "title": escape_invisible(run.title),
-        "status": escape_invisible(run.status),
-        "facts": [
-            [label, [escape_invisible(line) for line in lines]]
-            for label, lines in summary.summary_lines(summary.run_summary(run)).items()
-        ],
-        "time": {"unit": escape_invisible(units_of(run).get("t", ""))},
+        "title": run.title,
+        "status": run.status,
+        "facts": [[label, list(lines)] for label, lines in summary.summary_lines(summary.run_summary(run)).items()],
+        "time": {"unit": units_of(run).get("t", "")},
         "rows": len(drawn.t),
         "note": _rows_note(run, drawn, clocks[0]["width"]),
         "clocks": [{key: clock[key] for key in ("width", "times")} for clock in clocks],
@@ -371,7 +367,7 @@ def _events(run: Trajectory) -> dict[str, Any] | None:
     texts = []
     for k in at[:MAX_EVENT_TEXTS]:
         changed = np.flatnonzero(codes[k] != codes[k - 1])[:6] if k else []
-        texts.append(", ".join(f"{escape_invisible(names[i])}: {codes[k - 1, i]} to {codes[k, i]}" for i in changed))
+        texts.append(", ".join(f"{names[i]}: {codes[k - 1, i]} to {codes[k, i]}" for i in changed))
     return {"count": len(at), "times": pack_numbers(starts[at[:MAX_EVENTS]]), "words": texts}
 
 

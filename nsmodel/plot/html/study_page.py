@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsmodel._utils import escape_invisible
 from nsmodel.plot.html.page import standalone_page, write_page
 from nsmodel.study.lines import POINT_LEFT_OUT, Line, Point
 from nsmodel.study.result import cost_text
@@ -40,14 +39,14 @@ def study_document(study: Study) -> dict[str, Any]:
     }
     return {
         "kind": "study",
-        "title": escape_invisible(study.title),
+        "title": study.title,
         "heading": "Error against run time",
         "axes": AXES,
         "legend": LEGEND,
-        "facts": [[label, [escape_invisible(line) for line in lines]] for label, lines in facts.items() if any(lines)],
+        "facts": [[label, list(lines)] for label, lines in facts.items() if any(lines)],
         "lines": [
             {
-                "name": escape_invisible(line.name),
+                "name": line.name,
                 "kind": line.kind,
                 "aside": line.missing_text,
                 "points": [_point_data(point) for point in line.points],
@@ -57,7 +56,7 @@ def study_document(study: Study) -> dict[str, Any]:
         ],
         "head": TABLE_HEADER,
         "rows": [_table_row(line, point) for line in study.lines for point in line.points if point.status != POINT_LEFT_OUT],
-        "text": escape_invisible(study.text()),
+        "text": study.text(),
     }
 
 
@@ -68,7 +67,7 @@ def _has_points(line: Line) -> bool:
 def _point_data(point: Point) -> dict[str, Any]:
     if not point.drawn:
         return {"drawn": False}
-    texts = [escape_invisible(point.label), f"error {point.error:.3g}", f"{point.seconds:.3g} s"]
+    texts = [point.label, f"error {point.error:.3g}", f"{point.seconds:.3g} s"]
     return {"drawn": True, "error": point.error, "seconds": point.seconds, "resolved": point.resolved, "words": texts}
 
 
@@ -76,4 +75,4 @@ def _table_row(line: Line, point: Point) -> list[str]:
     known = [point.errors.get("max"), point.seconds, point.setup, point.steps, point.residual]
     numbers = ["" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value) for value in known]
     status = f"{point.status}: {point.message}" if point.message else point.status
-    return [escape_invisible(line.name), escape_invisible(point.label), escape_invisible(status), *numbers]
+    return [line.name, point.label, status, *numbers]
