@@ -407,14 +407,14 @@ def test_the_kernels_residual_is_numpys(name):
         guess_0 = known.guess
         b = kernel.b(t, state)
         at_0 = newton.linearise(t, 0.1, state, guess_0, np.zeros(l.size))
-        z = guess_0 - np.linalg.solve(at_0.E_z, at_0.E + at_0.E_l @ l)
+        z = guess_0 - np.linalg.solve(at_0.J.E_z, at_0.E + at_0.J.E_l @ l)
         at = newton.linearise(t, 0.1, state, z, l)
         np.testing.assert_allclose(at.Y, kernel.W @ l + b, rtol=1e-9, atol=1e-12)
         judged = newton.evaluate_residual(known, at, l, index, "test", 1, thorough=False)
-        unseen = ROUNDING * UNIT_ROUND_OFF / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
+        unseen = ROUNDING * UNIT_ROUND_OFF / 1e-9 * (np.abs(at.J.Y_z) @ np.abs(z) + np.abs(at.J.Y_l) @ np.abs(l))
         w_max = np.abs(kernel.W).max(axis=1)
-        moved = z - (guess_0 - np.linalg.solve(at_0.E_z, at_0.E))
-        s_y = output_scale(b, np.abs(at.Y_z) @ np.abs(moved) + np.abs(at.Y_l) @ np.abs(l), w_max)
+        moved = z - (guess_0 - np.linalg.solve(at_0.J.E_z, at_0.E))
+        s_y = output_scale(b, np.abs(at.J.Y_z) @ np.abs(moved) + np.abs(at.J.Y_l) @ np.abs(l), w_max)
         by_hand = law_residual(stepper.law, l, kernel.W @ l + b, s_y, w_max, unseen).max()
         if name == "walls":  # a projection: <l, y> beside |q' - q|^2 + |h f|^2
             moved, y = z - state, kernel.W @ l + b
