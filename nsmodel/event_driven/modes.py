@@ -520,7 +520,9 @@ def _violated_conditions(system: ModeSystem, place: PieceStart, how: MultiplierS
                 first = leading_order(c, condition_uncertainty(system, condition), share, known)
             if first is not None and c[first] < 0:
                 yield condition
-        elif condition.sign * condition.row[0] + condition.shift < -max([TIE * condition_scale(system, condition), *known[:1]]):
+        elif (v := condition.sign * condition.row[0] + condition.shift) < 0 and (
+            v < -max([TIE * condition_scale(system, condition), *known[:1]])
+        ):
             yield condition
 
 

@@ -86,10 +86,13 @@ def _blocks(A: np.ndarray) -> list[tuple[list[int], list[int]]]:
 
 
 class ErrorPropagation(NamedTuple):
-    """Sizes of how an order of l_a, and of x', errs by: errors of x, rounding of y_a, of the rate of x, and of the next y_a."""
+    """Sizes of what an order of l_a, and of x', errs by: errors of x, and rounding of y_a, of the rate of x, of the next y_a."""
 
-    l: tuple[np.ndarray, ...]
-    x: tuple[np.ndarray, ...]
+    l_of_x: np.ndarray
+    l_of_rounding: np.ndarray
+    l_of_y: np.ndarray
+    x_of_x: np.ndarray
+    x_of_rounding: np.ndarray
 
 
 def error_propagation(how: MultiplierSolver, A: np.ndarray, B: np.ndarray, D: np.ndarray, C: np.ndarray) -> ErrorPropagation:
@@ -99,9 +102,10 @@ def error_propagation(how: MultiplierSolver, A: np.ndarray, B: np.ndarray, D: np
     none = np.zeros((len(a), len(a)))
     plus, N = (none if matrix is None else np.array(matrix) for matrix in (how.direct, how.through))
     F, P = A - B @ plus @ C, np.eye(n) - B @ N @ C
-    of_l = (plus @ C + N @ C @ F, (none if direct is None else direct), N @ C, none if through is None else through)
-    of_x = (P @ F, P @ B @ plus, P, B @ N)
-    return ErrorPropagation(tuple(map(np.abs, of_l)), tuple(map(np.abs, of_x)))
+    of_y = none if direct is None else direct
+    of_l = np.hstack([of_y, N @ C, none if through is None else through])
+    of_x = np.hstack([P @ B @ plus, P, B @ N])
+    return ErrorPropagation(*map(np.abs, (plus @ C + N @ C @ F, of_l, of_y, P @ F, of_x)))
 
 
 def multiplier_solver(

@@ -97,8 +97,8 @@ AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 def _first_orders(rows: Sequence[Sequence[float]], number: int) -> np.ndarray:
     """The first coefficients (rows, number), 0 beyond those that there are."""
     out = np.zeros((len(rows), number))
-    for own, row in zip(out, rows, strict=True):
-        own[: len(row)] = row[:number]
+    if rows:
+        out[:, : len(rows[0])] = [row[:number] for row in rows]
     return out
 
 
@@ -147,6 +147,7 @@ class ModeSystem(ModeSeries):
         self._slip_onset: SlipOnset | None = None
         self.how: MultiplierSolver | None = None  # Of the mode that stands, and what its l are the sums of.
         self._solved: list[float] | None = None
+        self._rounding: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # Of the orders that stand.
         self._has_all_orders = False  # Whether all orders stand, whatever was asked for.
         self._unrolled = None if self.blocks.all or self.updates else UnrolledOrders(self, linear=self.linear_in_l)
 
@@ -225,7 +226,13 @@ class ModeSystem(ModeSeries):
         errors of those before, to first order at the place. Matrices are multiplied before their sizes are taken, as held rows
         take errors back.
         """
-        how, tau, (B, D, C) = not_none(self.how), abs(self.t[1]), map(np.abs, self.slopes())
+        if orders not in self._rounding:
+            self._rounding[orders] = self._analyse_rounding(orders)
+        return self._rounding[orders]
+
+    def _analyse_rounding(self, orders: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        how, tau = not_none(self.how), abs(self.t[1])
+        B, D, C = self.cached_from_slopes("sizes", lambda *slopes: tuple(map(np.abs, slopes)))
         a, of, early = list(how.active), self._error_propagation(how), TIME_ROUNDING * abs(self.t[0]) / tau
         x, l, y = (np.abs(_first_orders(rows, orders + 3)) for rows in (self.x, self.l, self.y))
         f, h = (x[:, 1:] * np.arange(1, orders + 3)) / tau + B @ l[:, :-1], y + D @ l
@@ -233,15 +240,17 @@ class ModeSystem(ModeSeries):
         part, f, after = np.arange(1, orders + 2) / tau, f[:, : orders + 1], h[:, 1 : orders + 2]
         x, l, h = (given[:, : orders + 1] for given in (x, l, h))
         terms, first = C @ x + h, l.copy()
-        first[a] += of.l[1] @ terms[a]  # What l is by y alone, before y' moves it.
+        if a:
+            first[a] += of.l_of_y @ terms[a]  # What l is by y alone, before y' moves it.
         rate = f + B @ first
-        given = terms[a], rate, (C @ rate + part * after)[a]
-        own_l, own_x = (np.hstack(matrices[1:]) @ np.vstack(given) for matrices in (of.l, of.x))
+        given = np.vstack([terms[a], rate, (C @ rate + part * after)[a]])
+        own_x = of.x_of_rounding @ given
         of_x, of_l = np.zeros((self.n, orders + 2)), np.zeros((self.m, orders + 1))
         of_x[:, 0] = x[:, 0]
         for k in range(orders + 1):
-            of_l[a, k] = of.l[0] @ of_x[:, k] + own_l[:, k] + l[a, k]
-            of_x[:, k + 1] = (of.x[0] @ of_x[:, k] + own_x[:, k] + rate[:, k]) / part[k]
+            of_x[:, k + 1] = (of.x_of_x @ of_x[:, k] + own_x[:, k] + rate[:, k]) / part[k]
+        if a:
+            of_l[a] = of.l_of_x @ of_x[:, :-1] + of.l_of_rounding @ given + l[a]
         of_y = terms + C @ of_x[:, :-1] + D @ of_l
         u = TERM_ROUNDING * (1 + (self.n + self.m) / 4)  # Of sums of so many terms.
         return u * of_x[:, :-1], u * of_l, u * of_y
@@ -296,6 +305,7 @@ class ModeSystem(ModeSeries):
         ``l`` at order 0 is the first guess of what is not linear in it.
         """
         self.how = self._solved = None
+        self._rounding.clear()
         self.how = how = self._expand_mode(t, x, codes, tau, orders)
         return how
 
@@ -323,6 +333,7 @@ class ModeSystem(ModeSeries):
 
     def scale(self, times: float) -> None:
         """Let the unit of time be so many times as long, a power of two, in all rows that stand."""
+        self._rounding.clear()
         parts = (part for part in self.parts.values() if part.jets.branches or not self._has_all_orders)
         rescale_time([self.t, *self.x, *self.l, *self.y, *(row for part in parts for row in part.rows)], times)
 
@@ -354,6 +365,7 @@ class ModeSystem(ModeSeries):
         """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
         if known and self._has_all_orders:
             return True
+        self._rounding.clear()
         self.compute_orders(how, codes, known, orders)
         if not self._held_rows_rest(how, () if known else range(2, min(orders, HELD_ORDERS) + 1)):
             return False

@@ -36,9 +36,10 @@ def solve_on_index_set(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.
     if not np.isfinite(l).all():
         return None
     free = np.flatnonzero(index == 0)
-    if free.size:
-        rhs = -(b[free] + W[free] @ l)
-        l[free] = solve_or_least_squares(W[np.ix_(free, free)], rhs)
+    if not free.size:
+        return l
+    rhs = -(b[free] + W[free] @ l)
+    l[free] = solve_or_least_squares(W[free[:, None], free], rhs)
     return l if np.isfinite(l).all() else None
 
 
@@ -109,24 +110,30 @@ def primal_dual_active_set(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Iterate polish and classify from ``index`` until the set repeats; None if it cycles or breaks."""
     seen: set[bytes] = set()
+    size_of_W, size_of_b = np.abs(W), np.abs(b)
     for _ in range(PRIMAL_DUAL_SWEEPS):
         l = solve_on_index_set(W, b, law, index)
         key = index.tobytes()
         if l is None or key in seen:
             return None
         seen.add(key)
-        y, size = W @ l + b, np.abs(W) @ np.abs(l) + np.abs(b)
-        outside = np.where(
-            np.abs(l - np.clip(l, law.lower, law.upper)) <= INSIDE * EPS * np.abs(l), 0, np.where(l < law.lower, -1, 1)
-        )
-        open_ = np.where(np.abs(y) <= POLISHED * size, 0, -np.sign(y))  # no l of the rows coded 0 holds it
-        open_ = np.where(np.isfinite(np.where(open_ < 0, law.lower, law.upper)), open_, 0)
-        held = np.where(outside == 0, open_, outside)
-        called_for = np.where(index == 0, held, np.where(index * y <= SUM_ERROR * EPS * size, index, 0)).astype(np.int8)
+        y, size = W @ l + b, size_of_W @ np.abs(l) + size_of_b
+        called_for = np.where(index * y <= SUM_ERROR * EPS * size, index, 0).astype(np.int8)
+        if (free := np.flatnonzero(index == 0)).size:
+            called_for[free] = _ends_called_for(l[free], y[free], size[free], law.lower[free], law.upper[free])
         if (called_for == index).all():
             return l, index
         index = called_for
     return None
+
+
+def _ends_called_for(l: np.ndarray, y: np.ndarray, size: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Of rows coded 0: the end that l is beyond, else the one that y asks for where no l holds it at 0; 0 where neither is."""
+    off = np.abs(l - np.minimum(np.maximum(l, lower), upper))
+    outside = np.where(off <= INSIDE * EPS * np.abs(l), 0, np.where(l < lower, -1, 1))
+    open_ = np.where(np.abs(y) <= POLISHED * size, 0, -np.sign(y))
+    open_ = np.where(np.isfinite(np.where(open_ < 0, lower, upper)), open_, 0)
+    return np.where(outside == 0, open_, outside)
 
 
 def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:

@@ -6,12 +6,15 @@ Z = -E_z^{-1} E_l, W = Y_l + Y_z Z, and on an index set l = S b + s: S and s cha
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.proof.verdict import BufferedFunction
+from nsmodel.solvers import mlcp
+from nsmodel.solvers.linearisation import BufferedStepFunction
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import (
     CASADI_OPERATIONS,
@@ -45,7 +48,7 @@ class StepKernel:
         inverse = regular_inverse(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
-        function, self.b_function = _kernel_functions(problem, structure, law, h, tolerance, matrices, inverse, self.Z, self.W)
+        function, self._b_function = _kernel_functions(problem, structure, law, h, tolerance, matrices, inverse, self.Z, self.W)
         self._function = BufferedFunction(function)
         self._t, self._state, self._S, self._s, self._free, one = self._function.inputs
         one[:] = 1.0
@@ -95,7 +98,12 @@ class StepKernel:
 
     def b(self, t: float, state: np.ndarray) -> np.ndarray:
         """The vector b of y = W l + b."""
-        return np.array(self.b_function(t, state)).ravel()
+        return self._b_function(t, state)[0]
+
+    @cached_property
+    def is_well_scaled(self) -> bool:
+        """Whether the user's units are good enough for solving y = W l + b."""
+        return mlcp.equilibrating_units(self.W, self.law) is None
 
 
 def regular_inverse(E_z: np.ndarray) -> np.ndarray:
@@ -181,7 +189,7 @@ def fix_step_size(p: OneStepProblem, h: float | ca.SX, matrices: tuple[np.ndarra
 def _kernel_functions(
     p: OneStepProblem, structure: StepStructure, law: NumericLaw, h: float, tolerance: float, matrices: tuple[np.ndarray, ...],
     inverse: np.ndarray, Z: np.ndarray, W: np.ndarray,
-) -> tuple[ca.Function, ca.Function]:  # fmt: skip
+) -> tuple[ca.Function, BufferedStepFunction]:  # fmt: skip
     """The packed step and whether it is settled as a function of (t, state, S, s, free), and b as a function of (t, state).
 
     Between solving and judging stands a factor ``one``, an input that is 1: in one expression graph the residual would be
@@ -200,7 +208,7 @@ def _kernel_functions(
         [p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free]
     )
     step = ca.Function("step", [p.t, p.state, S, s, free, one], judged, {"cse": structure.n + m < MAX_CSE_SIZE})
-    return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
+    return step, BufferedStepFunction("b", [p.t, p.state], [b])
 
 
 def _residual_function(

@@ -8,6 +8,7 @@ A step by linear systems in (z, l) as a whole, where W keeps too little: on an i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -33,7 +34,43 @@ from nsmodel.solvers.structure import StepStructure
 ENOUGH = 1e-2  # Part of the tolerance from which on nothing is improved;
 SUFFICIENT_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding.
 MAX_CSE_INPUTS = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
+MAX_ZEROS = 1000  # Entries without a value up to which a matrix is evaluated with them.
 NOT_COMPUTED = object()  # Not computed yet.
+
+
+@dataclass
+class StepJacobians:
+    """The Jacobians at (z, l), of an affine step those of all iterates, and what is made of them once.
+
+    ``feeds``: whether y depends on l directly; else Y_l is 0, and no sum has its terms. ``Z``: None until it is known.
+    """
+
+    E_z: np.ndarray
+    E_l: np.ndarray
+    Y_z: np.ndarray
+    Y_l: np.ndarray
+    feeds: bool
+    Z: np.ndarray | None = None
+
+    @cached_property
+    def are_finite(self) -> bool:
+        """Whether all entries are numbers."""
+        return all(np.isfinite(part).all() for part in (self.E_z, self.E_l, self.Y_z, *([self.Y_l] if self.feeds else [])))
+
+    @cached_property
+    def sizes(self) -> StepJacobians:
+        """The absolute values."""
+        E_z, E_l, Y_z = map(np.abs, (self.E_z, self.E_l, self.Y_z))
+        return StepJacobians(E_z, E_l, Y_z, np.abs(self.Y_l) if self.feeds else self.Y_l, self.feeds)
+
+    def output_change(self, dz: np.ndarray, dl: np.ndarray) -> np.ndarray:
+        """Y_z dz + Y_l dl."""
+        moved = self.Y_z @ dz
+        return moved + self.Y_l @ dl if self.feeds else moved
+
+    def row_change(self, dz: np.ndarray, dl: np.ndarray) -> np.ndarray:
+        """What E and Y change by, in this order."""
+        return np.concatenate([self.E_z @ dz + self.E_l @ dl, self.output_change(dz, dl)])
 
 
 @dataclass
@@ -43,15 +80,13 @@ class Linearisation:
     z: np.ndarray
     E: np.ndarray
     Y: np.ndarray
-    E_z: np.ndarray
-    E_l: np.ndarray
-    Y_z: np.ndarray
-    Y_l: np.ndarray
+    J: StepJacobians
     eliminated: Any = NOT_COMPUTED
 
     def offset(self, dz_0: np.ndarray, Z: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The b of y+ = W l+ + b, from the iterate l."""
-        return self.Y + self.Y_z @ (dz_0 - Z @ l) - self.Y_l @ l
+        b = self.Y + self.J.Y_z @ (dz_0 - Z @ l)
+        return b - self.J.Y_l @ l if self.J.feeds else b
 
 
 class StepContext(NamedTuple):
@@ -87,8 +122,14 @@ class LinearisedStep:
         known = [p.t, p.h, p.state]
         reduced = (p.z, p.E) if structure.affine else p.explicit_eliminated
         self._rows = ca.vertcat(reduced[1], p.Y)
-        parts = [*reduced, p.Y, *p.jacobians]
-        self._linearise = BufferedStepFunction("linearise", [*known, p.z, p.l], parts, matrices=4)
+        self._feeds = p.jacobians[3].nnz() > 0
+        rows, given = [*reduced, p.Y], [*known, p.z, p.l]
+        if structure.affine:
+            self._evaluate_rows = BufferedStepFunction("rows", given, rows)
+            self._evaluate_jacobians = BufferedStepFunction("matrices", known, list(p.jacobians), matrices=4)
+        else:
+            self._linearise = BufferedStepFunction("linearise", given, [*rows, *p.jacobians], matrices=4)
+        self._jacobians: tuple[Any, StepJacobians] | None = None  # Of the last affine step, and what they depend on.
         guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
         E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
         unit, follow = [row for row, *_ in structure.unit_rows], [i for i, _ in structure.follow_rows]
@@ -103,8 +144,19 @@ class LinearisedStep:
         self.enough = tolerance * (SUFFICIENT_IF_AFFINE if structure.affine else ENOUGH)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
-        """Evaluate E, Y and the exact Jacobians."""
-        return Linearisation(*self._linearise(t, h, state, z, l))
+        """Evaluate E, Y and the exact Jacobians; those of an affine step once."""
+        if self.structure.affine:
+            z, E, Y = self._evaluate_rows(t, h, state, z, l)
+            return Linearisation(z, E, Y, self._affine_jacobians(t, h, state))
+        z, E, Y, E_z, E_l, Y_z, Y_l = self._linearise(t, h, state, z, l)
+        return Linearisation(z, E, Y, StepJacobians(E_z, E_l, Y_z, Y_l, self._feeds))
+
+    def _affine_jacobians(self, t: float, h: float, state: np.ndarray) -> StepJacobians:
+        given = h if self.structure.constant else (t, h, state.tobytes())
+        if self._jacobians is None or self._jacobians[0] != given:
+            E_z, E_l, Y_z, Y_l = self._evaluate_jacobians(t, h, state)
+            self._jacobians = given, StepJacobians(E_z, E_l, Y_z, Y_l, self._feeds)
+        return self._jacobians[1]
 
     def start(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, StepContext]:
         """The first z for these l, and what the step is given."""
@@ -123,15 +175,24 @@ class LinearisedStep:
         """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l, computed once; None where E_z is singular or not finite."""
         if at.eliminated is NOT_COMPUTED:
             at.eliminated = self._solve_elimination(at)
+            if at.eliminated is not None:
+                at.J.Z = at.eliminated[1]
         return at.eliminated
 
+    def _multiplier_motion(self, at: Linearisation) -> np.ndarray | None:
+        """Z, known already where another iterate has the same matrices; None where E_z is singular or not finite."""
+        if at.J.Z is None:
+            self._eliminate(at)
+        return at.J.Z
+
     def _solve_elimination(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
-        if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all() and np.isfinite(at.E_l).all()):
+        E_z, E_l = at.J.E_z, at.J.E_l
+        if not (np.isfinite(at.E).all() and np.isfinite(E_z).all() and np.isfinite(E_l).all()):
             return None
         if self.structure.identity:
-            return -at.E, -at.E_l
+            return -at.E, -E_l
         try:
-            both = np.linalg.solve(at.E_z, np.column_stack([at.E, at.E_l]))
+            both = np.linalg.solve(E_z, np.column_stack([at.E, E_l]))
         except np.linalg.LinAlgError:
             return None
         return -both[:, 0], -both[:, 1:]
@@ -145,11 +206,10 @@ class LinearisedStep:
         Rounding is looked at where it may matter, its parts in the order of what they cost: that of the unknowns in the rows and,
         where ``thorough``, the rows' own and what the unknowns err by.
         """
-        z = at.z
-        if not all(np.isfinite(part).all() for part in (z, l, at.E, at.Y, at.E_z, at.E_l, at.Y_z, at.Y_l)):
+        z, n = at.z, at.z.size
+        if not (all(np.isfinite(part).all() for part in (z, l, at.E, at.Y)) and at.J.are_finite):
             return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
-        n, abs_z, abs_l = z.size, np.abs(z), np.abs(l)
-        sizes = np.concatenate([np.abs(at.E_z) @ abs_z + np.abs(at.E_l) @ abs_l, np.abs(at.Y_z) @ abs_z + np.abs(at.Y_l) @ abs_l])
+        sizes = at.J.sizes.row_change(np.abs(z), np.abs(l))
         scales = self._residual_scales(known, at, z, l, index)
         worst, row = self._largest_residual(known, at, z, l, scales, sizes)
         if thorough and self.tolerance < worst < np.inf:
@@ -160,7 +220,7 @@ class LinearisedStep:
                 of = dense_solution_errors(J, np.concatenate([error[:n], error[n:][free]]))
                 dz, dl = of[:n], np.zeros((l.size, of.shape[1]))
                 dl[free] = of[n:]
-                error = error + row_maxima(np.concatenate([at.E_z @ dz + at.E_l @ dl, at.Y_z @ dz + at.Y_l @ dl]))
+                error = error + row_maxima(at.J.row_change(dz, dl))
                 worst, row = self._largest_residual(known, at, z, l, scales, error)
         y = np.where(index == 0, 0.0, at.Y) if l.size else at.Y
         return Iterate(z, l, index, y, worst, row, solver, iterations)
@@ -171,8 +231,8 @@ class LinearisedStep:
         """What moves or acts: the scales of E and of y, and max_j |W_ij|."""
         dz = z - known.guess
         # E where nothing moves counts no more than the linearisation at the answer makes of it: far away, it may be anything.
-        unmoved = np.minimum(known.unmoved, np.abs(at.E - at.E_z @ dz - at.E_l @ l))
-        s_E = unmoved + np.abs(at.E_z) @ np.abs(dz)
+        unmoved = np.minimum(known.unmoved, np.abs(at.E - at.J.E_z @ dz - at.J.E_l @ l))
+        s_E = unmoved + at.J.sizes.E_z @ np.abs(dz)
         return s_E, *(self._law_scales(at, z, l, index) if l.size else (l, l))
 
     def _largest_residual(
@@ -207,8 +267,13 @@ class LinearisedStep:
 
     def _index_set_system(self, at: Linearisation, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The matrix of E = 0 and of Y = 0 in the rows coded 0, and these rows; other multipliers are taken as given."""
-        free = np.flatnonzero(index == 0)
-        return np.block([[at.E_z, at.E_l[:, free]], [at.Y_z[free], at.Y_l[np.ix_(free, free)]]]), free
+        free, J = np.flatnonzero(index == 0), at.J
+        return np.block([[J.E_z, J.E_l[:, free]], [J.Y_z[free], J.Y_l[np.ix_(free, free)]]]), free
+
+    def _scaled_system(self, at: Linearisation, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """That matrix, its rows and columns in units in which it is well scaled, and these; None where it is not finite."""
+        J, _ = self._index_set_system(at, index)
+        return equilibrate_matrix(J) if np.isfinite(J).all() else None
 
     @staticmethod
     def _relative_duality_gap(known: StepContext, at: Linearisation, z: np.ndarray, l: np.ndarray, unseen: np.ndarray) -> float:
@@ -221,15 +286,17 @@ class LinearisedStep:
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """s_y and max_j |W_ij|, computed for the columns with l != 0 and the rows that act."""
-        eliminated = self._eliminate(at)
-        Z = np.zeros((z.size, l.size)) if eliminated is None else eliminated[1]
+        J, Z = at.J, self._multiplier_motion(at)
+        Z = np.zeros((z.size, l.size)) if Z is None else Z
         columns = np.flatnonzero(l)
-        moved, pushed = Z[:, columns] @ l[columns], at.Y_l[:, columns] * l[columns]
-        b = at.Y - at.Y_z @ moved - pushed.sum(axis=1)
-        terms = np.abs(at.Y_z) @ np.abs(moved) + np.abs(pushed).sum(axis=1)
+        moved = Z[:, columns] @ l[columns]
+        b, terms = at.Y - J.Y_z @ moved, J.sizes.Y_z @ np.abs(moved)
         rows = np.flatnonzero((l != self.law.lower) | (index == 0)) if self._complementarity else np.arange(l.size)
-        w_max = np.ones(l.size)
-        w_max[rows] = np.abs(at.Y_l[rows] + at.Y_z[rows] @ Z).max(axis=1, initial=0.0)
+        w_max, W = np.ones(l.size), J.Y_z[rows] @ Z
+        if J.feeds:
+            pushed = J.Y_l[:, columns] * l[columns]
+            b, terms, W = b - pushed.sum(axis=1), terms + np.abs(pushed).sum(axis=1), J.Y_l[rows] + W
+        w_max[rows] = np.abs(W).max(axis=1, initial=0.0)
         return output_scale(b, terms, w_max), w_max
 
     def pack(self, t: float, h: float, state: np.ndarray, found: Iterate) -> np.ndarray:
@@ -243,10 +310,13 @@ class BufferedStepFunction:
 
     def __init__(self, name: str, inputs: list[ca.SX], outputs: list[ca.SX], matrices: int = 0) -> None:
         shared = sum(e.numel() for e in inputs) < MAX_CSE_INPUTS
-        function = ca.Function(name, inputs, [ca.densify(e) for e in outputs], {"cse": shared})
-        self._in = [np.zeros(e.numel()) for e in inputs]
         columns = len(outputs) - matrices
-        self._out = [np.zeros(e.numel() if i < columns else e.shape, order="F") for i, e in enumerate(outputs)]
+        stays_sparse = [i >= columns and (not e.nnz() or e.numel() - e.nnz() > MAX_ZEROS) for i, e in enumerate(outputs)]
+        given = [e if sparse else ca.densify(e) for e, sparse in zip(outputs, stays_sparse, strict=True)]
+        function = ca.Function(name, inputs, given, {"cse": shared})
+        self._in = [np.zeros(e.numel()) for e in inputs]
+        self._out = [np.zeros(e.nnz() if i < columns or stays_sparse[i] else e.shape, order="F") for i, e in enumerate(given)]
+        self._sparse = [SparseMatrix.of(e) if sparse else None for e, sparse in zip(given, stays_sparse, strict=True)]
         self._buffer, self._run = attach_buffers(function, self._in, self._out)
 
     def __call__(self, *values: float | np.ndarray) -> list[np.ndarray]:
@@ -254,7 +324,34 @@ class BufferedStepFunction:
         for array, value in zip(self._in, values, strict=True):
             array[:] = value
         self._run()
-        return [out.copy(order="F") for out in self._out]
+        return [
+            out.copy(order="F") if sparse is None else sparse.filled(out)
+            for out, sparse in zip(self._out, self._sparse, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class SparseMatrix:
+    """Where a matrix has entries, counted by columns; one without entries is made once."""
+
+    shape: tuple[int, int]
+    places: np.ndarray
+    zero: np.ndarray
+
+    @classmethod
+    def of(cls, expression: ca.SX) -> SparseMatrix:
+        """Where an expression has entries."""
+        zero = np.zeros(expression.shape, order="F")
+        zero.flags.writeable = False
+        return cls(expression.shape, np.array(expression.sparsity().find(), int), zero)
+
+    def filled(self, entries: np.ndarray) -> np.ndarray:
+        """A fresh matrix with these entries."""
+        if not entries.size:
+            return self.zero
+        flat = np.zeros(self.shape[0] * self.shape[1])
+        flat[self.places] = entries
+        return flat.reshape(self.shape, order="F")
 
 
 MAX_INDEX_SET_CHANGES = 12  # Index sets that are tried on the whole system.
@@ -279,7 +376,8 @@ class IndexSetNewton(LinearisedStep):
                 z[j] = -offset / factor
         for (i, needed), offset in zip(follow, self._offsets[len(unit) :], strict=True):
             if all((index[list(rows)] == 0).any() for _, rows in needed):
-                z[i] = -(offset + sum(at.E_z[i, j] * z[j] for j, _ in needed)) / at.E_z[i, i]
+                E_z = at.J.E_z
+                z[i] = -(offset + sum(E_z[i, j] * z[j] for j, _ in needed)) / E_z[i, i]
         rest = self.structure.rest_rows
         if rest and not index[list(rest)].any():
             z[:] = 0.0
@@ -291,9 +389,9 @@ class IndexSetNewton(LinearisedStep):
             return self._newton_on_index_set(known, z, l, index)
         at, found = self.linearise(t, h, state, z, l), None
         for iteration in range(1, REFINEMENTS + 1):
-            if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all()):
+            if not (np.isfinite(at.E).all() and np.isfinite(at.J.E_z).all()):
                 return found
-            scaled, rows, columns = equilibrate_matrix(at.E_z)
+            scaled, rows, columns = equilibrate_matrix(at.J.E_z)
             z = at.z - columns * active_set.solve_or_least_squares(scaled, rows * at.E) if z.size else z
             at = self.linearise(t, h, state, z, l)
             found = self.evaluate_residual(known, at, l, index, "", iteration)
@@ -317,10 +415,11 @@ class IndexSetNewton(LinearisedStep):
         normals, levels, point, held = np.zeros((0, z.size)), np.zeros(0), None, np.zeros(0, int)
         for _ in range(1 if self.structure.affine else MAX_CUT_LINEARISATIONS):
             at = self.linearise(t, h, state, z, l)
-            if not (np.isfinite(at.E).all() and np.isfinite(at.Y).all() and np.isfinite(at.Y_z).all()):
+            Y_z = at.J.Y_z
+            if not (np.isfinite(at.E).all() and np.isfinite(at.Y).all() and np.isfinite(Y_z).all()):
                 return None
             point = z - at.E if point is None else point
-            normals, levels = np.vstack([normals, at.Y_z]), np.concatenate([levels, at.Y_z @ z - at.Y])
+            normals, levels = np.vstack([normals, Y_z]), np.concatenate([levels, Y_z @ z - at.Y])
             found = nearest_point_of_polyhedron(point, normals, levels)
             if found is None:
                 return None
@@ -356,7 +455,7 @@ class IndexSetNewton(LinearisedStep):
             best = found if best is None or found.residual <= max(best.residual, self.enough) else best
             z, l = found.z, found.l
             at = self.linearise(*known[:3], z, l)
-            unseen = ROUNDING * UNIT_ROUND_OFF * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(at.Y))
+            unseen = ROUNDING * UNIT_ROUND_OFF * (at.J.sizes.output_change(np.abs(z), np.abs(l)) + np.abs(at.Y))
             outside = np.where(l < self.law.lower, -1, np.where(l > self.law.upper, 1, 0))
             if found.residual > self.enough:  # rows that cannot all be held: one that is left open goes to its bound
                 left_open = np.where((at.Y > unseen) & np.isfinite(self.law.lower), -1, 0)
@@ -394,12 +493,14 @@ class IndexSetNewton(LinearisedStep):
         at = self.linearise(t, h, state, z, l)
         if (mirrored := self._mirrored(at, index)) is not None:
             at = self.linearise(t, h, state, mirrored, l)
-        J, free = self._index_set_system(at, index)
+        free, system = np.flatnonzero(index == 0), None
         size, best, exact = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None, False
         for iteration in range(1, (REFINEMENTS if self.structure.affine else NEWTON_ITERATIONS) + 1):
-            if not np.isfinite(J).all():
+            if system is None or not self.structure.affine:
+                system = self._scaled_system(at, index)
+            if system is None:
                 break
-            scaled, rows, columns = equilibrate_matrix(J)
+            scaled, rows, columns = system
             if exact:  # z is so by these rows, as near as doubles come: the others are solved for it
                 at.Y[[row for row, *_ in self.structure.unit_rows if index[row] == 0]] = 0.0
             step = columns * active_set.solve_or_least_squares(scaled, -rows * np.concatenate([at.E, at.Y[free]]))
@@ -428,17 +529,16 @@ class IndexSetNewton(LinearisedStep):
             best = found if best is None or found.residual <= max(best.residual, self.enough) else best
             if (found.residual <= self.enough and iteration >= least) or (stalled and iteration > EARLY):
                 break
-            J = self._index_set_system(at, index)[0]
         return best
 
     def _mirrored(self, at: Linearisation, index: np.ndarray) -> np.ndarray | None:
         """A start with y on the side that the index set says, where slopes are infinite; None where y is there."""
         wrong = index * at.Y > 0
-        if not self.problem.has_infinite_slopes or not wrong.any() or not np.isfinite(at.Y_z).all():
+        if not self.problem.has_infinite_slopes or not wrong.any() or not np.isfinite(at.J.Y_z).all():
             return None
-        sizes = (at.Y_z**2).sum(axis=1)
+        sizes = (at.J.Y_z**2).sum(axis=1)
         moved = wrong & (sizes > 0)
-        return at.z - 2 * (at.Y[moved] / sizes[moved]) @ at.Y_z[moved]
+        return at.z - 2 * (at.Y[moved] / sizes[moved]) @ at.J.Y_z[moved]
 
     def _step_within_sides(self, at: Linearisation, index: np.ndarray, step: np.ndarray) -> float:
         """The part of a step up to which each y stays on the side that the index set says, where slopes are infinite; else 1.
@@ -448,6 +548,6 @@ class IndexSetNewton(LinearisedStep):
         if not self.problem.has_infinite_slopes:
             return 1.0
         n, free = at.z.size, index == 0
-        room, taken = -index * at.Y, index * (at.Y_z @ step[:n] + at.Y_l[:, free] @ step[n:])
+        room, taken = -index * at.Y, index * (at.J.Y_z @ step[:n] + at.J.Y_l[:, free] @ step[n:])
         crosses = (room >= 0) & (taken > (1 - NEAREST) * room)
         return float(((1 - NEAREST) * room[crosses] / taken[crosses]).min(initial=1.0))

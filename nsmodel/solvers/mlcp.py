@@ -243,8 +243,9 @@ class MlcpSolution:
 
 def affine_law_residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, unseen: Any = 0.0) -> np.ndarray:
     """Return the law's residual of each row at y = W l + b; ``unseen``: of y, see `law_residual`."""
-    w_max = np.abs(W).max(axis=1, initial=0.0)
-    return law_residual(law, l, W @ l + b, output_scale(b, np.abs(W) @ np.abs(l), w_max), w_max, unseen)
+    size = np.abs(W)
+    w_max = size.max(axis=1, initial=0.0)
+    return law_residual(law, l, W @ l + b, output_scale(b, size @ np.abs(l), w_max), w_max, unseen)
 
 
 def _residual_with_rounding(
@@ -269,7 +270,7 @@ def solve_mlcp(
     """
     if not (np.isfinite(W).all() and np.isfinite(b).all()):
         return MlcpSolution(np.full(law.size, np.nan), index, np.inf, "none")
-    units = _equilibrating_units(W, law)
+    units = equilibrating_units(W, law)
     if units is None:
         return _solve_by_chain(W, b, law, warm, index, chain, symmetric, tolerance)
     of_y, of_l = units
@@ -296,7 +297,7 @@ def _solve_by_chain(
     return best
 
 
-def _equilibrating_units(W: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, np.ndarray] | None:
+def equilibrating_units(W: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, np.ndarray] | None:
     """Powers of 2 as units (a, c) of y and l in a box, in which W is about as large as its transpose and its diagonal about 1.
 
     |W_ij c_j / a_i| = |W_ji c_i / a_j| asks for a_i c_i / (a_j c_j) = |W_ij / W_ji|, which is met in the sense of least squares.

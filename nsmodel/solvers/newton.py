@@ -67,8 +67,8 @@ class NewtonSolver(IndexSetNewton):
     def mlcp_matrix(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> np.ndarray | None:
         """W linearised at (z, l); None where it is singular or not finite."""
         at = self.linearise(t, h, state, z, l)
-        eliminated = self._eliminate(at)
-        W = None if eliminated is None else at.Y_l + at.Y_z @ eliminated[1]
+        Z = self._multiplier_motion(at)
+        W = None if Z is None else at.J.Y_l + at.J.Y_z @ Z
         return W if W is not None and np.isfinite(W).all() else None
 
     def scale_to_law(self, W: np.ndarray | None, t: float, h: float, state: np.ndarray) -> np.ndarray | None:
@@ -91,7 +91,7 @@ class NewtonSolver(IndexSetNewton):
         if eliminated is None:
             return None, None
         dz_0, Z = eliminated
-        return at.Y_l + at.Y_z @ Z, at.offset(dz_0, Z, l)
+        return at.J.Y_l + at.J.Y_z @ Z, at.offset(dz_0, Z, l)
 
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
@@ -170,8 +170,9 @@ class NewtonSolver(IndexSetNewton):
         self, at: Linearisation, Z: np.ndarray, b: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
     ) -> mlcp.MlcpSolution:
         """Solve the affine problem; of many complementarity rows only those that act (violated ones are added until none is)."""
+        J = at.J
         if not self._by_rows:
-            W = at.Y_l + at.Y_z @ Z
+            W = J.Y_l + J.Y_z @ Z
             if l.size <= WORKING_SET_ABOVE and not self.structure.gram:
                 self.update_least_eigenvalue(W)
             return mlcp.solve_mlcp(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / STRICTER)
@@ -179,14 +180,15 @@ class NewtonSolver(IndexSetNewton):
         while True:  # Every pass adds a row.
             rows = np.flatnonzero(chosen)
             law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
-            W = at.Y_z[rows] @ Z[:, rows] + at.Y_l[np.ix_(rows, rows)]
+            W = J.Y_z[rows] @ Z[:, rows] + J.Y_l[np.ix_(rows, rows)]
             part = mlcp.solve_mlcp(W, b[rows], law, l[rows], index[rows], chain, True, self.tolerance / STRICTER)
             if not np.isfinite(part.l).all():
                 return mlcp.MlcpSolution(np.full(l.size, np.nan), index, np.inf, part.solver)
             full, code = np.zeros(l.size), np.full(l.size, -1, np.int8)
             full[rows], code[rows] = part.l, part.index
-            y = b + at.Y_z @ (Z[:, rows] @ part.l) + at.Y_l[:, rows] @ part.l
-            scale = np.abs(b) + np.abs(at.Y_z) @ np.abs(Z[:, rows] @ part.l)
+            moved = Z[:, rows] @ part.l
+            y, scale = b + J.Y_z @ moved, np.abs(b) + J.sizes.Y_z @ np.abs(moved)
+            y = y + J.Y_l[:, rows] @ part.l if J.feeds else y
             violated = (y < -SUM_ERROR * (Z.shape[0] + EXTRA_ROW_OPERATIONS) * EPS * scale) & ~chosen
             if not violated.any():
                 return mlcp.MlcpSolution(full, code, part.residual, part.solver if rows.size else "none needed")
@@ -195,10 +197,10 @@ class NewtonSolver(IndexSetNewton):
     def _is_elimination_fragile(self, at: Linearisation, index: np.ndarray) -> bool:
         """Whether W, eliminated at an iterate, keeps too little of the whole system on its index set."""
         free = np.flatnonzero(index == 0)
-        eliminated = self._eliminate(at)
-        if free.size < 2 or eliminated is None or self._is_on_curved_boundary(index):
+        Z = self._multiplier_motion(at)
+        if free.size < 2 or Z is None or self._is_on_curved_boundary(index):
             return False
-        W = at.Y_l[np.ix_(free, free)] + at.Y_z[free] @ eliminated[1][:, free]
+        W = at.J.Y_l[np.ix_(free, free)] + at.J.Y_z[free] @ Z[:, free]
         try:
             return is_elimination_fragile(W, np.linalg.inv(W))
         except np.linalg.LinAlgError:

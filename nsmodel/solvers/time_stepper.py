@@ -221,10 +221,20 @@ class Stepper:
             yield from self._ipopt_attempts(t, h, state, warm)
 
     def _kernel_attempts(self, kernel: StepKernel, t: float, state: np.ndarray, warm: WarmStart) -> Iterator[StepAttempt]:
-        """Solve y = W l + b, then evaluate the step on the index set found, else at the multiplier found."""
-        chain = self.plan.chain
+        """Solve y = W l + b, then evaluate the step on the index set found, else at the multiplier found.
+
+        An index set that the first solver finds, and that the step itself calls for, is not judged by W and b before.
+        """
+        chain, b = self.plan.chain, kernel.b(t, state)
+        if chain[:1] == (mlcp.INDEX_SET,) and kernel.is_well_scaled:
+            first = active_set.primal_dual_active_set(kernel.W, b, self.law, warm.index)
+            if first is None:
+                chain = chain[1:]
+            elif kernel.load(first[1]) and not (kernel.fragile or kernel.singular):
+                attempt = self._evaluate_kernel(kernel, t, state, first[1], mlcp.INDEX_SET)
+                if kernel.consistent[0]:
+                    yield attempt
         while chain:
-            b = kernel.b(t, state)
             found = mlcp.solve_mlcp(
                 kernel.W, b, self.law, warm.l, warm.index, chain, self.structure.symmetric, self.tolerance / STRICTER
             )

@@ -281,6 +281,7 @@ def test_an_error_in_the_relays_output_is_seen_however_small_its_effect_on_y(h, 
         return mlcp.MlcpSolution(l * (1 - error), -right.warm.index, 0.0, "wrong")
 
     monkeypatch.setattr(mlcp, "solve_mlcp", wrong)
+    monkeypatch.setattr(active_set, "primal_dual_active_set", lambda *_: (l * (1 - error), -right.warm.index))
     with pytest.raises(StepError):
         stepper(1.0, h, state, WarmStart(warm.l, -right.warm.index))
 
@@ -407,14 +408,14 @@ def test_the_kernels_residual_is_numpys(name):
         guess_0 = known.guess
         b = kernel.b(t, state)
         at_0 = newton.linearise(t, 0.1, state, guess_0, np.zeros(l.size))
-        z = guess_0 - np.linalg.solve(at_0.E_z, at_0.E + at_0.E_l @ l)
+        z = guess_0 - np.linalg.solve(at_0.J.E_z, at_0.E + at_0.J.E_l @ l)
         at = newton.linearise(t, 0.1, state, z, l)
         np.testing.assert_allclose(at.Y, kernel.W @ l + b, rtol=1e-9, atol=1e-12)
         judged = newton.evaluate_residual(known, at, l, index, "test", 1, thorough=False)
-        unseen = ROUNDING * UNIT_ROUND_OFF / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
+        unseen = ROUNDING * UNIT_ROUND_OFF / 1e-9 * (np.abs(at.J.Y_z) @ np.abs(z) + np.abs(at.J.Y_l) @ np.abs(l))
         w_max = np.abs(kernel.W).max(axis=1)
-        moved = z - (guess_0 - np.linalg.solve(at_0.E_z, at_0.E))
-        s_y = output_scale(b, np.abs(at.Y_z) @ np.abs(moved) + np.abs(at.Y_l) @ np.abs(l), w_max)
+        moved = z - (guess_0 - np.linalg.solve(at_0.J.E_z, at_0.E))
+        s_y = output_scale(b, np.abs(at.J.Y_z) @ np.abs(moved) + np.abs(at.J.Y_l) @ np.abs(l), w_max)
         by_hand = law_residual(stepper.law, l, kernel.W @ l + b, s_y, w_max, unseen).max()
         if name == "walls":  # a projection: <l, y> beside |q' - q|^2 + |h f|^2
             moved, y = z - state, kernel.W @ l + b
@@ -500,17 +501,23 @@ def assert_right_or_stopped(model, truth):
 @pytest.mark.usefixtures("without_fallbacks")
 def test_a_solver_that_lies_about_its_residual_is_found_out(name, error, monkeypatch):
     """It changes l and the index set and reports residual 0."""
-    model, honest = LIARS[name], mlcp.solve_mlcp
+    model, honest, honest_set = LIARS[name], mlcp.solve_mlcp, active_set.primal_dual_active_set
     truth = simulate(model)
+
+    def spoiled(l, index, law):
+        opened = np.where(np.isfinite(law.lower), -1, 0)
+        return l + error * np.where(l != 0, np.abs(l), 1.0), np.where(index == 0, opened, 0).astype(np.int8)
 
     def lying(W, b, law, *rest):
         found = honest(W, b, law, *rest)
-        l = found.l + error * np.where(found.l != 0, np.abs(found.l), 1.0)
-        opened = np.where(np.isfinite(law.lower), -1, 0)
-        index = np.where(found.index == 0, opened, 0).astype(np.int8)
-        return mlcp.MlcpSolution(l, index, 0.0, "liar")
+        return mlcp.MlcpSolution(*spoiled(found.l, found.index, law), 0.0, "liar")
+
+    def lying_set(W, b, law, index):
+        found = honest_set(W, b, law, index)
+        return None if found is None else spoiled(*found, law)
 
     monkeypatch.setattr(mlcp, "solve_mlcp", lying)
+    monkeypatch.setattr(active_set, "primal_dual_active_set", lying_set)
     assert assert_right_or_stopped(model, truth)
 
 

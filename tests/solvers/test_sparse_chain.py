@@ -188,7 +188,7 @@ def test_no_wrong_answer_passes_that_dense_matrices_refuse(n, unit):
                 else:  # another index set, and what follows from it
                     code[i] = 0 if code[i] else 1
                     wrong_l[i] = np.clip(l[i] + size, -1, 1)
-                    wrong_z = np.linalg.solve(at.E_z, -(at.E + at.E_l @ wrong_l))
+                    wrong_z = np.linalg.solve(at.J.E_z, -(at.E + at.J.E_l @ wrong_l))
                 here = newton.linearise(t, h, state, wrong_z, wrong_l)
                 dense = newton.evaluate_residual(known, here, wrong_l, code, "", 1).residual
                 if dense > 1e-9:
