@@ -14,13 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.derivatives.tangent_equations import LinearisedEquations, ModeRows, TangentEquations, multiplier_slopes
+from nsmodel._utils import EPS
+from nsmodel.derivatives.tangent_equations import LinearisedEquations, ModeRows, Slopes, TangentEquations, multiplier_slopes
 from nsmodel.event_driven.collocation import radau_collocation
 from nsmodel.event_driven.dense_output import evaluate_polynomials
 from nsmodel.simulation.piece_sources import PieceBuffer
 
+TINY = float(np.finfo(float).tiny)  # The least speed that is divided by.
 STAGES = 8  # Of a step of Radau IIA: order 15.
 JUST_AFTER = 1e-9  # Of a piece: where it is looked at if a block begins to slip, whose direction is 0/0 at the begin.
+STOP_PART = 1e-7  # Of a piece: that near to a stop the slopes of slip, like 1/|y|, are rounding.
+MISSED = 1e-3  # Of |y| at the begin of the piece before a stop: what is left of it at the end is error.
 POINTS_AT_ONCE = 4096  # Points at which matrices are in memory together.
 
 
@@ -37,17 +41,19 @@ class Turn(NamedTuple):
 
 
 class TangentMaps(NamedTuple):
-    """S -> by_start S + own, of J parts: (J, n, n) and (J, n, q)."""
+    """S -> by_start S + own, of J parts: (J, n, n) and (J, n, q); ``terms`` (J, q): what cancels in ``own``, beside the sizes."""
 
     by_start: np.ndarray
     own: np.ndarray
+    terms: np.ndarray
 
     def after(self, first: TangentMaps) -> TangentMaps:
         """These after the ``first``, one by one."""
-        return TangentMaps(self.by_start @ first.by_start, self.by_start @ first.own + self.own)
+        own = self.by_start @ first.own + self.own
+        return TangentMaps(self.by_start @ first.by_start, own, first.terms + self.terms)
 
     def __getitem__(self, which: np.ndarray) -> TangentMaps:  # pyrefly: ignore[bad-override]
-        return TangentMaps(self.by_start[which], self.own[which])
+        return TangentMaps(*(part[which] for part in self))
 
 
 class TangentParts(NamedTuple):
@@ -78,6 +84,9 @@ class PieceTangents:
 
     Attributes:
         sizes: of the states (n,), by which what S is measured beside has one unit.
+        stops: the rows (K, m) of blocks that slip on a piece and stick from its end on, where |y| comes down to its own error:
+            across the direction of slip S is drawn to 0 there. frozen: from where on the slopes of slip stay (K,), in the unit
+            of each piece; the end of others. rounding: how long before its stop |y| is as small as the rounding in it (K,).
     """
 
     def __init__(self, equations: TangentEquations, pieces: PieceBuffer, ends: np.ndarray) -> None:
@@ -92,17 +101,37 @@ class PieceTangents:
         y_by_l = self._at(every, middle).y.by_l
         self.mode_rows = ModeRows(*map(np.array, zip(*self._all_mode_rows(y_by_l), strict=True)))
         moved = (np.abs(self._series[:, :n]) * np.abs(ends)[:, None, None] ** np.arange(self._series.shape[2])).sum(axis=2)
-        self.stops = self._ends_in_stops()
+        self.stops = self._stopping_rows()
+        self._look_at_stops(moved)
         self.sizes = np.ones(equations.n)
         largest = moved.max(axis=0)
         self.sizes[:n] = np.where(largest > 0, largest, 1.0)
 
-    def _ends_in_stops(self) -> np.ndarray:
-        """Of which pieces (K,) the end is the stop of a block: across its direction S is drawn to 0 ever faster up to it."""
-        firsts = list(self.equations.curved)
-        found = np.zeros(len(self.codes), bool)
-        found[:-1] = ((self.codes[:-1, firsts] != 0) & (self.codes[1:, firsts] == 0)).any(axis=1)
+    def _stopping_rows(self) -> np.ndarray:
+        found = np.zeros((len(self.codes), self._m), bool)
+        for first, rows in self.equations.curved.items():
+            found[:-1, rows] = ((self.codes[:-1, first] != 0) & (self.codes[1:, first] == 0))[:, None]
         return found
+
+    def _look_at_stops(self, moved: np.ndarray) -> None:
+        """How y comes to 0 at stops.
+
+        A long piece comes down to its own error, where its direction is none: it is led to 0 exactly. Pieces that grow shorter,
+        as the direction turns ever faster, end where |y| is still well above their error, and stay as they are.
+        """
+        self.frozen, self.rounding = self.ends.copy(), np.zeros(len(self.codes))
+        self._left = np.zeros((len(self.codes), self._n))
+        for k in np.flatnonzero(self.stops.any(axis=1)).tolist():
+            both, at, rows = np.array([k, k]), np.array([0.0, self.ends[k]]), self.stops[k]
+            x, y = self.values(both, at)[1], self._at(both, self.values(both, at)).y
+            begin, end = np.linalg.norm(y.value[:, rows], axis=1)
+            speed = max(np.linalg.norm(self.rates(both, at)[2][1, rows]) * self.pieces.tau[k], TINY)
+            self.rounding[k] = EPS * np.linalg.norm(np.abs(y.by_x[1, rows, : self._n]) @ moved[k]) / speed
+            if end < MISSED * begin:
+                self._left[k] = self._series[k + 1, : self._n, 0] - x[1, : self._n]
+                self.frozen[k] *= 1 - STOP_PART
+            else:
+                self.stops[k], self.rounding[k] = False, self.rounding[k] * self.ends[k] * speed / end
 
     @cached_property
     def onsets(self) -> np.ndarray:
@@ -140,12 +169,27 @@ class PieceTangents:
         """The equations of pieces at s, and L = Λ S + λ there."""
         at = self._at(piece, self.values(piece, s))
         rows = ModeRows(*(part[piece] for part in self.mode_rows))
+        if self.stops[piece].any():
+            at = at._replace(slip=self._slip_before_stops(at.slip, piece, s))
         return at, *multiplier_slopes(at, rows, self.equations.end_slopes)
 
-    def flow(self, piece: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """𝒜 and β (K, n, n), (K, n, q) of pieces at s."""
+    def _slip_before_stops(self, slip: Slopes, piece: np.ndarray, s: np.ndarray) -> Slopes:
+        """Slip where blocks stop at the ends of pieces: y leads to 0 exactly, and from just before it on the slopes stay."""
+        near = self.stops[piece].any(axis=1)
+        where = piece[near]
+        t, x, l = self.values(where, np.minimum(s[near], self.frozen[where]))
+        x[:, : self._n] += self._left[where]
+        parts = [part.copy() for part in slip]
+        for part, own in zip(parts, self._at(where, (t, x, l)).slip, strict=True):
+            stops = self.stops[where].reshape(*own.shape[:2], *[1] * (own.ndim - 2))
+            part[near] = np.where(stops, own, part[near])
+        return Slopes(*parts)
+
+    def flow(self, piece: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """𝒜 and β (K, n, n), (K, n, q) of pieces at s, and the size of the terms of β."""
         at, of_state, own = self.linearised(piece, s)
-        return at.rate.by_x + at.rate.by_l @ of_state, at.rate.by_p + at.rate.by_l @ own
+        by_l, by_p = at.rate.by_l, at.rate.by_p
+        return at.rate.by_x + by_l @ of_state, by_p + by_l @ own, np.abs(by_p) + np.abs(by_l) @ np.abs(own)
 
     def nearest_turn(self) -> Turn | None:
         """The least value, to about a percent, that a condition has inside the run and not at its own switch."""
@@ -190,20 +234,22 @@ class PieceTangents:
     def maps(self, parts: TangentParts) -> TangentMaps:
         """One step of Radau IIA over each part."""
         n, q, count = self.equations.n, self.equations.q, len(parts.piece)
-        out = TangentMaps(np.zeros((count, n, n)), np.zeros((count, n, q)))
+        out = TangentMaps(np.zeros((count, n, n)), np.zeros((count, n, q)), np.zeros((count, q)))
         at_once = max(1, POINTS_AT_ONCE // STAGES)
         for first in range(0, count, at_once):
             chosen = np.arange(first, min(first + at_once, count))
-            out.by_start[chosen], out.own[chosen] = self._radau_steps(parts[chosen])
+            for part, made in zip(out, self._radau_steps(parts[chosen]), strict=True):
+                part[chosen] = made
         return out
 
     def _radau_steps(self, parts: TangentParts) -> TangentMaps:
         table, n, q, count = radau_collocation(STAGES), self.equations.n, self.equations.q, len(parts.piece)
         s = parts.begin[:, None] + (parts.end - parts.begin)[:, None] * table.nodes
-        A, b = self.flow(np.repeat(parts.piece, STAGES), s.ravel())
+        A, b, terms = self.flow(np.repeat(parts.piece, STAGES), s.ravel())
         h = ((parts.end - parts.begin) * self.pieces.tau[parts.piece])[:, None, None, None]
         A = h * (A * (self.sizes / self.sizes[:, None])).reshape(count, STAGES, n, n)
-        b = h * (b / self.sizes[:, None]).reshape(count, STAGES, n, q)
+        b, terms = (h * (part / self.sizes[:, None]).reshape(count, STAGES, n, q) for part in (b, terms))
+        terms = terms.max(axis=(1, 2), initial=0.0) / (1 + np.abs(A).sum(axis=3).max(axis=(1, 2)))[:, None]
         system = np.broadcast_to(np.kron(table.inverse, np.eye(n)), (count, STAGES * n, STAGES * n)).copy()
         for j in range(STAGES):
             own = slice(j * n, (j + 1) * n)
@@ -211,4 +257,4 @@ class PieceTangents:
         right = np.concatenate([A, b], axis=3).reshape(count, STAGES * n, n + q)
         moved = np.linalg.solve(system, right)[:, -n:]
         by_start = (np.eye(n) + moved[:, :, :n]) * (self.sizes[:, None] / self.sizes)
-        return TangentMaps(by_start, moved[:, :, n:] * self.sizes[:, None])
+        return TangentMaps(by_start, moved[:, :, n:] * self.sizes[:, None], terms)

@@ -80,7 +80,8 @@ def _names_of(one: Any) -> list[str]:
 
 def _unknown_direction(name: str, known: Sequence[str]) -> str:
     listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
-    hint = did_you_mean(name, [start_name(name)] if start_name(name) in known else known)
+    start = start_name(name)
+    hint = f". Did you mean '{start}'?" if start in known else did_you_mean(name, known)
     return (
         f"by: '{name}' is not a parameter, start or number of a signal of this model; there are {listed or 'none'}{hint or '.'} "
         "A constant of the model file becomes a parameter by a symbol: k = ca.SX.sym('k'), and parameters={k: 2.0} in the model"

@@ -373,8 +373,8 @@ def _guard(name: str, by_state: np.ndarray, own: np.ndarray, before: _Side, rate
     return Guard(name, by_state, own, float(rate), float(abs(off / rate)) if rate else (np.inf if off else 0.0), value)
 
 
-STOP_PART = 1e-10  # Of a piece that ends where a block stops: shorter parts at its end are not halved.
 MAX_PARTS = 200_000  # Parts of all pieces of a run together; beyond, a run has no derivative.
+STOP_ROUNDING = 10  # Before the stop of a block, times the rounding of y beside |y|: what one step and two may differ by.
 SHORTEST_PART = 1e-12  # Of its piece: a part that would have to be shorter is an error.
 
 
@@ -412,7 +412,7 @@ class RunTangents:
         while True:
             maps = halves[1].after(halves[0])
             self.parts, self.maps, self.at_begin = parts, maps, self._chain(parts, maps)
-            is_wrong = (self._differences(coarse, maps) > self._tolerance) & ~self._at_stop(parts)
+            is_wrong = self._differences(coarse, maps) > self._allowed(parts)
             if not is_wrong.any():
                 return
             self._check_resolved(parts, np.flatnonzero(is_wrong))
@@ -422,10 +422,12 @@ class RunTangents:
             order = np.lexsort((parts.begin, parts.piece))
             parts, coarse, halves = parts[order], coarse[order], [half[order] for half in halves]
 
-    def _at_stop(self, parts: TangentParts) -> np.ndarray:
-        """Whether parts are so short, beside the stop of a block, that what S is across its direction has no time to act."""
-        ends = self.tangents.ends[parts.piece]
-        return self.tangents.stops[parts.piece] & (parts.end == ends) & (parts.end - parts.begin < STOP_PART * ends)
+    def _allowed(self, parts: TangentParts) -> np.ndarray:
+        """What one step and two may differ by: before the stop of a block the direction of slip is known no better."""
+        tangents, k = self.tangents, parts.piece
+        left = tangents.ends[k] - np.minimum(parts.end, tangents.frozen[k])
+        rounding = tangents.rounding[k] / np.where(left > 0, left, tangents.ends[k])
+        return np.maximum(self._tolerance, STOP_ROUNDING * rounding)
 
     def _halves(self, parts: TangentParts) -> list[TangentMaps]:
         both, count = self.tangents.maps(_joined(*parts.halves)), len(parts.piece)
@@ -444,15 +446,16 @@ class RunTangents:
         return out
 
     def _differences(self, coarse: TangentMaps, fine: TangentMaps) -> np.ndarray:
-        """The largest difference of both ends of each part, beside the largest entry of the column."""
+        """The largest difference of both ends of each part, but for rounding of what cancels, beside that of the column."""
         S, sizes = self.at_begin, self.tangents.sizes[:, None]
         ends = fine.by_start @ S
         off = (coarse.by_start - fine.by_start) @ S
         ends[:, :, : fine.own.shape[2]] += fine.own
         off[:, :, : fine.own.shape[2]] += coarse.own - fine.own
-        off = np.abs(off) / sizes
+        off = (np.abs(off) / sizes).max(axis=1)
+        off[:, : fine.own.shape[2]] = np.maximum(off[:, : fine.own.shape[2]] - TANGENT_ROUNDING * fine.terms, 0.0)
         size = np.maximum(np.abs(S) / sizes, np.abs(ends) / sizes).max(axis=1)
-        return np.nan_to_num(off.max(axis=1) / (size + NOTHING), nan=np.inf).max(axis=1)
+        return np.nan_to_num(off / (size + NOTHING), nan=np.inf).max(axis=1)
 
     def _check_resolved(self, parts: TangentParts, wrong: np.ndarray) -> None:
         length = (parts.end - parts.begin)[wrong] / self.tangents.ends[parts.piece[wrong]]
@@ -498,8 +501,8 @@ def _joined(*several: Any) -> Any:
 
 
 def _first_parts(tangents: PieceTangents, cuts: Sequence[Stop]) -> TangentParts:
-    """Whole pieces, cut where that is asked for."""
-    inside: dict[int, set[float]] = {}
+    """Whole pieces, cut where that is asked for, and just before the stops of blocks."""
+    inside = {k: {float(tangents.frozen[k])} for k in np.flatnonzero(tangents.frozen < tangents.ends).tolist()}
     for stop in cuts:
         if 0 < stop.s < tangents.ends[stop.piece]:
             inside.setdefault(stop.piece, set()).add(stop.s)

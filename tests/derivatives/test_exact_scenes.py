@@ -13,6 +13,7 @@ from nsmodel import (
     FrictionOscillator,
     LureSystem,
     SweepingProcess,
+    ball,
     box,
     complementarity,
     pwm,
@@ -149,3 +150,43 @@ def test_integrals_and_multipliers():
     np.testing.assert_allclose(
         found.jacobian[0, 2, [0, 2]], sign * np.array([moved + a * (1 - math.cos(t)), -a * (1 - math.cos(t))]), rtol=1e-9
     )
+
+
+def disc_on_a_slope(pull):
+    x, l, pulls = ca.SX.sym("x", 4), ca.SX.sym("l", 2), [ca.SX.sym("F_0"), ca.SX.sym("F_1")]
+    return FirstOrderSystem(x=x, lam=l, f=[x[2], x[3], *pulls], g=ca.vertcat(0, 0, l), h=x[2:], law=ball(2, 0.8),
+                            x0=[0, 0, 0.6, -0.5], parameters=dict(zip(pulls, pull, strict=True)), t_end=60, step=0.1)  # fmt: skip
+
+
+def stop_of_the_disc(numbers):
+    """When and where it stops, from (r|v| + F v)' = F^2 - r^2, (|v|^2)' = 4 F v - 2 (r|v| + F v) and the same across F."""
+    F, v, r = numbers[:2], numbers[2:], 0.8
+    across, size, k = ca.vertcat(-F[1], F[0]), ca.norm_2(v), r**2 - ca.sumsqr(F)
+    both = r * size + ca.dot(F, v)
+    along = (both**2 / k - size**2) / 4
+    aside = ca.dot(across, v) * (2 * r * size + ca.dot(F, v)) / (4 * r**2 - ca.sumsqr(F))
+    return ca.vertcat(both / k, (along * F + aside * across) / ca.sumsqr(F))
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("pull", [(1e-3, 1e-3), (0.01, 0.02), (0.1, -0.05), (-0.3, 0.1), (0.5, 0.5), (0.7, 0.3)])
+def test_a_disc_comes_to_rest(pull, rtol):
+    """Beside a stop the direction of slip turns like (T - t)^(F/(r - F)), and tangents across it are drawn to 0 like 1/|v|."""
+    names = ["F_0", "F_1", "x_2(0)", "x_3(0)"]
+    found = sensitivity(disc_on_a_slope(pull), by=names, outputs=["x_0", "x_1"], rtol=rtol, **INTERPRETED)
+    numbers = ca.SX.sym("numbers", 4)
+    stop = stop_of_the_disc(numbers)
+    value, slopes = (np.array(e) for e in ca.Function("stop", [numbers], [stop, ca.jacobian(stop, numbers)])([*pull, 0.6, -0.5]))
+    (rest,) = found.switches
+    assert rest.t == pytest.approx(value[0, 0], rel=10 * rtol)
+    np.testing.assert_allclose(rest.dt, slopes[0], rtol=0, atol=max(30 * rtol, 1e-8) * np.abs(slopes[0]).max())
+    np.testing.assert_allclose(found.jacobian[0], slopes[1:], rtol=0, atol=max(10 * rtol, 1e-10) * np.abs(slopes[1:]).max())
+
+
+def test_two_rows_that_hold_all_states_leave_derivatives_of_rounding_alone():
+    """x = 0 is held, by multipliers that cancel all of the push: dx/da is 0, and has no leading digit to resolve."""
+    matrix, pull = np.array([[0.4, 1.1], [-0.3, 0.7]]), [ca.sin(T + B), A * ca.cos(1.3 * T)]
+    model = LureSystem(A=ca.blockcat([[-A, A], [-A, -0.2]]), B=matrix.T, C=matrix, f=pull, law=relay(2, -9, 9), t=T,
+                       x0=[0.3, 0.2], parameters={A: 0.7, B: 0.3}, t_end=4.0, step=0.01)  # fmt: skip
+    found = sensitivity(model, by=["a", "b", "x_0(0)"], rtol=1e-11, **INTERPRETED)
+    np.testing.assert_allclose(found.jacobian, 0, atol=1e-14)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -87,11 +88,25 @@ def test_both_sides_of_an_event():
 def test_what_is_one_sided_is_said_with_numbers():
     on_surface = LureSystem(A=[[-1]], B=[1], C=[1], f=[2], law=relay(1), x0=[0.0], t_end=1.0, step=0.1)
     assert any("starts on the switch of 'l_0'" in text for text in sensitivity(on_surface, by="x(0)", compiled=False).warnings)
-    x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
-    both = FirstOrderSystem(x=x, lam=l, f=[1, 1.5], g=ca.vertcat(l[0] + l[1], -l[0]), h=[x[0], 2 * x[1] / 3],
-                            law=relay(2, -0.4, 0.4), x0=[-1.0, -1.5], t_end=2.0, step=0.1)  # fmt: skip
-    found = sensitivity(both, by=["x_0(0)", "x_1(0)"], compiled=False)
-    assert not found.warnings or "switch at once" in found.warnings[0]
+
+
+def two_at_once(first):
+    """Rates 2.6 before; (1.8, 2.2) where row 0 comes first, (2.2, 1.8) where row 1 does; 1.4 after both."""
+    return LureSystem(A=np.zeros((2, 2)), B=[[1, 0.5], [0.5, 1]], C=np.eye(2), f=[2, 2], law=relay(2, -0.4, 0.4),
+                      x0=[first, -1.0], t_end=0.6, step=0.1)  # fmt: skip
+
+
+def test_two_switches_at_once_are_said_with_both_numbers():
+    found = sensitivity(two_at_once(-1.0), by="x_0(0)", compiled=False)
+    (text,) = found.warnings
+    assert re.search(r"'l_[01]' and 'l_[01]' switch at once", text)
+    assert {float(one) for one in re.findall(r"\(([-.\d]+)\)", text)} == {0.0, float(f"{-1 / 2.6:.6g}")}
+    later = 0.4 / (2.6 * 2.2)  # By which row 1 comes later where row 0 is first.
+    sides = {-0.999: (1 - 0.8 / 2.6 + 0.4 * later, -0.4 / 2.6 + 0.8 * later), -1.001: (1 - 0.8 / 2.2, -0.4 / 2.2)}
+    for first, exact in sides.items():
+        side = sensitivity(two_at_once(first), by="x_0(0)", rtol=1e-12, compiled=False)
+        np.testing.assert_allclose(side.jacobian[0, :, 0], exact, rtol=1e-10)
+        assert not side.warnings
 
 
 def two_inputs(rate, other):
