@@ -115,8 +115,8 @@ def failing(monkeypatch, condition):
     """Let steps fail in C where ``condition``, in terms of the number ``k``, holds; the library has a cache of its own."""
     write = cache.write_source
 
-    def changed(*args):
-        source = write(*args)
+    def changed(*args, **options):
+        source = write(*args, **options)
         head = re.search(r"^static int attempt\([^;]*?\)\n\{\n", source.code, re.MULTILINE)[0]
         failure = f"    const long k = (long)s->steps;\n    if ({condition})\n        return 1;\n"
         code = source.code.replace(head, head + failure)

@@ -6,7 +6,6 @@ import dataclasses
 import json
 import pickle
 import sys
-import types
 
 import casadi as ca
 import numpy as np
@@ -16,6 +15,7 @@ from nsmodel import Contact, FirstOrderSystem, LureSystem, MechanicalSystem, rel
 from nsmodel.codegen import library
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
 from nsmodel.files.archive import write_npz
+from nsmodel.plot import displays
 from nsmodel.simulation.run_data import multiplier_names, state_names, units_of
 from nsmodel.simulation.trajectory import Trajectory
 
@@ -250,8 +250,7 @@ def test_xarray_missing(run, monkeypatch):
 
 
 def test_plot_forwards_to_the_overview(run, monkeypatch):
-    plot = types.SimpleNamespace(overview=lambda trajectory, **options: (trajectory, options))
-    monkeypatch.setitem(sys.modules, "nsmodel.plot.figures", plot)
+    monkeypatch.setattr(displays, "overview", lambda trajectory, **options: (trajectory, options))
     assert run.plot(title="a") == (run, {"title": "a"})
 
 

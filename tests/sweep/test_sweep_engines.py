@@ -126,8 +126,8 @@ class Lossy:
 
     def submit(self, function, *arguments):
         self.sent += 1
-        future = Future()
-        self.waiting.append((future, function, arguments, self.sent % 3 == 0 and not arguments[-1]))
+        future, (_, _, attempt, *_) = Future(), arguments
+        self.waiting.append((future, function, arguments, self.sent % 3 == 0 and not attempt))
         if len(self.waiting) == 3:
             threading.Thread(target=self.give_back).start()
         else:
