@@ -34,24 +34,26 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
     "fuzz": ("test_fuzz", "test_codegen_fuzz"),
     "slow": (
         "test_adaptive", "test_agreement", "test_block", "test_bounded", "test_bridges", "test_cases", "test_certif",
-        "test_check", "test_cli", "test_closed", "test_converters", "test_convex", "test_coulomb", "test_crowd", "test_docs",
-        "test_events", "test_exact_roots", "test_exact_scenes", "test_exponentials", "test_extreme", "test_files",
-        "test_forced", "test_further", "test_input", "test_jumps", "test_kinds", "test_late", "test_laws",
-        "test_lure_offset", "test_makefile", "test_many", "test_mechanical", "test_moving", "test_notebooks",
-        "test_one_variable", "test_orders", "test_outputs", "test_package", "test_parameters", "test_piece_batch",
-        "test_pieces_in_c", "test_plot", "test_portable", "test_random_derivatives", "test_recipes", "test_repeated",
-        "test_resume", "test_rich", "test_roots", "test_rounding", "test_runs_keep", "test_schemes", "test_search",
-        "test_sensitivity", "test_site", "test_small", "test_solvers", "test_sparse", "test_stepping", "test_stress",
-        "test_stretches", "test_study", "test_sum_of_squares", "test_sums", "test_sweep", "test_switch_times", "test_view",
+        "test_check", "test_cli", "test_closed", "test_converters", "test_convex", "test_coulomb", "test_crowd",
+        "test_docs", "test_events", "test_exact_roots", "test_exact_scenes", "test_exponentials", "test_extreme",
+        "test_files", "test_forced", "test_further", "test_halving", "test_infinite", "test_input", "test_jumps",
+        "test_kinds", "test_late", "test_laws", "test_lure_offset", "test_makefile", "test_many", "test_mechanical",
+        "test_moving", "test_notebooks", "test_one_variable", "test_orders", "test_outputs", "test_package",
+        "test_parameters", "test_parametric", "test_piece_batch", "test_pieces_in_c", "test_plot", "test_portable",
+        "test_random_derivatives", "test_recipes", "test_repeated", "test_resume", "test_rich", "test_roots",
+        "test_rounding", "test_runs_keep", "test_schemes", "test_search", "test_sensitivity", "test_site",
+        "test_small", "test_solvers", "test_sparse", "test_statistics", "test_stepping", "test_stress",
+        "test_stretches", "test_study", "test_sum_of_squares", "test_sums", "test_sweep", "test_switch_times",
+        "test_view",
     ),
 }  # fmt: skip
 
 
 HALVES = {  # Where few random models are tried, these files take every second case: steps, their C and hypotheses still see each.
-    "test_compiled_runs": 0, "test_codegen_cases": 1, "test_schemes": 1, "test_check_cases": 0,
+    "test_compiled_runs": 0, "test_codegen_cases": 1, "test_schemes": 1, "test_check_cases": 0, "test_check_golden": 1,
+    "test_check_report": 0, "test_rich": 1, "test_pickle": 0,
 }  # fmt: skip
 LEFT_OUT = pytest.StashKey[int]()
-MANY = 2  # Of more parameters of a test that is not fast one is taken, where few random models are tried.
 
 
 def kinds_of(path):
@@ -75,8 +77,8 @@ def in_other_half(item):
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night.
 
-    Where few random models are tried, long tests are left out, and some files take half of the cases. Of other tests one of many
-    parameters is taken, and one of the two ways of what runs interpreted and in C. All pages are.
+    Where few random models are tried, long tests are left out, some files take half of the cases, and of the parameters of other
+    tests that are not fast one is taken. All pages are.
     """
     many, left = defaultdict(list), set()
     for item in items:
@@ -88,14 +90,8 @@ def pytest_collection_modifyitems(config, items):
         elif COUNT < FULL and kinds and not {"case_file", "block"} & set(getattr(item, "fixturenames", ())):
             many[item.nodeid.partition("[")[0]].append(item)
     for name, ones in many.items():
-        place = zlib.crc32(name.encode())  # Another one in each test, the same every time.
-        if len(ones) > MANY:
-            ones.pop(place % len(ones))
-            left |= set(ones)
-        elif len(ones) > 1:
-            ways = {item: item.callspec.params.get("compiled") for item in ones}
-            if {True, False} <= set(ways.values()):
-                left |= {item for item, compiled in ways.items() if compiled is (place % 2 == 0)}
+        ones.pop(zlib.crc32(name.encode()) % len(ones))  # Another one in each test, the same every time.
+        left |= set(ones)
     if left:
         config.hook.pytest_deselected(items=list(left))
         items[:] = [item for item in items if item not in left]

@@ -79,7 +79,7 @@ def source_of(model: Model) -> tuple[str, dict[str, str]]:
 def card() -> Any:
     """CuPy, where it finds a card; else None."""
     try:
-        import cupy  # pyright: ignore[reportMissingImports]
+        import cupy
 
         return cupy if cupy.cuda.runtime.getDeviceCount() else None
     except Exception as why:

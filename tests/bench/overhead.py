@@ -80,7 +80,7 @@ def cheapest(settings: dict[float, tuple[Callable[[], Any], float]], target: flo
 
 def by_heyoka(scene: Scene) -> dict[float, tuple[Callable[[], Any], float]]:
     """Its integrators, by tolerance."""
-    import heyoka as hy  # pyright: ignore[reportMissingImports]
+    import heyoka as hy
 
     x, v = hy.make_vars("x", "v")
     (k, a), (other_k, other_a) = scene.rates

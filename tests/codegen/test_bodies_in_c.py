@@ -49,6 +49,7 @@ def test_each_step_is_optimal_for_all_constraints(d, seed):
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.long
 def test_bodies_of_all_sizes_meet(d):
     rng = np.random.default_rng(d)
     places, radii = [np.zeros(d)], [2.0]
@@ -118,6 +119,7 @@ def test_an_arch_ends_a_run_and_noise_turns_wishes_as_in_interpreted_steps():
     assert np.allclose(*noisy, rtol=0, atol=1e-9, equal_nan=True)
 
 
+@pytest.mark.long
 def test_nobody_overlaps_in_five_hundred_steps_of_a_thousand(load_case):
     run = nsmodel.simulate(load_case("crowd", n=1000), t_end=10, compiled=True)
     r, worst = run.metadata["scene"]["radii"], np.inf

@@ -328,6 +328,7 @@ def test_every_accepted_step_is_right_and_every_other_input_is_refused(binary, n
 
 
 @pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.long
 def test_the_same_under_the_sanitizers(binary, name):
     """Nothing is read or written out of bounds, nothing is undefined; and an unoptimised build gives the same statuses."""
     inputs, _ = inputs_of(SUBJECTS[name], 400, 2)

@@ -336,6 +336,7 @@ def test_what_is_asked_wrongly_is_refused():
         PieceBatch(curved, None, RTOL, None, [1.0])
 
 
+@pytest.mark.long
 def test_the_library_for_users_sets_ends_and_starts(tmp_path):
     """set_parameters and reset: friction in the ends, a start that is a parameter; ends that cross are refused."""
     codegen.write(by_ends(), tmp_path, name="fr", step=0.01, event_driven=True)

@@ -78,6 +78,7 @@ def random_model(seed):
 
 @pytest.mark.parametrize("seed", range(share(12, 2)))
 @pytest.mark.parametrize("rtol", [1e-4, 1e-9])
+@pytest.mark.long
 def test_bounds_are_above_50_digits_and_near(seed, rtol):
     model = random_model(seed)
     run = simulate(model, rtol=rtol, method="event-driven")

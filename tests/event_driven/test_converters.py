@@ -80,8 +80,8 @@ def drawn(kind: str, seed: int) -> Run:
 
 def symbols(run: Run) -> tuple[Converter, dict[ca.SX, float]]:
     """The converter with a parameter for each number: one library is that of all."""
-    of = Converter(*map(ca.SX.sym, Converter._fields))  # pyright: ignore[reportArgumentType]
-    return of, dict(zip(of, map(float, run.of), strict=True))  # pyright: ignore[reportReturnType]
+    of = Converter(*map(ca.SX.sym, Converter._fields))
+    return of, dict(zip(of, map(float, run.of), strict=True))
 
 
 def as_first_order(run: Run, periods: int) -> Model:

@@ -73,6 +73,7 @@ def test_time_stepping_tends_to_it_at_order_one(name, seed):
 # -- what broke it once, each for its class ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_outputs_that_are_not_linear_in_the_multiplier():
     """Newton's method of l ends where its steps are rounding of what they are made of: l = 0 at a release is such a place."""
     for seed in (10, 16, 17, 18):
@@ -82,6 +83,7 @@ def test_outputs_that_are_not_linear_in_the_multiplier():
 
 
 @pytest.mark.parametrize("make", [models.lure, models.first_order])
+@pytest.mark.long
 def test_a_mode_that_is_hundreds_of_times_faster_than_the_last(make):
     """D of three rows has a pivot of 1/360: germs and the event are to be looked at in the new mode's own time."""
     scene = make(5)
@@ -125,6 +127,7 @@ def test_what_holds_a_state_at_0_is_known_to_rtol(rtol):
 
 
 @pytest.mark.parametrize("seed", [110, 124])
+@pytest.mark.long
 def test_an_argument_of_a_switch_that_is_held_at_0_is_no_event(seed):
     """Friction with w |w| in stick: w is rounding, its sign no switch; the same events at every rtol."""
     model = models.oscillator(seed).model

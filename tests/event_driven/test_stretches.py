@@ -183,6 +183,7 @@ MODELS = {"fallen": fallen, "beside": lambda: beside(0.25)}
 
 
 @pytest.mark.parametrize("name", MODELS)
+@pytest.mark.long
 def test_a_later_end_gives_the_bytes_of_one_run(name, tmp_path):
     model = MODELS[name]()
     whole = simulate(model, rtol=1e-4, out=tmp_path / "one")
@@ -195,6 +196,7 @@ def test_a_later_end_gives_the_bytes_of_one_run(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["fallen", pytest.param("beside", marks=pytest.mark.long)])
+@pytest.mark.long
 def test_killed_in_a_stretch_it_goes_on_to_the_same_bytes(name, tmp_path):
     whole = simulate(MODELS[name](), rtol=1e-4, out=tmp_path / "one")
     first = int(np.flatnonzero(whole.stepped)[0])

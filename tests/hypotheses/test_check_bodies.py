@@ -719,6 +719,7 @@ def test_rates_of_inputs_bound_how_fast_the_velocity_of_many_bodies_changes():
 
 
 @pytest.mark.parametrize("f", [lambda q, c: [u * ca.sign(q[0] - 0.5), w], lambda q, c: [u * ca.sqrt(ca.fabs(q[0])), w]])
+@pytest.mark.long
 def test_a_velocity_that_jumps_or_is_steep_where_it_is_multiplied_by_an_input_is_not_proved(f):
     report = check(blown(f), (), bounds={u: within(1, 2)}, quick=True)
     assert report["S-f"].verdict != "holds"

@@ -160,6 +160,7 @@ def test_a_case_has_each_hypothesis_once_and_those_that_must_be_proved_are(case_
         assert reason in report[id].how
 
 
+@pytest.mark.long
 def test_the_crowd_in_a_room(load_case, report_of):
     """Its numbers are those of the people and the walls, for all states; in the doorway the wish of the slim jumps."""
     model, found = load_case("crowd_room"), report_of("crowd_room")

@@ -159,6 +159,7 @@ def test_zeros_are_proved_where_they_are():
     assert enclose_zero(x[0] ** 2, x[0], np.array([1e-5]), np.ones(1)) is None  # a double zero is no regular one
 
 
+@pytest.mark.long
 def test_jumps_and_kinks_are_told_apart():
     x = ca.SX.sym("x")
     box = np.array([-1.0]), np.array([1.0])
@@ -197,6 +198,7 @@ def test_rates_and_velocities_without_bound():
     assert free.verdict == VIOLATED
 
 
+@pytest.mark.long
 def test_what_is_not_proved_is_not_violated():
     """A tangency that closes and opens again touches at one time only: no interval Newton step sees it."""
     q = ca.SX.sym("q", 2)

@@ -262,6 +262,7 @@ def test_the_answer_at_a_cone_is_inelastic_and_keeps_what_moves_along_it(step):
         pytest.param(1e-5, True, "time-stepping", marks=pytest.mark.c),
     ],
 )
+@pytest.mark.long
 def test_steps_under_error_control_stop_at_an_impact_of_a_cone_by_name(make, rtol, compiled, method):
     """They halved to the least, and what y was off the cone by became a speed of 100 m/s."""
     with pytest.raises(StepError, match=r"where y closes 'x_2' and 'x_3' must jump, an impact; at t = 0\.44") as stop:

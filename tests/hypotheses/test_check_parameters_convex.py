@@ -249,6 +249,7 @@ def test_walls_that_move_have_no_common_rest_points():
     assert not any(item.name == "rest points" for item in report.consequences)
 
 
+@pytest.mark.long
 def test_random_oscillators_are_judged_as_at_dense_values():
     """theta = a s + b s^2 + c s^3 is a law iff a, b, c >= 0; g = k x^2/2 + l x is convex and bounded iff k > 0 or k = l = 0."""
     rng, seen = np.random.default_rng(5), set()

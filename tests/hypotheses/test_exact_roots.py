@@ -74,6 +74,7 @@ def test_sets_and_laws_that_touch_at_one_time():
 
 
 @pytest.mark.parametrize("k", [0, 1, 2, 5])
+@pytest.mark.long
 def test_constraints_that_oppose_each_other_at_one_time(k):
     u, root = UNITS[k]
     q = ca.SX.sym("q", 2)

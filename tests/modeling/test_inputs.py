@@ -131,6 +131,7 @@ def test_drive_cycle_with_dry_friction(compiled):
     assert (run.v[(run.t > 9.3) & (run.t < 10.4)] == 0).all()
 
 
+@pytest.mark.long
 def test_drive_cycle_under_error_control():
     run = simulate(scenes.drive_cycle(), rtol=1e-4, method="time-stepping")
     assert {2.0, 4.0, 5.0, 7.0, 8.0, 10.0, 11.0, 13.0, 14.0, 16.0, 17.0} <= set(run.t.tolist())
@@ -691,6 +692,7 @@ def test_impacts_are_seen_with_inputs():
     assert "where y closes 'v' must jump, here once, at t = 0.49" in chopped[0]  # 0.15 at -5, 0.15 at -15, 0.15 at -5, then -15
 
 
+@pytest.mark.long
 def test_a_set_that_an_input_moves_is_drawn(tmp_path):
     from nsmodel import plot
 

@@ -528,6 +528,7 @@ def test_a_passage_that_stops_on_the_line_counts_once_and_specific_flow_is_that_
     assert found.width == 1
 
 
+@pytest.mark.long
 def test_a_flow_that_rows_do_not_show_is_refused():
     model = crowd(hall(), place(hall(), 15), t_end=10)
     every = measure.flow(simulate(model), hall().way_out("east"))
@@ -640,6 +641,7 @@ def test_a_run_has_its_files(small_run, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["maps", "frame"])
+@pytest.mark.long
 def test_no_broad_margin_beside_a_room(small_run, tmp_path, name):
     save_all(small_run, None, tmp_path)
     with Image.open(tmp_path / f"{name}.png") as picture:

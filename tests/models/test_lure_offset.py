@@ -61,6 +61,7 @@ def test_of_a_potential():
         assert run.x[k, 0] == pytest.approx(x, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_judge_and_other_units_know_it(own_cache):
     found = stress(pushed(), steps=3)
     assert {cell.verdict for cell in found.cells} == {"right"}

@@ -505,6 +505,7 @@ def test_a_run_in_chunks_and_a_resumed_run_have_the_same_bytes(tmp_path, whole, 
         assert all((a == b).all() for a, b in zip(sparse.contacts(row), memory.contacts(at), strict=True))
 
 
+@pytest.mark.long
 def test_a_killed_run_is_resumed_to_the_same_bytes(tmp_path, whole):
     code = (
         "import time, tests.models.test_many_bodies as t; t.walk.CHUNK_BYTES = 1\n"

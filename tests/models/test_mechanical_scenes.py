@@ -307,6 +307,7 @@ def test_painleves_rod(tangent, W, critical):
     assert not has_positive_modes(sliding(1.001 * critical), matrix)
 
 
+@pytest.mark.long
 def test_a_pile_falls_or_rests_by_its_friction():
     """Equilibrium forces exist from mu = 0.433987 on; W is singular, and a step may have several answers."""
     falls, rests = simulate(pile(0.42, activation=0.5, project=False)), simulate(pile(0.8))

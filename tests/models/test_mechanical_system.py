@@ -563,6 +563,7 @@ def test_friction_may_move_with_time():
         slid(0.05 - t)
 
 
+@pytest.mark.long
 def test_a_step_without_an_answer_names_its_contacts():
     """Two walls that close on a body, with and without friction; and impulses that rounding hides behind a huge mu."""
     t = S("t")

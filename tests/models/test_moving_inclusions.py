@@ -281,6 +281,7 @@ def test_the_speed_of_a_box(seed):
 
 
 @pytest.mark.parametrize("several", [False, True])
+@pytest.mark.long
 def test_the_speed_of_an_ellipse_and_of_what_a_half_plane_cuts_off(several):
     """Distances of points of C(s) to C(t), by projecting on the boundary in polar coordinates: never beyond kappa |t - s|."""
     c = {"e": 1 - (Y[0] - 0.3 * ca.sin(2 * T)) ** 2 / 4 - Y[1] ** 2}

@@ -223,6 +223,7 @@ def pair(seed):
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.long
 def test_the_same_law_written_as_u_l_has_the_same_runs(seed):
     models = pair(seed)
     runs = [simulate(model, compiled=False) for model in models]

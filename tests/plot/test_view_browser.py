@@ -389,6 +389,7 @@ def test_a_phone_shows_all_without_scrolling_sideways(opened, wave, scheme):
     assert (lightness[0] > lightness[1]) == (scheme == "light")
 
 
+@pytest.mark.long
 def test_a_million_rows_open_and_move_in_time(opened, long):
     """Far above what they take (tests/bench/view.py): the machine may be busy."""
     page = opened(long[1])

@@ -51,6 +51,7 @@ def test_the_tolerance_is_met_on_a_cone_with_steps_of_second_order():
 @pytest.mark.c
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize(("push", "rtol", "t_end"), [(0.1, 1e-2, 40), (0.15, 1e-2, 40), (0.3, 1e-3, 20)])
+@pytest.mark.long
 def test_extrapolation_goes_through_no_surface_of_a_cone(push, rtol, t_end, compiled):
     """The push is at most push (1 + DRIFT), and so is l; in contact x leaves the cone by the curvature of its surface alone."""
     run = run_of(turning(t_end, push), rtol, compiled)

@@ -455,6 +455,7 @@ def start(body, folder):
 
 @compiles
 @pytest.mark.parametrize("build", [sweeping, oscillator], ids=lambda build: build.__name__)
+@pytest.mark.long
 def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     body = f"""
         advance = Rollout.advance

@@ -113,6 +113,7 @@ def make_swinging(request, tmp_path_factory):
 
 
 @pytest.mark.parametrize("seed", range(share(3)))
+@pytest.mark.long
 def test_kill_9_at_any_moment_leaves_rows_to_read_and_a_run_to_resume(swinging, seed, capfd):
     """Killed within a few ms of some chunk of 64 rows, long before its end."""
     folder, options = swinging

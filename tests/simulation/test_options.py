@@ -1,6 +1,7 @@
 """The options of a run: each is declared once, and known from there to Python, to the help and to the command line."""
 
 import inspect
+import json
 import shutil
 import subprocess
 import sys
@@ -172,9 +173,9 @@ def test_own_parameters_may_stand_around_the_options():
 
 
 def test_type_checkers_report_an_option_that_is_none(tmp_path):
-    pyright = shutil.which("pyright", path=str(Path(sys.executable).parent))
-    if pyright is None:
-        pytest.skip("pyright is not installed")
+    checker = shutil.which("pyrefly", path=str(Path(sys.executable).parent))
+    if checker is None:
+        pytest.skip("pyrefly is not installed")
     program = tmp_path / "program.py"
     program.write_text(
         "from nsmodel import explain, simulate, stepper, sweep\n"
@@ -186,13 +187,9 @@ def test_type_checkers_report_an_option_that_is_none(tmp_path):
         "    stepper(model, atol=1.0)\n"
         "    sweep(model, save_every=2)\n"
     )
-    found = subprocess.run(
-        [pyright, "--pythonpath", sys.executable, str(program)], cwd=REPOSITORY, capture_output=True, text=True
-    )
-    if found.returncode not in (0, 1):
-        pytest.skip(f"pyright does not run: {found.stderr:.200}")
-    lines = [line.split(" - ")[0].rsplit(":", 2)[1] for line in found.stdout.splitlines() if " - error: " in line]
-    assert lines == ["4", "5", "6", "7", "8"], found.stdout
+    options = ["--config", "pyproject.toml", "--python-interpreter-path", sys.executable, "--output-format", "json"]
+    found = subprocess.run([checker, "check", *options, str(program)], cwd=REPOSITORY, capture_output=True, text=True)
+    assert [error["line"] for error in json.loads(found.stdout)["errors"]] == [4, 5, 6, 7, 8], found.stderr
 
 
 # -- the command line --------------------------------------------------------------------------------------------------

@@ -251,6 +251,7 @@ def test_known_times_of_a_model_are_its_own(compiled_libraries):
 
 
 @needs_compiler
+@pytest.mark.long
 def test_threads_share_what_is_prepared():
     ready = prepare(oscillator(), compiled=True, **HOW)
     given = [({"k": 1 + k / 16}, [1 + k / 8, -k / 8]) for k in range(32)]

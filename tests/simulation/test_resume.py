@@ -545,6 +545,7 @@ def test_rows_do_not_wait_long_for_a_chunk_to_fill(build, every, tmp_path, monke
 # memory
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_number_of_steps(tmp_path):
     """400 000 steps, or half as many, take no more memory than a tenth of them; reading the result is left out."""
     most = 400 if COUNT == FULL else 200

@@ -211,6 +211,7 @@ MIXED = product(coulomb(0.4), coulomb(0.3, slip=2), complementarity(1), coulomb(
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+@pytest.mark.long
 def test_hostile_numbers_end_and_nothing_false_passes(tmp_path):
     """NaN, infinities, sizes to 1e300, in C under a sanitizer and, a few of them, in Python."""
     law, checked = numeric_law(MIXED), ("-fsanitize=undefined", "-fno-sanitize-recover=all")

@@ -365,6 +365,7 @@ def test_sparse_input_is_refused_by_name():
             LureSystem(**{**good, name: value})
 
 
+@pytest.mark.long
 def test_a_start_that_is_not_finite_is_refused_and_a_thousand_masses_are_declared_at_once():
     model = chain(1000, t_end=0.03)
     run = simulate(model, compiled=False)
@@ -393,6 +394,7 @@ def test_of_a_large_system_structure_alone_is_checked():
 
 
 @in_c
+@pytest.mark.long
 def test_rows_of_one_form_are_one_loop_in_c(tmp_path):
     """The code grows by tables, not by statements; a parameter left to set, or any step, needs dense matrices and is refused."""
     n = 1000 if COUNT == FULL else 520  # With more than 500 no dense matrices are written.

@@ -420,6 +420,7 @@ def test_what_balances_is_judged_by_what_acts(name):
 
 
 @pytest.mark.parametrize("name", ["forces, 1", *(["forces, 1e+06", "positions, 1e+06"] if COUNT == FULL else [])])
+@pytest.mark.long
 def test_every_cell_of_what_rests_is_right(name):
     found = stress(BALANCED[name])
     assert found.count(RIGHT) == 56, found.text()

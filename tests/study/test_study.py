@@ -368,6 +368,7 @@ def test_errors_of_a_study_are_those_of_its_runs(half_line, load_case):
         assert point.setup > 0
 
 
+@pytest.mark.long
 def test_all_ways_of_a_scheme_have_its_errors_and_order_one(half_line):
     first = [point.error for point in half_line.line("interpreted").points]
     assert half_line.line("interpreted").order().fit == pytest.approx(1, abs=0.1)

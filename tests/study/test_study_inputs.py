@@ -261,6 +261,7 @@ def quick(monkeypatch):
 
 
 @pytest.mark.usefixtures("quick")
+@pytest.mark.long
 def test_errors_of_a_converter_are_those_beside_its_exact_map():
     found = study(input_scenes.buck(t_end=10 * T), steps=[T / 10, T / 20, T / 40], solvers=[])
     assert found.reference.text.startswith("an event-driven run")

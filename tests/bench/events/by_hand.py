@@ -182,5 +182,5 @@ def _downwards(stays: Callable) -> Callable:
     def event(t: float, x: np.ndarray) -> float:
         return stays(t, x)
 
-    event.terminal, event.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
+    event.terminal, event.direction = True, -1
     return event
