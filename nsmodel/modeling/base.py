@@ -37,7 +37,7 @@ from nsmodel.modeling.parameters import (
     state_names_and_stems,
     substitute_in_model,
 )
-from nsmodel.modeling.pickling import Picklable
+from nsmodel.modeling.pickling import Picklable, is_picklable
 from nsmodel.proof.expression_graph import TRUTH_VALUED_OPERATIONS
 
 ATTRIBUTES_HEADING = "Attributes:\n"
@@ -73,6 +73,7 @@ ARRAYS_WITH_UNITS = frozenset("x gap_min pressure contact_reaction".split())  # 
 KINK_PREFIXES = "potential ", "phi "  # What the names of a potential's kinks begin with.
 MOVE_TERM_HINT = "move that term elsewhere"
 INPUT_FREE_USES = frozenset({"certificate", "--certificate"})  # What models with inputs have no place in.
+GIVEN_FIELDS = "given fields"  # The name, in pickles of models, of what they were given.
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
@@ -191,7 +192,11 @@ class Model(Picklable):
         self._declare()
         self._set(outputs=MappingProxyType(declare_outputs(self.outputs, self)))
         self._check_units()
-        declaration = _GivenFields(type(self), given, {name: getattr(self, name) for name in names})
+        self._remember(given)
+
+    def _remember(self, given: Mapping[str, Any]) -> None:
+        """Keep what was given, for `dataclasses.replace`."""
+        declaration = _GivenFields(type(self), given, {name: getattr(self, name) for name in given})
         self._set(_declaration=declaration)
         _declarations[id(self.t)] = declaration
 
@@ -209,6 +214,26 @@ class Model(Picklable):
         if (known := getattr(self, "_declaration", None)) is not None:
             other._set(_declaration=known)
         return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Copy the model and its parts, but for functions and symbols."""
+        other = super().__deepcopy__(memo)
+        if (known := getattr(self, "_declaration", None)) is not None:
+            other._remember(known.given)
+        return other
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled of it: with what it was given, where that can be."""
+        known = getattr(self, "_declaration", None)
+        given = {} if known is None or not is_picklable(known.given) else {GIVEN_FIELDS: known.given}
+        return super().__getstate__() | given
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take up what was pickled."""
+        given = state.pop(GIVEN_FIELDS, None)
+        vars(self).update(state)
+        if given is not None:
+            self._remember(given)
 
     def _declare(self) -> None:
         raise NotImplementedError

@@ -132,6 +132,10 @@ class Picklable:
         serializer.pack(pickler.expressions)
         return _unpickled, (stream.getvalue(), serializer.encode())
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled of it."""
+        return vars(self)
+
     def __copy__(self) -> Self:
         """Copy the object, not its parts."""
         other = object.__new__(type(self))
@@ -175,7 +179,7 @@ class _ExpressionPickler(pickle.Pickler):
             return _frozen, (dict(obj),)
         if isinstance(obj, Picklable):
             new = copyreg.__newobj__  # pyrefly: ignore[missing-attribute]
-            return new, (type(obj),), vars(obj)
+            return new, (type(obj),), obj.__getstate__()
         return _reduce_by_file(obj) if isinstance(obj, FunctionType | type) else NotImplemented
 
 
@@ -188,6 +192,15 @@ class _ExpressionUnpickler(pickle.Unpickler):
 
     def persistent_load(self, pid: int) -> ca.SX:
         return self._expressions[pid]
+
+
+def is_picklable(item: Any) -> bool:
+    """Whether all that the item holds can be pickled."""
+    try:
+        _ExpressionPickler(io.BytesIO(), protocol=pickle.HIGHEST_PROTOCOL).dump(item)
+    except (pickle.PicklingError, TypeError, AttributeError, NotImplementedError, _UnnamedFunctionError):
+        return False
+    return True
 
 
 def _unpickled(stream: bytes, expressions: str) -> Any:

@@ -340,6 +340,21 @@ def test_replace_keeps_names(name):
     assert other.title == "of another title"
     assert whole(other) == whole(model)
     assert whole(dataclasses.replace(other, title="again")) == whole(model)
+    for one in (again(model), copy.deepcopy(model), copy.copy(model)):
+        assert whole(dataclasses.replace(one, title="again")) == whole(model)
+
+
+def test_what_was_given_and_cannot_be_pickled_is_left_out():
+    x = ca.SX.sym("x")
+    model = LureSystem(x=x, A=[[-1]], B=[[1]], C=[[1]], law=relay(1), x0=Unpicklable([1.0]), t_end=1, step=0.1)
+    other = again(model)
+    assert mark(other) == mark(model)
+    assert dataclasses.replace(other, title="new").title == "new"
+
+
+class Unpicklable(list):
+    def __reduce_ex__(self, protocol):
+        raise TypeError("it is of this process")
 
 
 def test_every_class_is_replaced():
