@@ -126,6 +126,12 @@ def test_given_steps_and_error_control_keep_the_velocity():
     assert run.v[:, 0] == pytest.approx(speed(run.t), abs=1e-6)
 
 
+def test_a_force_of_time_alone_keeps_the_velocity_where_steps_change():
+    steps = np.array([0.1, 0.2, 0.05, 0.3, 0.1])
+    run = simulate(FrictionOscillator(x=x, t=t, force=2 * t, potential=0, x0=0.0, v0=1.0, steps=steps))
+    np.testing.assert_allclose(run.v[1:, 0], 1 + np.cumsum(steps * 2 * np.cumsum(steps)), rtol=1e-12)
+
+
 def test_step_by_step():
     loop, v = stepper(move(inputs={u: None}), step=0.1), 0.0
     for h, force in ((0.1, 1.0), (0.05, 1.0), (0.2, -0.25), (0.1, 0.4)):
