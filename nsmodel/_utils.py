@@ -171,9 +171,7 @@ def cached_per_object_and_key(most: int) -> Callable[[T], T]:
             if value is missing:
                 value = function(made, key)
                 with lock:
-                    while len(own) >= most:
-                        del own[next(iter(own))]
-                    own[key] = value
+                    remember(own, key, lambda: value, most)
             return value
 
         return cached  # pyrefly: ignore[bad-return]

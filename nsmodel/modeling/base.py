@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
@@ -37,7 +38,7 @@ from nsmodel.modeling.parameters import (
     state_names_and_stems,
     substitute_in_model,
 )
-from nsmodel.modeling.pickling import Picklable, is_picklable
+from nsmodel.modeling.pickling import Picklable, deep_copies, is_plain
 from nsmodel.proof.expression_graph import TRUTH_VALUED_OPERATIONS
 
 ATTRIBUTES_HEADING = "Attributes:\n"
@@ -218,15 +219,23 @@ class Model(Picklable):
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the model and its parts, but for functions and symbols."""
         other = super().__deepcopy__(memo)
-        if (known := getattr(self, "_declaration", None)) is not None:
-            other._remember(known.given)
+        with suppress(Exception):  # Whatever an object of the user's raises: the model is copied, without it.
+            if given := deep_copies(self._given_fields(), memo):
+                other._remember(given)
         return other
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled of it: with what it was given, where that can be."""
+        given = self._given_fields()
+        return super().__getstate__() | ({GIVEN_FIELDS: given} if given and is_plain(given) else {})
+
+    def _given_fields(self) -> dict[str, Any]:
+        """What it was given, by field; what was changed since, as by `bind`, as it is now."""
         known = getattr(self, "_declaration", None)
-        given = {} if known is None or not is_picklable(known.given) else {GIVEN_FIELDS: known.given}
-        return super().__getstate__() | given
+        if known is None:
+            return {}
+        now = {name: getattr(self, name) for name in known.given}
+        return {name: known.given[name] if value is known.declared[name] else value for name, value in now.items()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take up what was pickled."""

@@ -145,11 +145,17 @@ class Picklable:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Copy the object and its parts, but for functions and symbols."""
         memo[id(self)] = other = copy(self)
-        for name, value in vars(self).items():
-            frozen = isinstance(value, MappingProxyType)
-            part = deepcopy(dict(value) if frozen else value, memo)
-            vars(other)[name] = MappingProxyType(part) if frozen else part
+        vars(other).update(deep_copies(vars(self), memo))
         return other
+
+
+def deep_copies(parts: Mapping[str, Any], memo: dict[int, Any]) -> dict[str, Any]:
+    """Deep copies of parts, by name, of which some may be frozen mappings."""
+    copies = {name: deepcopy(dict(part) if isinstance(part, MappingProxyType) else part, memo) for name, part in parts.items()}
+    return {
+        name: MappingProxyType(copies[name]) if isinstance(part, MappingProxyType) else copies[name]
+        for name, part in parts.items()
+    }
 
 
 class _UnnamedFunctionError(Exception):
@@ -194,11 +200,24 @@ class _ExpressionUnpickler(pickle.Unpickler):
         return self._expressions[pid]
 
 
-def is_picklable(item: Any) -> bool:
-    """Whether all that the item holds can be pickled."""
+PLAIN_PACKAGES = frozenset({"builtins", "casadi", "collections", "fractions", "nsmodel", "numpy", "scipy", "sympy", "types"})
+
+
+class _PlainPickler(_ExpressionPickler):
+    """Refuses objects of types that are neither of these packages nor of a model file: another process may have no such type."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        of = obj if isinstance(obj, type) else type(obj)
+        if of.__module__.partition(".")[0] not in PLAIN_PACKAGES and not of.__module__.startswith(MODULE_PREFIX):
+            raise pickle.PicklingError(f"{of.__qualname__} is of {of.__module__}")
+        return super().reducer_override(obj)
+
+
+def is_plain(item: Any) -> bool:
+    """Whether all that the item holds can be pickled, and read where only nsmodel is known."""
     try:
-        _ExpressionPickler(io.BytesIO(), protocol=pickle.HIGHEST_PROTOCOL).dump(item)
-    except (pickle.PicklingError, TypeError, AttributeError, NotImplementedError, _UnnamedFunctionError):
+        _PlainPickler(io.BytesIO(), protocol=pickle.HIGHEST_PROTOCOL).dump(item)
+    except Exception:  # Whatever an object of the user's raises: it stays here.
         return False
     return True
 
