@@ -342,10 +342,6 @@ def _repr_fields(made: Any) -> list[tuple[str, Any]]:
     return list(getattr(made, "made_of", vars(made)).items())
 
 
-def _is_empty_value(value: Any) -> bool:
-    return value is None or (isinstance(value, str | tuple | list | Mapping) and not len(value))
-
-
 def _describe_expression(value: Any) -> str:
     """One expression as it stands; of a matrix its shape, where it does not fit."""
     text = str(value)

@@ -20,6 +20,7 @@ from nsmodel.modeling.parameters import step_array
 from nsmodel.modeling.signals.schedule import InputSchedule
 
 WHOLE_STEPS = 1e-9  # Relative: a length that is so near to a whole number of steps is that many.
+HIT_TOLERANCE = 1e-9  # Relative: a step that ends so near to an edge ends there.
 SAME_TIME_SHARE = 1e-12  # Part of a run: rows of two runs that are nearer than this are at one time.
 SAME_STEP_TOLERANCE = 1e-12  # Lengths that differ by less than this part are one: matrices, not times.
 
@@ -179,7 +180,7 @@ def _check_edges_hit(times: np.ndarray, points: np.ndarray) -> None:
     """Refuse given steps of which one goes over an edge of an input."""
     k = np.searchsorted(times, points)
     off = np.minimum(np.abs(times[np.minimum(k, len(times) - 1)] - points), np.abs(times[np.maximum(k - 1, 0)] - points))
-    for i in np.flatnonzero(off > WHOLE_STEPS * np.abs(points))[:1]:
+    for i in np.flatnonzero(off > HIT_TOLERANCE * np.abs(points))[:1]:
         raise UsageError(
             f"steps: step {k[i] - 1} goes over t = {points[i]:.10g}, where an input jumps or bends, or a block ticks; "
             "let a step end there, or give step= instead: its grid ends at each"
