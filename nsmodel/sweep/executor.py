@@ -59,7 +59,7 @@ class InlineExecutor(Executor):
         future: Future = Future()
         try:
             future.set_result(function(*arguments, **options))
-        except Exception as error:
+        except (Exception, RunInterrupted) as error:
             future.set_exception(error)
         return future
 

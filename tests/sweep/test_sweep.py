@@ -287,6 +287,25 @@ def interrupted_after(monkeypatch, chunks, action):
         return action()
 
 
+def test_a_signal_within_a_cell_keeps_the_cells_before(monkeypatch):
+    """One process, run by run: the signal meets a run in the middle, and that run alone is lost."""
+    from nsmodel.simulation.loop import RunLoop
+
+    advance, runs = RunLoop._advance, []
+
+    def interrupted_in_the_third(loop, bar, signals):
+        runs.append(loop)
+        if len(runs) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        advance(loop, bar, signals)
+
+    monkeypatch.setattr(RunLoop, "_advance", interrupted_in_the_third)
+    monkeypatch.setattr(executor, "TARGET_CHUNK_SECONDS", 1e-9)
+    with pytest.raises(SweepInterrupted, match="after 2 of 36 cells") as stop:
+        swept(compiled=False)
+    assert stop.value.result.summary()["status"] == {"done": 2, "not run": 34}
+
+
 def test_resuming_a_whole_sweep_runs_nothing(tmp_path, monkeypatch):
     swept(tmp_path / "a")
     before = (tmp_path / "a" / "sweep.npz").read_bytes()
