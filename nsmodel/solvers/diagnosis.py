@@ -20,6 +20,7 @@ from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.plan import Plan
 from nsmodel.solvers.residuals import REACH, NumericLaw
 from nsmodel.solvers.rounding_errors import equilibrate_matrix
+from nsmodel.solvers.step import RUNAWAY_LIMIT
 from nsmodel.solvers.structure import StepStructure, is_eigenvalue_nonnegative, least_eigenvalue
 
 JUMP_ADVICE = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
@@ -71,6 +72,8 @@ def explain_step_failure(
             f"'{problem.rows[bad[0]]}' or its gradient is not a finite number at the present state "
             "(a square root or norm at 0, a division by 0?)"
         )
+    if (size := max(np.abs(b).max(initial=0.0), np.abs(state).max(initial=0.0))) > RUNAWAY_LIMIT:
+        return f"the state, or what it gives, has grown to {size:.3g}, beyond {RUNAWAY_LIMIT:g}"
     least = 0.0 if structure.gram else min(least_eigenvalue(W), least)
     monotone = is_eigenvalue_nonnegative(least, law.size)
     return (

@@ -28,6 +28,7 @@ from nsmodel import (
     SweepingProcess,
     Trajectory,
     ball,
+    complementarity,
     relay,
     simulate,
 )
@@ -333,6 +334,14 @@ def test_a_run_that_diverges_says_who_and_when_and_keeps_its_rows(tmp_path, mode
     assert (len(run), run.status) == (error.step, "failed")
     assert np.isfinite(run.x).all()
     assert not (tmp_path / "run.lock").exists()
+
+
+def test_a_step_from_a_state_whose_problem_overflows_says_how_large_it_is():
+    q, l = x(2), ca.SX.sym("l", 2)
+    model = FirstOrderSystem(x=q, lam=l, f=-q, g=l, h=q - 1, law=complementarity(2), x0=[1e308, -1e308], t_end=1, step=0.1)
+    words = r"the state, or what it gives, has grown to 1e\+308, beyond 1e\+100\. Best residual"
+    with np.errstate(all="ignore"), pytest.raises(StepError, match=words):
+        simulate(model, compiled=False)
 
 
 def test_a_run_that_diverges_ends_a_command_with_3(in_folder, capfd):
