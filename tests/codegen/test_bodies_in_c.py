@@ -215,6 +215,7 @@ def written(tmp_path_factory, load_case):
     return folder
 
 
+@pytest.mark.usefixtures("system_compiler")
 def test_the_library_compiles_strictly_and_runs_the_case(written, load_case):
     name = compiler().split()
     flags = "-std=c99 -g -Wall -Wextra -pedantic -Werror -Wconversion -Wsign-conversion".split()

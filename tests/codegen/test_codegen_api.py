@@ -731,6 +731,7 @@ def test_the_header_in_cpp(kind, written):
 
 @needs_cxx
 @needs_make
+@pytest.mark.usefixtures("system_compiler")
 def test_the_cpp_example(tmp_path):
     """What its head says to type, typed; and what it prints, beside Python."""
     text = (REPOSITORY / "docs/examples/host.cpp").read_text()
@@ -839,6 +840,7 @@ def test_the_code_in_the_readme_compiles(kind, written):
 
 
 @needs_make
+@pytest.mark.usefixtures("system_compiler")
 def test_make(tmp_path, capfd):
     codegen.write(case("relay_oscillator")(), tmp_path, name="relay")
     for target in ([], ["run"], ["lib"], *([["size"]] if shutil.which("size") else [])):

@@ -251,6 +251,7 @@ def test_what_was_not_done_when_it_is_stopped_is_forgotten(monkeypatch):
     assert not found.steps[~done].any()
 
 
+@pytest.mark.usefixtures("system_compiler")
 def test_a_compiler_that_has_no_lanes_takes_cells_one_by_one(monkeypatch):
     model = oscillator()
     monkeypatch.setattr(library, "LANES_FLAGS", (*COMPILER_FLAGS, "-fno-such-option-at-all"))
