@@ -199,7 +199,8 @@ def quick_programs(tmp_path_factory):
 @pytest.fixture(scope="session")
 def load_case():
     """Return load_case(stem, **parameters) -> Model."""
-    return lambda stem, **parameters: nsmodel.load(stem, **parameters)
+    known = functools.cache(nsmodel.load)  # Models do not change, and what is computed of one is kept with it.
+    return lambda stem, **parameters: nsmodel.load(stem, **parameters) if parameters else known(stem)
 
 
 @pytest.fixture(scope="session")

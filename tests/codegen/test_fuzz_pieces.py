@@ -21,7 +21,7 @@ NAMES = (
 ).split()
 SMALLER = {"obstacle": {"n": 7}}
 SCENES = MODELS | STIFF | {name: (lambda name=name: nsmodel.load(name, **SMALLER.get(name, {}))) for name in NAMES}
-SEEDS = range(20 if COUNT >= FULL else 4)
+SEEDS = range(20 if COUNT >= FULL else 2)
 CALLS = 300
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 PIECES = 50  # That a run may have here.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
-import sys
 
 import casadi as ca
 import numpy as np
@@ -17,6 +15,7 @@ from fuzz_models import COUNT, FULL
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, StepError, UsageError, pwm, relay, sensitivity, table
+from nsmodel.cli import main
 from nsmodel.modeling.variants import start_entries
 
 HAS_COMPILER = shutil.which("gcc") is not None
@@ -282,16 +281,10 @@ def test_tables_and_pictures(tmp_path):
     assert json.loads(json.dumps(found.document()))["by"] == ["k", "u.duty"]
 
 
-def test_the_command_line(tmp_path):
-    def command(*words):
-        return subprocess.run(
-            [sys.executable, "-m", "nsmodel", "sensitivity", *words], capture_output=True, text=True, check=False
-        )
-
-    done = command("two_masses", "--by", "k,x1(0)", "--at", "1,2", "--error", "--out", str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    assert "estimate of the largest error" in done.stdout
+def test_the_command_line(tmp_path, capsys):
+    command = ["sensitivity", "two_masses", "--by"]
+    assert main([*command, "k,x1(0)", "--at", "1,2", "--error", "--out", str(tmp_path)]) == 0
+    assert "estimate of the largest error" in capsys.readouterr().out
     assert {path.name for path in tmp_path.iterdir()} == {f"sensitivity.{end}" for end in ("txt", "json", "csv", "png")}
-    wrong = command("two_masses", "--by", "stiffness")
-    assert wrong.returncode == 2
-    assert "'stiffness' is not a parameter" in wrong.stderr
+    assert main([*command, "stiffness"]) == 2
+    assert "'stiffness' is not a parameter" in capsys.readouterr().err

@@ -11,6 +11,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
+from fuzz_models import share
 from scipy.integrate import quad, solve_ivp
 
 from nsmodel import FirstOrderSystem, relay, simulate
@@ -105,7 +106,7 @@ def test_a_threshold_of_the_least_double_is_a_switch() -> None:
 @pytest.mark.fast
 def test_random_expressions_keep_their_values() -> None:
     """Sums, quotients, powers, roots and logarithms of exponentials in each other: the same where the expression has a number."""
-    y, seen = ca.SX.sym("y"), 0
+    y, seen, tries = ca.SX.sym("y"), 0, share(600, 150)
 
     def exponent(r: random.Random) -> ca.SX:
         return r.choice([x, y, x - y, y - x, 2 * x, -x, x / 3, x * y, 0.5 * x - 1, 1 - x])
@@ -118,7 +119,7 @@ def test_random_expressions_keep_their_values() -> None:
         many = [a + b, a - b, a * b, a / b, -a, ca.sqrt(a), a**2, a**-0.5, a**-2, ca.log(a), ca.log1p(a), ca.atan(a), 1 / a]
         return r.choice([*many, exp(exponent(r)) * a, a**1.5, ca.sqrt(a * a), ca.log(a**2)])
 
-    for seed in range(600):
+    for seed in range(tries):
         r = random.Random(seed)
         given = made(r, r.randint(1, 4))
         written = rewrite_without_overflow(given)
@@ -132,7 +133,7 @@ def test_random_expressions_keep_their_values() -> None:
             if all(map(math.isfinite, (one for one, _ in near))) and spread <= 1e-9 * abs(value):
                 seen += 1
                 assert near[1][1] == pytest.approx(value, rel=1e-7), (seed, p, q, str(given))
-    assert seen > 300
+    assert seen > tries / 2
 
 
 @pytest.mark.fast

@@ -359,6 +359,7 @@ def test_quick_makes_no_search():
     assert found["F-W"] == "holds"
 
 
+@pytest.mark.long
 def test_cases(cases_of, run_case):
     expected = {"F-jacobians": "holds", "F-W": "holds", "F-mlcp": "violated", "F-unique": "sampled", "F-step": "holds"}
     cases = cases_of(FirstOrderSystem)

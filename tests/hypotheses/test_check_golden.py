@@ -35,9 +35,9 @@ def assert_kept(class_name, kept, checks):
         pytest.fail("\n".join([f"{path} has something else ({renew}):", *differences]))
 
 
-def test_the_files_have_every_check(kept):
+def test_the_files_have_every_check(kept, load_case):
     cases = {name for file in kept.values() for name in file if not name.startswith("model ")}
-    stems = {path.stem for path in CASES if type(nsmodel.load(path)) in CLASS_NAMES}
+    stems = {path.stem for path in CASES if type(load_case(path.stem)) in CLASS_NAMES}
     assert cases == {f"{stem} quick" for stem in stems} | (stems - golden.DEAR)
     models = {name: [check for check in file if check.startswith("model ")] for name, file in kept.items()}
     at_points = {name: [check for check in checks if not check.endswith(golden.OVER_A_BOX)] for name, checks in models.items()}
@@ -45,9 +45,9 @@ def test_the_files_have_every_check(kept):
     assert all(len(checks) - len(at_points[name]) <= golden.MODELS for name, checks in models.items())
 
 
-def test_a_quick_check_of_a_case_says_what_it_said(case_file, kept, quick_check):
+def test_a_quick_check_of_a_case_says_what_it_said(case_file, kept, quick_check, load_case):
     stem = case_file.stem
-    if class_name := CLASS_NAMES.get(type(nsmodel.load(stem))):
+    if class_name := CLASS_NAMES.get(type(load_case(stem))):
         assert_kept(class_name, kept, [(f"{stem} quick", quick_check(stem))])
 
 

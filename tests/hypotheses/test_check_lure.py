@@ -569,7 +569,7 @@ def test_conditions_of_symbols_agree_with_numbers():
     assert findings["5.1"].verdict == findings["4.1"].verdict == "unknown"
     rng = np.random.default_rng(11)
     seen = set()
-    for _ in range(90):
+    for _ in range(share(90, 30)):
         values = dict(zip(names, (float(v) for v in rng.integers(-4, 5, 3)), strict=True))
         if rng.random() < 0.6:
             values["c"] = (3 * values["b"] - 1) / 2  # where C B is symmetric

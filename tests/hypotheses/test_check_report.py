@@ -12,7 +12,6 @@ import pytest
 import sympy as sp
 from fuzz_models import share
 
-import nsmodel
 from nsmodel import LureSystem, ModelError, SweepingProcess, ball, box, complementarity, equality, polyhedron, product, relay
 from nsmodel import second_order_cone as cone
 from nsmodel.files.storage import dumps, loads
@@ -267,8 +266,8 @@ def balanced(latex):
     return not depths.size or (depths.min() >= 0 and depths[-1] == 0 and latex.count(r"\left") == latex.count(r"\right"))
 
 
-def test_equations_of_every_case_can_be_drawn(case_file):
-    model = nsmodel.load(case_file)
+def test_equations_of_every_case_can_be_drawn(case_file, load_case):
+    model = load_case(case_file.stem)
     start = time.perf_counter()
     lines = model_equations(model)
     assert time.perf_counter() - start < 0.5

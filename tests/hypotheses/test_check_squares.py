@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from fuzz_models import share
 
 from nsmodel import MonotoneInclusion, SweepingProcess, check
 
@@ -26,7 +27,7 @@ def test_random_quartics_are_convex_only_where_no_hessian_is_indefinite():
     rng = np.random.default_rng(1)
     t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
     x, y = q[0], q[1]
-    for _ in range(12):
+    for _ in range(share(12, 4)):
         a, b, c = rng.uniform(-1, 8), rng.uniform(-2, 2), rng.uniform(0, 1)
         g = x**4 + a * x**2 * y**2 + b * x * y**3 + y**4 + c * (x**2 + y**2) - 1
         finding = convex(g, q, [2, 2], t)

@@ -149,6 +149,7 @@ def test_every_module_says_what_it_is_for_and_its_examples_run(name):
         assert failed == 0
 
 
+@pytest.mark.long  # `make lint` does it.
 def test_structure_is_within_its_limits():
     """Packages, files, import circles, names: `python tests/house_check.py --list MEASURE` says what stands behind a number."""
     pytest.importorskip("grimp", reason="import-linter comes with the extra dev")
@@ -175,8 +176,8 @@ def test_every_case_explains_itself(path):
     assert model.step is not None or model.steps is not None
 
 
-def test_there_are_cases_of_every_class():
-    classes = {type(nsmodel.load(path)).__name__ for path in CASES}
+def test_there_are_cases_of_every_class(load_case):
+    classes = {type(load_case(path.stem)).__name__ for path in CASES}
     assert classes == {
         "SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MonotoneInclusion", "ManyBodies",
         "MechanicalSystem",

@@ -132,12 +132,12 @@ def test_formulas_are_mathml():
     assert "".join(ET.fromstring(mathml(r"\unheard{x}")).itertext()) == "unheardx"
 
 
-def test_models_of_all_cases_show_their_equations(case_file):
+def test_models_of_all_cases_show_their_equations(case_file, load_case):
     """Every formula is well formed, and no command is left that the reader of LaTeX does not know."""
     from nsmodel.hypotheses.equations import model_equations
     from nsmodel.plot.html import elements as reader
 
-    model = nsmodel.load(case_file)
+    model = load_case(case_file.stem)
     lines = model_equations(model)
     known = {*reader.LETTERS, *reader.SIGNS, *reader.FUNCTION_NAMES, *reader.SPACES, *reader.ACCENTS, *reader.LETTER_STYLES}
     known |= {"left", "right", "text", "frac", "sqrt", "mathbb", "begin", "end", "backslash"}

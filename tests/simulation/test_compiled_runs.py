@@ -853,6 +853,7 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     assert "another way of stepping (interpreted there, compiled by" in err
 
 
+@pytest.mark.long
 @compiles
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_on_the_command_line(tmp_path, number, status):

@@ -154,6 +154,7 @@ def test_what_an_engine_loses_is_sent_again(alone):
     assert engine.sent > 3
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_a_dask_cluster(tmp_path, alone):
     distributed = pytest.importorskip("distributed")
