@@ -252,7 +252,7 @@ def c_table(name: str, values: Sequence[float] | np.ndarray, size: str, comment:
 
 
 def _wrapped_lines(numbers: Sequence[str]) -> Iterator[str]:
-    """The numbers in lines that are indented and up to WIDTH long."""
+    """The numbers in lines that are indented and up to TABLE_WIDTH long."""
     line = "   "
     for i, text in enumerate(numbers):
         item = f" {text}," if i + 1 < len(numbers) else f" {text}"
@@ -300,7 +300,7 @@ MIN_ROWS_PER_FORM = 8  # Rows to a form, on average, from which on loops are wri
 
 
 def looped_c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX], comment: str = "") -> str:
-    """As `expression.c_function`; where the function is long and its rows have few forms, each form is a loop."""
+    """As `c_function`; where the function is long and its rows have few forms, each form is a loop."""
     column = ca.densify(ca.vertcat(ca.SX(0, 1), *(ca.vec(e.T) for e in outputs.values())))
     whole = ca.Function("f", list(inputs.values()), [column])
     if whole.n_instructions() <= MAX_OPERATIONS:

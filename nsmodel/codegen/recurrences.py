@@ -234,7 +234,7 @@ def switch_scales_code(printers: Mapping[str, RecurrencePrinter]) -> str:
 
 
 def _time_degrees(jets: TaylorRecurrences, given: Mapping[int, int]) -> dict[int, int]:
-    """The degree in t of each row: 0 for numbers, 1 for t; CURVED where it may be any."""
+    """The degree in t of each row: 0 for numbers, 1 for t; ANY_DEGREE where it may be any."""
     degree = dict.fromkeys(range(jets.count), ANY_DEGREE)
     degree |= {row: given[which] for (which, _), row in jets.inputs.items()} | dict.fromkeys(jets.numbers, 0)
     for line in jets.lines:

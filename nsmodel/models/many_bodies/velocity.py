@@ -33,10 +33,11 @@ from nsmodel.proof.domain import check_defined_in_time
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.jumps import jump_lower_bound, jump_nodes, jump_sizes
 
-MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first.
-MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
-MAX_REST_CHECKS = 64  # Times, or bodies taken away, for which all others are looked at.
-QUOTIENT_SHIFTS = 1e-1, 1e-4, 1e-7  # Parts of the box by which a body is moved for a difference quotient.
+MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first; where none of them is, the finding is sampled.
+MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps, evenly chosen.
+MAX_REST_CHECKS = 64  # Times, or bodies taken away, for which all others are looked at: each looks at all pairs that are near.
+# Parts of the box by which a body is moved for a difference quotient: a jump shows at the least, slopes at the largest.
+QUOTIENT_SHIFTS = 1e-1, 1e-4, 1e-7
 TimedPositions = tuple[float, np.ndarray]
 _BodyJump = tuple[float, dict[str, Any]]
 

@@ -53,7 +53,7 @@ M_A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{CATCHING_UP_
 M_A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{CATCHING_UP_PAPER}, (A3)")
 M_24 = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{CATCHING_UP_PAPER}, (24)")
 HYPOTHESES = (M_T, M_C, M_A1, M_A2, M_A3, M_24)
-MIN_EIGENVALUE_SAMPLES = 64  # Points of a sample, at least: fewer leave the question open.
+MIN_EIGENVALUE_SAMPLES = 64  # Points of a sample, at least: fewer, where few lie in C, say nothing and leave the question open.
 CONTRACTION_IDS = ("M-T", "M-C", "M-A1", "M-24")
 
 

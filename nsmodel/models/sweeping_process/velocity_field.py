@@ -131,17 +131,15 @@ def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], col
     return FieldBlock(formula, plain, process.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
 
 
-MAX_BASE_STATES, MAX_SWITCH_POINTS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
-MAX_QUOTIENT_POINTS = 32  # Points between all pairs of which difference quotients are formed.
-MAX_PROVED_JUMPS, MAX_DERIVATIVE_ENTRIES = (
-    16,
-    16,
-)  # Jumps that are to be proved, and entries of a derivative that are followed along a ray.
-RAY_LENGTH, SNAP_DISTANCE = (
-    1e-6,
-    1e-3,
-)  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
-PROBE_STEP = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
+MAX_BASE_STATES = 4  # Admissible states from which jumps are looked for, evenly chosen,
+MAX_SWITCH_POINTS = 256  # and switching points tried; one jump that is proved is enough.
+MAX_QUOTIENT_POINTS = 32  # Points between all pairs of which difference quotients are formed, 496.
+MAX_PROVED_JUMPS = 16  # Jumps that are to be proved, the nearest to admissible states first,
+# and entries of a derivative that are followed along a ray; where nothing is proved the finding stays open.
+MAX_DERIVATIVE_ENTRIES = 16
+RAY_LENGTH = 1e-6  # How long a ray is: a derivative that grows without bound at its start is large on all of it,
+SNAP_DISTANCE = 1e-3  # and how far a point is moved to a number of the formula, beside the box: where derivatives are infinite.
+PROBE_STEP = 1e-3  # The part of the box that a point is moved by to see how large f is around it, and so what rounding is there.
 LipschitzBound = tuple[str, float, str, int]  # (verdict, K, where, points)
 
 
@@ -310,7 +308,7 @@ def _is_box_admissible(process: PartialSweepingProcess, *corners: np.ndarray) ->
     return not process.rows or bool((interval_bounds.enclose(process.g, process.z, low, high)[0] >= 0).all())
 
 
-MAX_CONTINUATION_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
+MAX_CONTINUATION_STATES = 6  # With more, where Q(t) keeps away from is not looked for: the box of all of them is cut.
 
 
 def decide_velocity(
