@@ -241,8 +241,8 @@ def describe_left_out(flags: Set[str]) -> list[str]:
 
 MAX_COUNT = 2**31 - 1  # The largest number that an int of 32 bits in C holds: what a step may count to.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.
-FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system.
-PROBE_SOLVES = 2 * PROBES  # Probes of what the unknowns err by, and of how ill-conditioned their system is.
+FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system: each adds as many digits as elimination keeps.
+PROBE_SOLVES = 2 * PROBES  # Two for each probe: of what the unknowns err by, and of how ill-conditioned their system is.
 REFINEMENT_SOLVES = REFINEMENTS + PROBE_SOLVES  # Linear systems for one refined answer, at most.
 
 

@@ -49,7 +49,7 @@ def recurrence_kernels(stride: str = "1") -> str:
 LINEAR_KINDS = frozenset("sum difference minus scaled over shifted".split())
 CHOSEN_KINDS = frozenset("guarded chosen equal".split())
 ORDER_0_KINDS = frozenset("both either not positive whole".split())  # At order 0 alone.
-ANY_DEGREE = 99  # The degree in t of what has terms of all orders.
+ANY_DEGREE = 99  # The degree in t of what has terms of all orders: above that of any polynomial that a series holds.
 ZERO_TEXT = "0.0"
 
 
