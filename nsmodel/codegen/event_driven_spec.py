@@ -243,8 +243,8 @@ def extract_parameter_parts(expressions: Mapping[str, ca.SX], p: ca.SX) -> Param
     return ParameterSubstitution(made, ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts))
 
 
-MAX_DENSE_ROWS = 64  # Of a law whose matrices are kept dense.
-EVENT_TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
+MAX_DENSE_ROWS = 64  # Of a law whose matrices are kept dense, 100 KB a mode; of more there are no pieces in C.
+EVENT_TIMES = 64  # Events 1, 2, 4, ... whose times are kept: as many as whole numbers of 64 bits can count.
 
 
 @dataclass(frozen=True)

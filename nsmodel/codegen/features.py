@@ -32,7 +32,9 @@ from nsmodel.solvers.sparse import PIVOTED_SETS
 from nsmodel.solvers.structure import MAX_STEP_SIZES, is_eigenvalue_nonnegative, least_eigenvalue
 from nsmodel.solvers.time_stepper import NEARBY_SETS
 
-MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept, of several lengths 4 times as many.
+# Memory for the inverses of index sets, 16 KB: half of the first cache.
+# Between 2 and 8 are kept, of several lengths 4 times as many.
+MAPS_BYTES = 16 << 10
 
 
 def flags_of(spec: StepSpec) -> frozenset[str]:

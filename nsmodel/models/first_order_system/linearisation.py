@@ -32,7 +32,7 @@ MAX_SAMPLED_RUN_ROWS = 100
 MAX_FACE_SETS = 500
 MIN_ENCLOSED_STATES = 64  # From so many states on W^{-1} is enclosed, where rational numbers get long,
 MAX_ENCLOSED_CONDITION = 1e12  # if its condition is below: else the enclosure is too wide to show a sign.
-REGION_SAMPLES = 32  # Points of the region that are looked at where there is no run.
+REGION_SAMPLES = 32  # Points of the region that are looked at where there is no run; each is differentiated, as rows of runs are.
 
 
 class Jacobians(NamedTuple):

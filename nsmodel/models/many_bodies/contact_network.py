@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 # far more than formulas lose, less than a step's tolerance.
 CONSTRAINT_ROUNDING = 1e-10
 BOUNDS_PER_CALL = 1 << 18  # Constraints that are bounded in one go: some arrays of 2 MB for each instruction.
-GAP_MARGIN_ROUNDING = 1e-9  # Constraints above a margin by this part of the positions are looked at too: their value is rounded.
+# Constraints above a margin by this part of the positions are looked at too: their value is rounded, by far less.
+GAP_MARGIN_ROUNDING = 1e-9
 
 
 def constraints_within(problem: BodiesProblem, t: float, q: np.ndarray, margin: float) -> ContactRows:
@@ -153,7 +154,8 @@ def _present_mask(q: np.ndarray) -> np.ndarray:
 # Groups of so many constraints are solved by Wolfe's method, exactly but for
 # rounding; of more its time grows faster than the interior method's.
 MAX_WOLFE_GROUP = 40
-INTERIOR_ITERATIONS = 60  # Of the interior method, at most; then gamma has the bounds found so far.
+# Of the interior method, at most, which closes the gap by a factor in each; then gamma has the bounds found so far.
+INTERIOR_ITERATIONS = 60
 DUALITY_GAP = 1e-7  # Relative: between the two bounds of gamma, which ends it: more digits than a report shows.
 # Constraints of a group beyond which its gamma takes too long (quick: the second), and is not looked at.
 MAX_GROUP_SIZE = 20_000, 2_000
@@ -303,7 +305,8 @@ def _max_positive_step(x: np.ndarray, dx: np.ndarray) -> float:
 
 # Rows of the runs that are looked at, at most, evenly spread: gamma is sampled, and more rows may show a larger one;
 MAX_RUN_ROWS = 32
-MAX_BODY_ROWS = 20_000, 2_000  # and so many bodies in them (quick: the second).
+# and so many bodies in them (quick: the second), as the pairs near each body are formed in each row.
+MAX_BODY_ROWS = 20_000, 2_000
 MAX_NAMED_CONSTRAINTS = 12  # Constraints that a finding names: as many as a report shows entries of a witness.
 TimedBodies = tuple[float, np.ndarray]
 

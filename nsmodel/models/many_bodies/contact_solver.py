@@ -31,7 +31,8 @@ from nsmodel.solvers.diagnosis import describe_overreach, opposing_rows
 from nsmodel.solvers.residuals import REACH, UNRESOLVED, NumericLaw
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
-MAX_DENSE_FACTOR_ROWS = 100  # Rows of a matrix that is inverted dense: as fast as sparse factors at 50, 1.6 times slower at 100.
+# Rows of a matrix that is inverted dense: 0.5 of the time of sparse factors for 50 rows, 0.8 for 100, three times it for 200.
+MAX_DENSE_FACTOR_ROWS = 100
 MAX_LEMKE_ROWS = 60  # Rows of a group up to which Lemke's pivoting is the robust way; an interior method scales better beyond.
 MAX_DENSE_SOLVER_ROWS = 3000  # Rows of a group that a solver of dense problems takes: a matrix of 72 MB; more are refused.
 # Changes of the active set without fewer wrong rows, after which it is given up: it may go round in circles.

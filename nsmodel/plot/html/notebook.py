@@ -112,7 +112,7 @@ def _foldable_text(text: str, source: str) -> elements.Html:
     return elements.folded_section(truncate_text(text, MAX_UNFOLDED_TEXT), elements.escape_text(text + source, 2000))
 
 
-RUN_DPI = 90  # Dots per inch of the small picture of a run.
+RUN_DPI = 90  # Dots per inch of the small picture of a run: its letters can just be read.
 RESULT_DPI = 75  # Of that of a study or a sweep, which is larger.
 RUN_WARNINGS = 4  # More are folded, so that the picture below stays in sight.
 

@@ -28,7 +28,7 @@ MAX_PANEL_COLUMNS = 24  # Columns of a panel, bands of an index set: as many as 
 INITIAL_COLUMNS = 8  # Of them drawn when the page opens: colours that can be told apart; others are switched on.
 # A few columns without units whose sizes are so far apart have a panel of their own, as the smaller would be a flat line,
 SIZE_RATIO = 20
-FEW_COLUMNS = 6  # where there are so few,
+FEW_COLUMNS = 6  # where there are so few, so that each panel keeps some,
 ROUNDING_SHARE = 1e-9  # but for what is this part of the others: rounding.
 PANEL_ARRAYS = {
     "t",
