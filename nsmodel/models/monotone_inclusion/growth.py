@@ -491,14 +491,17 @@ def rounded_norm(matrix: np.ndarray) -> float:
 
 
 def max_constant_part(field: SelectedField, b: np.ndarray, columns: np.ndarray) -> float:
-    """The largest |b + sum of multipliers|: over the corners of their boxes where these are few."""
+    """The largest |b + sum of multipliers|, rounded up: over the corners of their boxes where these are few."""
     terms = [(term.B, term.lower, term.upper) for term in field.aligned]
     terms += [(columns[:, [k]], jump.lower, jump.upper) for k, jump in enumerate(field.jumps)]
     if not terms:
-        return float(np.linalg.norm(b)) if b.size > 1 else abs(float(b[0]))
+        return rounded_norm(b[:, None])
     if len(terms) <= MAX_MULTIPLIER_CORNERS and all(B.shape[1] == 1 for B, _, _ in terms):
+        B = np.hstack([B for B, _, _ in terms])
         corners = np.array(list(product(*((low, high) for _, low, high in terms))))
-        return float(np.linalg.norm(b + corners @ np.hstack([B for B, _, _ in terms]).T, axis=1).max()) * ROUND_UP_FACTOR
+        size = float(np.linalg.norm(np.abs(b) + np.abs(B) @ np.abs(corners).max(axis=0)))  # of what may cancel
+        largest = float(np.linalg.norm(b + corners @ B.T, axis=1).max())
+        return largest * ROUND_UP_FACTOR + (2 + len(terms)) * exact.MACHINE_EPSILON * size
     sizes = [float(np.linalg.norm(B, 2)) * max(abs(low), abs(high)) for B, low, high in terms]
     return float(np.linalg.norm(b) + sum_in_order(sizes)) * ROUND_UP_FACTOR
 
