@@ -18,6 +18,7 @@ from nsmodel.models.sweeping_process.admissible_points import PartialSweepingPro
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, HypothesisAnswer
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import (
     OpaqueExpression,
     apply_operation,
@@ -447,7 +448,7 @@ def _growth_bound(
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere; on the box sup |f| / (1 + |q|), bounded block by block."""
     if where == EVERYWHERE:
         at_zero = ca.sumsqr(ca.substitute(f, process.q, ca.DM.zeros(process.q.numel())))
-        return max(K, float(np.sqrt(max(_time_supremum(at_zero, process).bound, 0.0))))
+        return max(K, float(np.sqrt(max(_time_supremum(at_zero, process).bound, 0.0))) * ROUND_UP_FACTOR)
     total = 0.0
     for block in blocks:
         top = extremum.supremum(ca.sumsqr(block.f), block.z, *block.box(False), quick=True)
@@ -456,7 +457,7 @@ def _growth_bound(
     if rest:
         total += max(_time_supremum(ca.sumsqr(f[rest]), process).bound, 0.0)
     nearest = np.clip(0.0, process.lower[1:], process.upper[1:])
-    return float(np.sqrt(total) / (1 + np.linalg.norm(nearest)))
+    return float(np.sqrt(total) / (1 + np.linalg.norm(nearest))) * ROUND_UP_FACTOR
 
 
 def _time_supremum(expr: ca.SX, process: PartialSweepingProcess) -> extremum.Supremum:
