@@ -271,8 +271,8 @@ def cosh(x: IntervalPair) -> IntervalPair:
 def acos(x: IntervalPair) -> IntervalPair:
     """Return the inverse cosine."""
     a, b = np.arccos(np.clip(x[1], -1, 1)), np.arccos(np.clip(x[0], -1, 1))
-    lo = np.clip(next_down(a - 1e-15), 0, PI_ABOVE)
-    hi = np.where(x[0] >= 1, 0, np.clip(next_up(b + 1e-15), 0, PI_ABOVE))
+    lo = np.clip(widen_down(a), 0, PI_ABOVE)
+    hi = np.where(x[0] >= 1, 0, np.clip(widen_up(b), 0, PI_ABOVE))
     return select_interval(in_domain(x, -1, 1), make_interval(lo, hi), UNBOUNDED)
 
 
