@@ -23,7 +23,7 @@ from nsmodel.proof.expression_graph import additive_terms, program
 # What slopes are enlarged by, beside 1 + |slope|, where h lies beyond the
 # line at infinity: first by nothing, then by 1e-6 and 0.4 %.
 SECTOR_WIDENINGS = (0.0, 2.0**-20, 2.0**-8)
-CELLS_PER_OCTAVE = 16  # Parts of each octave of [-T, T]: bounds on a cell are as narrow as 1/16 of its place, however far out.
+CELLS_PER_OCTAVE = 16  # Parts of each octave of [-T, T]: each is 4 % of its place wide, however far out, and so are bounds on it.
 
 
 class Sector(NamedTuple):

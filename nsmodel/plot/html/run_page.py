@@ -238,7 +238,7 @@ def _off_scale_note(residual: np.ndarray) -> str:
 
 
 MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn. A third of what the columns may take.
-FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis, which is shaded between them: 10 KB, a byte each,
+FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis: 10 KB a time, before they are deflated,
 MAX_MOMENTS = 60  # at so many times at most; between them the nearest is shown.
 
 
@@ -292,7 +292,7 @@ def forbidden_set_data(run: Trajectory, model: Any) -> dict[str, Any] | None:
 
 # Read off the polynomials of an event-driven run: ten for each pixel across, so that a part can be looked at closely.
 CURVE_POINTS = 20_000
-MAX_EVENTS = 100_000  # The most that are marked, of which the page holds the times, 400 KB,
+MAX_EVENTS = 100_000  # The most that are marked, of which the page holds the times, 800 KB,
 MAX_EVENT_TEXTS = 2_000  # and that say what changes, in words, some 50 bytes each.
 LAW_PANELS = ("Multipliers", "Reactions")  # Before these stands the index set.
 RUN_SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
