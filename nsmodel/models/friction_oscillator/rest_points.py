@@ -222,6 +222,7 @@ def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarra
 MAX_REST_DISTANCE = 1e12
 # Relative width of the intervals on which a slope is bounded: some 450 doubles, so that a kink is on one side.
 THIN_WIDTH = 1e-13
+SLACK_DISTANCES = 1e-6, 1e-12  # Before an end, beside 1 and its place: the second is ten times what ends are rounded by.
 # Beside 1 and the radius: a slope below the radius by more is so beyond rounding, of which a formula makes far less.
 SLOPE_MARGIN = 1e-9
 REAL_LINE = -np.inf, np.inf  # A box without bounds.
@@ -376,7 +377,7 @@ def rest_interval(
         for sign, hull in ((-1.0, low), (1.0, high)):
             end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
             ends.append(end)
-            strict = strict and _has_slack(slope, domain, centre, sign, max(end, hull) if sign < 0 else min(end, hull), radius)
+            strict = strict and _has_slack(slope, domain, sign, centre, max(end, hull) if sign < 0 else min(end, hull), radius)
         left, right = ends
     return RestInterval(max(left, low, box[0]), min(right, high, box[1]), strict)
 
@@ -438,15 +439,16 @@ def _bisect_end(proved: Callable[[float], float | None], sign: float, centre: fl
     return end
 
 
-def _has_slack(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, end: float, radius: float) -> bool:
-    """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there."""
+def _has_slack(slope: ca.SX, domain: ConvexSet, sign: float, centre: float, end: float, radius: float) -> bool:
+    """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there.
+
+    A slope that comes up to the radius without a jump is nearer to it at the nearer one of two points.
+    """
     if not np.isfinite(end):
         return _far_slope(slope, domain, sign, centre) < radius - SLOPE_MARGIN * (1 + radius)
-    inside = end - sign * 1e-9 * (1 + abs(end))
-    if (inside - centre) * sign <= 0:
-        return True
-    value = float(ca.Function("slope", [domain.x], [slope])(inside)) * sign
-    return bool(value < radius - SLOPE_MARGIN * (1 + radius))
+    f = ca.Function("slope", [domain.x], [slope])
+    far, near = (radius - sign * float(f(end - sign * part * (1 + abs(end)))) for part in SLACK_DISTANCES)
+    return bool(near > max(SLOPE_MARGIN * (1 + radius), far / 2))
 
 
 def _far_slope(slope: ca.SX, domain: ConvexSet, sign: float, centre: float) -> float:
