@@ -242,11 +242,12 @@ def print_escaped(*parts: Any, **options: Any) -> None:
     builtins.print(*(escape_invisible(str(part)) for part in parts), **options)
 
 
-TEXT_WIDTH = 100  # Columns of what is printed: reprs, summaries, tables.
-REPR_LINES = 10  # Lines of a repr, at most.
-MAX_ENTRIES = 4  # Entries of a list, and of a dictionary, that are shown.
-MAX_ARRAY_NUMBERS = 6  # Numbers of an array that are shown.
-MAX_VALUE_LENGTH = 60  # Characters of one value that is shown.
+# Columns of what is printed: reprs, summaries, tables; one width, so that they align with each other, and fit pages.
+TEXT_WIDTH = 100
+REPR_LINES = 10  # Lines of a repr, at most: several fit on a screen.
+MAX_ENTRIES = 4  # Entries of a list, and of a dictionary, that are shown: with 20 letters each they fit into a line.
+MAX_ARRAY_NUMBERS = 6  # Numbers of an array that are shown; of more its shape.
+MAX_VALUE_LENGTH = 60  # Characters of one value that is shown: it fits into a line behind its name.
 
 
 def short_repr(self: Any) -> str:
@@ -375,8 +376,9 @@ def format_number(value: float) -> str:
 
 
 EPS = sys.float_info.epsilon  # 2^-52, relative: from 1 to the next double; an operation is rounded by half of it, at most.
-DEFAULT_TOLERANCE = 1e-9  # The largest residual of a step that is accepted.
-MIN_TOLERANCE = 1e-14  # Below it there is rounding alone.
+# The largest residual of a step that is accepted, relative: far below what steps err by, far above rounding.
+DEFAULT_TOLERANCE = 1e-9
+MIN_TOLERANCE = 1e-14  # Below it, 45 EPS, there is rounding alone.
 
 
 _CGROUP_LIMIT_FILE = Path("/sys/fs/cgroup/memory.max")  # Of a container, on Linux.

@@ -43,7 +43,7 @@ BASH_SCRIPT = """# Completes nsmodel; written by: nsmodel completion {shell}
 complete -o default -F _nsmodel nsmodel
 """
 SCRIPT_PREAMBLES = {"bash": "", "zsh": "autoload -U +X bashcompinit && bashcompinit\n"}
-SCRIPT_INDENT = " " * 12
+SCRIPT_INDENT = " " * 12  # Of the cases that are put into the script, which stand as deep as its own.
 
 
 class CommandArgument(NamedTuple):

@@ -39,7 +39,8 @@ from nsmodel.sweep.design import MIN_CELL_BYTES, check_memory
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
 
-MAX_PRINTED_CELLS = 12  # Cells whose numbers are printed where they are kept nowhere.
+# Cells whose numbers are printed where they are kept nowhere: half a screen; the last line says how to keep all.
+MAX_PRINTED_CELLS = 12
 OPTION_SPELLINGS = {  # What messages say of arguments, and the options for it.
     "keep=['x1']": "--keep x1",
     "outputs={'end': 'x1[-1]'}": '--output "end=x1[-1]"',

@@ -31,7 +31,8 @@ from nsmodel.solvers.structure import MAX_STEP_SIZES
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
 
-MAX_WORST_CASE_ROWS = 4  # Of a law all of whose index sets have their inverses beforehand.
+# Of a law all of whose index sets have their inverses beforehand: 3^4 = 81 of them, as many as are tried one by one.
+MAX_WORST_CASE_ROWS = 4
 
 # No prefix: keywords, the standard headers (NAME.h would hide them), the example.
 _RESERVED = frozenset(

@@ -29,7 +29,7 @@ from nsmodel.solvers.initial_checks import admitted
 from nsmodel.solvers.one_step_problem import symbolic_initial_rows
 from nsmodel.solvers.step import INNER_COLUMNS, UNKNOWN_INDEX, VECTOR_COLUMNS
 
-TO_DO = -1  # The status of a cell that was not reached.
+TO_DO = -1  # The status of a cell that was not reached; those of steps are >= 0.
 LANES_NOTE = "in lanes, whose last bits are not those of a run alone"
 
 _CellsStruct = structs.BATCH_CELLS.ctypes_structure()

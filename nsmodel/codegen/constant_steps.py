@@ -22,10 +22,14 @@ from nsmodel.solvers.rounding_errors import equilibrate_matrix, rounding_error_b
 from nsmodel.solvers.sparse import FactoredJacobian
 from nsmodel.solvers.structure import StepStructure
 
-MAX_TRIED_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
-MAX_WRITTEN_NUMBERS = 6000  # Coefficients written into the code; a larger step forms its matrices when it is prepared.
-MAX_STORED_NUMBERS = 2000  # Coefficients of the matrices of one step size for which a library has memory.
-GENERIC_ZERO = 1e-9  # Part of the largest entry below which one of a matrix of generic numbers is 0.
+# Up to which every index set may be tried, those of 4 rows with two ends: code without pivoting, and a bound of its work.
+MAX_TRIED_INDEX_SETS = 81
+# Coefficients written into the code, 150 KB of text; a larger step forms its matrices when it is prepared.
+MAX_WRITTEN_NUMBERS = 6000
+# Coefficients of the matrices of one step size for which a library has memory, 16 KB; of more it solves anew in each step.
+MAX_STORED_NUMBERS = 2000
+# Part of the largest entry below which one of a matrix of generic numbers is 0: rounding, as others are not so small by chance.
+GENERIC_ZERO = 1e-9
 
 
 class StepMatrices(NamedTuple):

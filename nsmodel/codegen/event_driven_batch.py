@@ -31,8 +31,8 @@ from nsmodel.modeling.output_columns import OutputColumns
 from nsmodel.modeling.time_grid import check_times, input_schedule
 from nsmodel.solvers.initial_checks import admitted
 
-MAX_PIECES = 1_000_000  # Pieces of a cell, and of a call in C.
-MAX_TANGENT_ROWS = 32  # States and rows of runs that are differentiated: the matrices of a step are dense.
+MAX_PIECES = 1_000_000  # Pieces of a cell, and of a call in C: a run that takes more, as where switches accumulate, is given up.
+MAX_TANGENT_ROWS = 32  # States and rows of runs that are differentiated: the matrices of a step are dense, and of up to 8 stages.
 BY = " by "  # "x by k" is the column of dx/dk.
 
 _PieceCellsStruct = PIECE_BATCH_CELLS.ctypes_structure()

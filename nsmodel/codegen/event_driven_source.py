@@ -65,7 +65,8 @@ from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 from nsmodel.solvers.step import UNKNOWN_INDEX
 
-MAX_PRODUCT_TERMS = 24  # Terms of a product that are written out.
+# Terms of a product that are written out, each on a line; longer ones are a loop, which is slower and shorter.
+MAX_PRODUCT_TERMS = 24
 CHOICE_KINDS = ("side", "equal", "floor", "ceil", "toward zero", "nearest")  # As in c/pieces_events.c.
 
 
@@ -330,8 +331,9 @@ def _piece_c_function(name: str, given: Mapping[str, ca.SX], out: Mapping[str, c
     return c_function(name, given, {key: ca.densify(e) for key, e in out.items()}).replace("model_solver", "model_pieces")
 
 
-COMPARED_POINTS = 3  # Of t, x, l and choices, at which what switches look at is compared.
-SWITCH_TOLERANCE = 1e-8  # Part by which two such numbers may differ.
+# Of t, x, l and choices, at which what switches look at is compared: formulas that differ do so at any such point.
+COMPARED_POINTS = 3
+SWITCH_TOLERANCE = 1e-8  # Part by which two such numbers may differ: formulas that are the same differ by rounding alone.
 
 
 def has_same_switches(problem: ContinuousProblem, free: ContinuousProblem, values: Sequence[float]) -> bool:

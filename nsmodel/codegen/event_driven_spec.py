@@ -46,8 +46,8 @@ from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_
 
 # Of Radau IIA, for the roughest and the strictest rtol.
 MIN_STAGES, MAX_STAGES = (stage_count(taylor_order(rtol)) for rtol in (ROUGHEST, MIN_RTOL))
-MATRICES_BYTES = 32 << 10  # Memory for the matrices of modes, or of lengths.
-MAX_UNKNOWNS = 32  # Rows of x and l: matrices of the stages are dense, and kept.
+MATRICES_BYTES = 32 << 10  # Memory for the matrices of modes, or of lengths: 32 KB, about the first cache of a processor.
+MAX_UNKNOWNS = 32  # Rows of x and l: matrices of the stages are dense, and kept; with more C has no stiff pieces.
 
 
 def kept_matrix_count(size: int, least: int, most: int) -> int:
@@ -75,11 +75,16 @@ def _on_sides(spec: PieceSpec) -> FixedBranches:
     return of._replace(values=spec.parameter_parts.back(of.values), slopes=spec.parameter_parts.back(of.slopes))
 
 
-TANGENT_STAGES = (5, 6, 7, 8)  # Of steps of Radau IIA that derivatives take, of two orders for rough or strict tolerances.
-TANGENT_SHARE = 0.1  # Of rtol: what two answers for a part of a piece may differ by, beside the largest entry of a column of S.
-TANGENT_ROUNDING = 3e-14  # What rounding leaves of that difference: no rtol asks for less.
-TANGENT_AT_ONCE = 1e-9  # Of the time of the motion: guards that are nearer to 0 than that come at once.
-TANGENT_SAME = 1e-6  # Relative: times of guards at once whose derivatives differ by less move together.
+# Of steps of Radau IIA that derivatives take, of two orders for rough or strict tolerances: the order is 2 s - 1.
+TANGENT_STAGES = (5, 6, 7, 8)
+# Of rtol: what two answers for a part of a piece may differ by, beside the largest entry of a column of S; parts add up.
+TANGENT_SHARE = 0.1
+# What rounding leaves of that difference, 135 EPS: no rtol asks for less, as parts would be halved without end.
+TANGENT_ROUNDING = 3e-14
+# Of the time of the motion: guards that are nearer to 0 than that come at once, as their times are known no better.
+TANGENT_AT_ONCE = 1e-9
+# Relative: times of guards at once whose derivatives differ by less move together; else the derivative is one-sided.
+TANGENT_SAME = 1e-6
 
 
 def tangent_code(spec: PieceSpec, given: Mapping[str, ca.SX]) -> str:
@@ -238,8 +243,8 @@ def extract_parameter_parts(expressions: Mapping[str, ca.SX], p: ca.SX) -> Param
     return ParameterSubstitution(made, ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts))
 
 
-MAX_DENSE_ROWS = 64  # Of a law whose matrices are kept dense.
-EVENT_TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
+MAX_DENSE_ROWS = 64  # Of a law whose matrices are kept dense, 100 KB a mode; of more there are no pieces in C.
+EVENT_TIMES = 64  # Events 1, 2, 4, ... whose times are kept: as many as whole numbers of 64 bits can count.
 
 
 @dataclass(frozen=True)

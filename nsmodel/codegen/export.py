@@ -18,10 +18,10 @@ from nsmodel.modeling.parts import Part
 from nsmodel.modeling.time_grid import WHOLE_STEPS, TimeGrid
 from nsmodel.proof.verdict import not_none
 
-STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example.
+STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example: some 2 MB of source.
 MAX_SEGMENTS = 10_000  # Nor more stretches of steps between edges of inputs,
-BEND_TOLERANCE = 1e-9  # which go on where an input bends by less than this part of its size.
-HEADER_WIDTH = 100  # Characters of the table's header in a line of the example,
+BEND_TOLERANCE = 1e-9  # which go on where an input bends by less than this part of its size: rounding of its values.
+HEADER_WIDTH = 100  # Characters of the table's header in a line of the example, short enough to be read,
 MAX_STRING_LENGTH = 900  # and of one name: C99 asks for strings of 4095 bytes, escapes counted.
 
 

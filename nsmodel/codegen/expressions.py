@@ -18,12 +18,14 @@ import numpy as np
 from nsmodel.errors import CodegenError
 from nsmodel.solvers.structure import StepStructure
 
-MAX_OPERATIONS = 3000  # Operations from which on a function is cut into several: compilers take long over long ones.
+# Operations from which on a function is cut into several: the time of compilers grows faster than the length of a function.
+MAX_OPERATIONS = 3000
 SCALAR_NAMES = ("s->t", "s->h", "AT.h")
 SOLVER_PREFIXES = ("s->", "AT.")  # How the names of what is read from the solver begin; AT: the matrices of the step's length.
-MAX_EXPRESSION_WIDTH = 110  # Characters of an expression from which on it gets a name of its own.
-MIN_CLEARED_ZEROS = 64  # Zeros from which on a sparse matrix is cleared before its other entries are set.
-TARGETS_PER_LINE = 8  # Entries set to one constant in a line.
+MAX_EXPRESSION_WIDTH = 110  # Characters of an expression from which on it gets a name of its own: a line of C that can be read.
+# Zeros from which on a sparse matrix is cleared before its other entries are set: one call for so many lines.
+MIN_CLEARED_ZEROS = 64
+TARGETS_PER_LINE = 8  # Entries set to one constant in a line, which stays below 120 characters.
 ATOM, UNARY, PRODUCT, SUM, COMPARISON, LOGICAL, CHOICE = range(7)  # How tightly a piece of C binds.
 
 
@@ -239,7 +241,7 @@ def c_number(value: float) -> CExpression:
     return CExpression(text, UNARY if text.startswith("-") else ATOM)
 
 
-TABLE_WIDTH = 120  # Characters of a line of a table in C.
+TABLE_WIDTH = 120  # Characters of a line of a table in C: five numbers of 17 digits.
 
 
 def c_table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:
@@ -252,7 +254,7 @@ def c_table(name: str, values: Sequence[float] | np.ndarray, size: str, comment:
 
 
 def _wrapped_lines(numbers: Sequence[str]) -> Iterator[str]:
-    """The numbers in lines that are indented and up to WIDTH long."""
+    """The numbers in lines that are indented and up to TABLE_WIDTH long."""
     line = "   "
     for i, text in enumerate(numbers):
         item = f" {text}," if i + 1 < len(numbers) else f" {text}"
@@ -296,11 +298,12 @@ def _following_row_tables(structure: StepStructure, by_rows: bool) -> str:
     )
 
 
-MIN_ROWS_PER_FORM = 8  # Rows to a form, on average, from which on loops are written.
+# Rows to a form, on average, from which on loops are written: with fewer the tables of a loop are as long as its rows.
+MIN_ROWS_PER_FORM = 8
 
 
 def looped_c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX], comment: str = "") -> str:
-    """As `expression.c_function`; where the function is long and its rows have few forms, each form is a loop."""
+    """As `c_function`; where the function is long and its rows have few forms, each form is a loop."""
     column = ca.densify(ca.vertcat(ca.SX(0, 1), *(ca.vec(e.T) for e in outputs.values())))
     whole = ca.Function("f", list(inputs.values()), [column])
     if whole.n_instructions() <= MAX_OPERATIONS:

@@ -32,7 +32,9 @@ from nsmodel.solvers.sparse import PIVOTED_SETS
 from nsmodel.solvers.structure import MAX_STEP_SIZES, is_eigenvalue_nonnegative, least_eigenvalue
 from nsmodel.solvers.time_stepper import NEARBY_SETS
 
-MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept, of several lengths 4 times as many.
+# Memory for the inverses of index sets, 16 KB: half of the first cache.
+# Between 2 and 8 are kept, of several lengths 4 times as many.
+MAPS_BYTES = 16 << 10
 
 
 def flags_of(spec: StepSpec) -> frozenset[str]:
@@ -241,8 +243,8 @@ def describe_left_out(flags: Set[str]) -> list[str]:
 
 MAX_COUNT = 2**31 - 1  # The largest number that an int of 32 bits in C holds: what a step may count to.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.
-FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system.
-PROBE_SOLVES = 2 * PROBES  # Probes of what the unknowns err by, and of how ill-conditioned their system is.
+FRAGILE_REFINEMENTS = 2  # Where elimination keeps too little of the system: each adds as many digits as elimination keeps.
+PROBE_SOLVES = 2 * PROBES  # Two for each probe: of what the unknowns err by, and of how ill-conditioned their system is.
 REFINEMENT_SOLVES = REFINEMENTS + PROBE_SOLVES  # Linear systems for one refined answer, at most.
 
 

@@ -246,7 +246,8 @@ LANES_FLAGS = (
     *FAST_BUILD_FLAGS,
 )  # None of these changes a bit.
 COMPILERS = ("cc", "gcc", "clang")
-TIMEOUT = 600.0  # Seconds that a compiler may take.
+# Seconds that a compiler may take: far more than for the largest sources that are made; one that hangs is stopped.
+TIMEOUT = 600.0
 
 
 def compiler() -> str | None:
@@ -425,7 +426,7 @@ class Library:
 
 
 STEP_NAME = "step"
-MAX_LIBRARIES = 64  # Libraries that are kept; those that this process has loaded are kept besides.
+MAX_LIBRARIES = 64  # Libraries that are kept, some 100 KB each; those that this process has loaded are kept besides.
 BUILD_PREFIX = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH  # Bits of the mode of a file.
 

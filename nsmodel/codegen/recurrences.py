@@ -49,7 +49,7 @@ def recurrence_kernels(stride: str = "1") -> str:
 LINEAR_KINDS = frozenset("sum difference minus scaled over shifted".split())
 CHOSEN_KINDS = frozenset("guarded chosen equal".split())
 ORDER_0_KINDS = frozenset("both either not positive whole".split())  # At order 0 alone.
-ANY_DEGREE = 99  # The degree in t of what has terms of all orders.
+ANY_DEGREE = 99  # The degree in t of what has terms of all orders: above that of any polynomial that a series holds.
 ZERO_TEXT = "0.0"
 
 
@@ -234,7 +234,7 @@ def switch_scales_code(printers: Mapping[str, RecurrencePrinter]) -> str:
 
 
 def _time_degrees(jets: TaylorRecurrences, given: Mapping[int, int]) -> dict[int, int]:
-    """The degree in t of each row: 0 for numbers, 1 for t; CURVED where it may be any."""
+    """The degree in t of each row: 0 for numbers, 1 for t; ANY_DEGREE where it may be any."""
     degree = dict.fromkeys(range(jets.count), ANY_DEGREE)
     degree |= {row: given[which] for (which, _), row in jets.inputs.items()} | dict.fromkeys(jets.numbers, 0)
     for line in jets.lines:

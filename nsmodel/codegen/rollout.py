@@ -30,8 +30,10 @@ from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.step import RowLayout, StepResult, WarmStart
 
 NO_ENTRIES = slice(0, 0)
-MAX_LOADED = 32  # Libraries that are kept loaded while no run has them.
-CALL_SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
+# Libraries that are kept loaded while no run has them, those used last:
+# each takes memory, and is loaded again where it is asked for.
+MAX_LOADED = 32
+CALL_SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C, which nobody notices, and calls cost nothing beside it.
 
 _TotalsStruct = structs.STEP_TOTALS.ctypes_structure()
 RestartFunction = Callable[[float, float, np.ndarray], np.ndarray]

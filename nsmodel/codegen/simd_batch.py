@@ -31,9 +31,11 @@ from nsmodel.codegen.varying_steps import is_rounding_bounded_by_terms
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
 ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned: a line of the cache, and the widest vector, of 512 bits.
-MAX_LANE_UNKNOWNS = 16  # Unknowns and multipliers up to which steps are taken in lanes.
+# Unknowns and multipliers up to which steps are taken in lanes: their numbers, times the lanes, stay in the first cache.
+MAX_LANE_UNKNOWNS = 16
 LANE_WIDTHS = {40: 32, 400: 16}  # Numbers of a lane up to which so many are kept in step: they stay in the nearest memory.
-COMPARISON_DEPTH = 20  # Operations deep to which two expressions are compared.
+# Operations deep to which two expressions are compared; deeper ones count as different, which makes the code longer alone.
+COMPARISON_DEPTH = 20
 
 
 def lanes_obstacle(spec: StepSpec) -> str:

@@ -300,8 +300,8 @@ def projection_tolerances(model: Model, grid: TimeGrid) -> tuple[float, ...]:
     return values[:1] if len(set(values)) == 1 else values
 
 
-DRAWS = 2000  # Values that are tried at a time, of any sign and size.
-MAX_CANDIDATES = 3  # Of those that seem right at a time, models that are made.
+DRAWS = 2000  # Values that are tried at a time, of any sign and size: one call of a vector function.
+MAX_CANDIDATES = 3  # Of those that seem right at a time, models that are made: what cannot be told of all at once may refuse one.
 
 
 def spec_for_all_values(model: Model, grid: TimeGrid, tolerance: float) -> StepSpec:

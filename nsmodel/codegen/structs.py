@@ -56,7 +56,7 @@ NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, NO_MODE = (
     for name in ("NO_ROOM", "BAD_ARITHMETIC", "BAD_PARAMETER", "NOT_SOLVED", "NO_MODE")
 )
 
-READY = 0x6E736D64  # What marks a solver that was initialised.
+READY = 0x6E736D64  # What marks a solver that was initialised: the letters 'nsmd', which memory seldom holds by chance.
 SOLVER_NAMES = (
     "none", "last index set", "index set", "lemke", "enumeration", "semismooth", "newton on the index set", "clip",
     "outer approximation", "none needed",

@@ -48,7 +48,7 @@ LIST_PREFIXES = (
     "piece_",
 )  # Arrays whose names begin so are lists: their length is one of their own, not the number of rows.
 METADATA_MEMBER = "metadata.json"
-DIGEST_CHUNK_BYTES = 1 << 22  # Bytes of an array that have one digest: what is read at least to look at one number.
+DIGEST_CHUNK_BYTES = 1 << 22  # Bytes of an array that have one digest: what is read at least to look at one number, 4 MB.
 DTYPE_ITEMSIZES = {
     "b": (1,),
     "i": (1, 2, 4, 8),
@@ -136,7 +136,7 @@ class _ChunkDigests:
         self.open, self.filled = hashlib.sha256(), 0
 
 
-DIGEST_DIGITS = 32  # Of a digest: 128 bits.
+DIGEST_DIGITS = 32  # Of a digest, the first half of SHA-256: 128 bits, which no two chunks share by chance.
 
 
 def chunk_digest(block: bytes | memoryview) -> str:
@@ -173,7 +173,7 @@ _NPY_HEADER = re.compile(
     rb"\{'descr': '([<|>=]?)([a-zA-Z])(\d{1,9})', 'fortran_order': (True|False), "
     rb"'shape': \(((?:\d{1,18}, ?)*(?:\d{1,18})?)\), \} *\n"
 )
-_MAX_AXES = 32  # Of an array, in any NumPy.
+_MAX_AXES = 32  # Of an array, in any NumPy: 32 before 2.0, 64 since.
 
 
 @dataclass(frozen=True)

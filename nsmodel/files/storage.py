@@ -33,7 +33,7 @@ Metadata = Mapping[str, Any]
 
 FILE_FORMAT = 3  # Rises with every change of what files hold.
 FORMAT_STAMP = {"format": FILE_FORMAT, "version": VERSION}
-MAX_RENAME_TRIES = 50  # So often a file is given its name while somebody reads the one that had it.
+MAX_RENAME_TRIES = 50  # So often a file is given its name while somebody reads the one that had it, for a second: 0.02 s apart.
 PART_PREFIX = ".part-"  # Names of files not yet whole begin so.
 _NON_FINITE = re.compile(r"\\*(nan|inf|-inf)")
 

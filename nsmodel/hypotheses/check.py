@@ -58,9 +58,11 @@ from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import one_step_problem
 from nsmodel.solvers.structure import read_step_structure
 
-ORDER_ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
-ASYMPTOTIC_ORDERS = 0.3, 2.5  # Orders seen outside of this range are chance.
-ROW_RATIO_RANGE = 1.8, 2.2  # Rows of a run beside those with steps twice as long.
+# Differences of runs below this part of the state are not told from rounding: 45 000 eps, what thousands of steps add up.
+ORDER_ROUND_OFF = 1e-11
+ASYMPTOTIC_ORDERS = 0.3, 2.5  # Orders seen outside of this range are chance: schemes have the orders 1 and 2, 1/2 at impacts.
+# Rows of a run beside those with steps twice as long: 2, but for a last step; edges of inputs ask for other steps.
+ROW_RATIO_RANGE = 1.8, 2.2
 
 
 def refined_run_consequences(model: Model, run: Trajectory, effort: Any) -> list[Consequence]:
@@ -115,12 +117,11 @@ def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
     )
 
 
-MAX_CHECK_STEPS = 4000  # Steps looked at where each needs Newton's method.
+# Steps of a run that a check makes where each needs Newton's method: 4000 take 2 s for two states; longer runs are cut.
+MAX_CHECK_STEPS = 4000
 IMPACT_NOTE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.IMPACTS_GUIDE}"
-WIDER_REGION_FACTOR, MAX_THOROUGH_STATES = (
-    10.0,
-    4,
-)  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
+WIDER_REGION_FACTOR = 10.0  # Of the box, where counterexamples outside of it are looked for, which are a note and no verdict.
+MAX_THOROUGH_STATES = 4  # States up to which jumps are looked for there, too; with more the search is quick.
 CONSTANT_INPUTS_NOTE = "seen for constant inputs alone"
 
 

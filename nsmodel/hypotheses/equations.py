@@ -27,9 +27,11 @@ from nsmodel.modeling.parts import Part
 if TYPE_CHECKING:
     import sympy
 
-MAX_LISTED_ROWS = 4  # Long rows, and constraints, that are written out.
-MAX_LINE_LENGTH = 240  # Characters of LaTeX in one line.
-MAX_MATRIX_SIZE = 8  # Rows and columns of a matrix that are written out.
+# Long rows, and constraints, that are written out: a report shows what a model looks like; its file holds the rest.
+MAX_LISTED_ROWS = 4
+MAX_LINE_LENGTH = 240  # Characters of LaTeX in one line; entries that are longer together have a line each.
+# Rows and columns of a matrix that are written out; of a larger one its shape and how many entries are not 0.
+MAX_MATRIX_SIZE = 8
 
 
 def to_sympy(expr: ca.SX) -> sympy.Matrix:

@@ -25,7 +25,9 @@ from nsmodel.proof import interval_bounds, polynomial
 from nsmodel.proof.exponential_sums import flint_coefficients, flint_polynomial
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, operation_codes, symbol_hashes
 
-MAX_ROOTS, ROOT_GRID = 4, 33  # Roots that are looked at, and points between which a sign may change.
+MAX_ROOTS = 4  # Roots of a parameter that are looked at: a model is made and checked at each.
+# Points of its interval between which a sign may change: two roots within 1/32 of it may be missed, which proves nothing.
+ROOT_GRID = 33
 
 M = TypeVar("M", bound=Model)
 

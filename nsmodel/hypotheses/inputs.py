@@ -23,7 +23,9 @@ from nsmodel.simulation.trajectory import Trajectory
 
 BOUNDS_ADVICE = "give bounds={{'{0}': within(low, high)}} or --bound {0}=LOW:HIGH"
 UNUSED_SIGNAL = ConstantSignal(np.zeros(1))  # What an input of which nothing of a model depends is taken for.
-BOUND_SLACK = 1e-9  # By which part of its bounds a run's signal may be beyond them.
+# By which part of its bounds a run's signal may be beyond them: bounds
+# are given in decimals, and signals are sums of a few terms.
+BOUND_SLACK = 1e-9
 
 
 class InputJump(NamedTuple):

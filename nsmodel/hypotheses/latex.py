@@ -21,7 +21,7 @@ import numpy as np
 from nsmodel.errors import ModelError
 from nsmodel.proof.expression_graph import fold_graph
 
-DECIMAL_DIGITS = 6  # Of longer decimals, with dots behind.
+DECIMAL_DIGITS = 6  # Of longer decimals, with dots behind: users write fewer, and 0.333333... is told from 0.333.
 RELATION_LEVEL, SUM_LEVEL, PRODUCT_LEVEL, POWER_LEVEL, ATOM_LEVEL = range(
     5
 )  # How tightly the outermost operation of a piece binds.
@@ -163,7 +163,8 @@ def _shorten_decimal(text: str) -> str:
 
 
 T = TypeVar("T")
-MAX_FORMULA_SIZE = 250  # Formulas of more nodes are named, not written out.
+# Formulas of more nodes are named, not written out: each node is some characters of a line that a page does not break.
+MAX_FORMULA_SIZE = 250
 _FUNCTIONS = {
     ca.OP_EXP: r"\exp", ca.OP_LOG: r"\log", ca.OP_SIN: r"\sin", ca.OP_COS: r"\cos", ca.OP_TAN: r"\tan",
     ca.OP_ASIN: r"\arcsin", ca.OP_ACOS: r"\arccos", ca.OP_ATAN: r"\arctan", ca.OP_SINH: r"\sinh", ca.OP_COSH: r"\cosh",

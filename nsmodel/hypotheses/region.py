@@ -41,7 +41,8 @@ from nsmodel.proof.extremum import samples
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
-BOX_GROWTH = 1.5  # The box is this much wider than the runs.
+# The box is this much wider than the runs: hypotheses are decided near them too. A wider box has fewer that hold.
+BOX_GROWTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -165,8 +166,10 @@ def domain_rows(phi: ca.SX, x: ca.SX, label: str) -> tuple[list[ca.SX], list[ca.
     return rows, equalities
 
 
-MAX_CORNER_PARAMETERS, INNER_POINTS = 3, 6  # Corners of the box are looked at for so many parameters, and so many points inside.
-SPECIAL_VALUES = (0.0, 1.0, -1.0)  # Values at which ranks and signs of models tend to change.
+# Parameters up to which all corners of their box are looked at, 8: each is a check of the model; else ends alone.
+MAX_CORNER_PARAMETERS = 3
+INNER_POINTS = 6  # Points inside the box, its middle among them, at each of which a model is checked.
+SPECIAL_VALUES = (0.0, 1.0, -1.0)  # Values at which ranks and signs of models tend to change: a term vanishes, or two cancel.
 
 ParameterValues = dict[str, float]
 

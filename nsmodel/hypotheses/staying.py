@@ -18,8 +18,11 @@ from nsmodel.hypotheses.region import Region, depends_on_symbol
 from nsmodel.modeling.laws import Law
 from nsmodel.proof import interval_bounds
 
-NESTED_BOXES = 16  # Boxes between the start and the whole box, on each of which the speed is bounded by itself.
-ROUNDED_DOWN = 1 - 1e-9  # A time that is formed of doubles is lowered by this: far more than they lose.
+# Boxes between the start and the whole box, on each of which the speed is bounded by
+# itself: 16 prove 0.4 % less time than 256 for two genes, one 7 % less.
+NESTED_BOXES = 16
+# A time is lowered by this. The logarithm of a quotient that differs from 1 by 1e-6 loses 2e-10; all else loses less.
+ROUNDED_DOWN = 1 - 1e-9
 
 Bounds = tuple[np.ndarray, np.ndarray]
 

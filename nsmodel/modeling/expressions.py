@@ -169,8 +169,10 @@ def _has_undefined_part(entry: ca.SX, p: ca.SX, values: ca.DM) -> bool:
     return bool(undefined)
 
 
-MAX_TABLE_POINTS = 400  # Points of a table that is read off a CasADi interpolant.
-SAME_SLOPE_TOLERANCE = 8 * EPS  # Slopes that differ by less than this part of them are one.
+# Points of a table that is read off a CasADi interpolant: it becomes a sum of as many kinks; a longer one is left opaque.
+MAX_TABLE_POINTS = 400
+# Slopes that differ by less than this part of them are one: each is a quotient of two differences.
+SAME_SLOPE_TOLERANCE = 8 * EPS
 
 
 class InterpolationTable(NamedTuple):

@@ -55,7 +55,8 @@ def _casadi_encoding(word: str) -> str:
     return "".join(chr(97 + half) for byte in word.encode() for half in (byte & 15, byte >> 4))
 
 
-_HEAD_LETTERS = 128  # Letters within which the kind of a function stands.
+# Letters within which the kind of a function stands in CasADi's text of it, behind a version and a name of the file's kind.
+_HEAD_LETTERS = 128
 _EXPRESSION_KIND = _casadi_encoding("SXFunction")
 _EXTERNAL_KINDS = tuple(map(_casadi_encoding, ("External", "Importer", "Library")))  # Kinds that load code from a path.
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PRESSURE_COLOURS = "YlOrBr"
 CALM_COLOUR = "#B9CDE0"  # A disc of a run that knows no pressure.
 DOOR_COLOUR = "#009E73"
-MAX_CONTACT_WIDTH = 4.0  # Line of a contact at the end of the scale, points.
+MAX_CONTACT_WIDTH = 4.0  # Line of a contact at the end of the scale, points: thick beside other lines, thin beside a person.
 
 
 # -- one moment --------------------------------------------------------------------------------------------------------

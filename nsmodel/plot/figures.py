@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     FigurePanel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 
 Window = tuple[float | None, float | None]
-WINDOW_POINTS = 2000  # Rows of an event-driven run, which are read off its polynomials.
+WINDOW_POINTS = 2000  # Rows of an event-driven run, which are read off its polynomials: more than a picture has pixels across.
 
 
 def window(run: Trajectory, t: Window | None) -> Trajectory:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.plot.crowd import PRESSURE_COLOURS, CrowdArtists, plane_axis_labels
 
-MAX_GIF_FPS = 50  # Frames a second that a GIF is shown with.
-MAX_DEFAULT_SECONDS = 20.0  # A film left to itself lasts no longer, s.
+MAX_GIF_FPS = 50  # Frames a second that a GIF is shown with: it counts hundredths, and viewers slow down what asks for one.
+MAX_DEFAULT_SECONDS = 20.0  # A film left to itself lasts no longer, s: 300 pictures at 15 a second; a longer run is shown faster.
 
 
 def animate(

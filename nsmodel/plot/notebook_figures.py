@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib import axes, figure
 
-PNG_DPI = 100  # Dots per inch of a picture in a notebook.
+PNG_DPI = 100  # Dots per inch of a picture in a notebook: that of matplotlib.
 
 
 class NotebookFigure(figure.Figure):

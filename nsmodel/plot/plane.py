@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     GapFunction = Callable[..., np.ndarray]
 
-PLANE_GRID = 240  # Points along each axis at which a set is looked at, in the plane of two states or over time.
+# Points along each axis at which a set is looked at, in the plane of two states or over time: edges are smooth to the eye.
+PLANE_GRID = 240
 
 
 # -- phase portrait ----------------------------------------------------------------------------------------------------

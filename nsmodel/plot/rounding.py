@@ -81,10 +81,12 @@ def _energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
     return np.array(function.map(len(run.t))(run.t[None], x.T)).ravel()
 
 
-ROUNDING_FACTOR = 64  # Times the unit round-off: rounding, and what a run makes of it.
-SAMPLED_ROWS = 200  # Rows at which rows are evaluated.
-MAX_MODEL_SIZE = 200  # States or multipliers up to which the model is asked.
-OSCILLATING_SHARE, MIN_CHANGES = 0.2, 8  # Share of the changes that turn back, of so many at least.
+ROUNDING_FACTOR = 64  # Times the unit round-off: rounding of some dozen operations, and what a run makes of it.
+SAMPLED_ROWS = 200  # Rows at which rows are evaluated, evenly spread: the largest rounding of a run shows on some of them.
+# States or multipliers up to which the model is asked, whose Jacobian is then small enough; of more the columns alone tell.
+MAX_MODEL_SIZE = 200
+OSCILLATING_SHARE = 0.2  # Share of the changes that turn back: rounding turns back at two of three, solutions seldom do,
+MIN_CHANGES = 8  # of so many changes at least: of fewer the share says nothing.
 
 
 class RoundingFloors(NamedTuple):

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
     StateLabels = dict[int, tuple[str, str]]  # index-set code: (colour, words)
 
-MAX_ROWS = 30  # Bands of a strip; of more rows, those that change most.
-MAX_BUCKETS, MAX_MAP_ROWS = 800, 600  # Columns and rows of a map: about a pixel each.
-NO_CODE = 127  # No code of an index set.
+MAX_ROWS = 30  # Bands of a strip; of more rows, those that change most: a name each fits beside a picture.
+MAX_BUCKETS = 800  # Columns of a map, each of some steps,
+MAX_MAP_ROWS = 600  # and rows: about a pixel each.
+NO_CODE = 127  # No code of an index set: the largest that a byte holds.
 CHATTER_LABEL = "split band: changes within a pixel"
 
 ROLE_COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}
@@ -180,8 +181,9 @@ def _law_legend(ax: Axes, laws: dict[str, StateLabels], *, chatter: bool) -> Non
     style.legend(ax, handles + [Line2D([], [], linestyle="none", label=CHATTER_LABEL)] * chatter)
 
 
-MIN_CHAIN_LENGTH = MAX_ROWS + 10  # Members from which on pictures of a whole run are maps.
-MIN_PROFILE_LENGTH, PROFILE_TIMES = 8, 6  # Members, where there are no other states, from which on there is a profile.
+MIN_CHAIN_LENGTH = MAX_ROWS + 10  # Members from which on pictures of a whole run are maps: fewer have bands or lines.
+MIN_PROFILE_LENGTH = 8  # Members, where there are no other states, from which on there is a profile: fewer show no shape;
+PROFILE_TIMES = 6  # and times from the start to the end at which it is drawn: shades of one colour that can be told apart.
 SIGNED, POSITIVE_COLOURS, STICK_COLOUR = "RdBu_r", "viridis", "#6B727B"
 
 

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 
     from nsmodel.simulation.trajectory import Trajectory
 
-MAX_POINTS = 20_000  # Points of a picture; of more, some are left out.
-PRESSURE_PERCENTILE = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
-STEADY_TOLERANCE = 1e-13  # The part of themselves by which values change that stand still.
+# Points of a picture, some tens for each pixel across; of more, some are left out, never the largest and least.
+MAX_POINTS = 20_000
+# The colour scale of pressure ends at this percentile of those pressed: a few peaks would leave all others pale.
+PRESSURE_PERCENTILE = 99.5
+STEADY_TOLERANCE = 1e-13  # The part of themselves by which values change that stand still: 450 EPS, rounding.
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
 LOWER, ZERO, UPPER, PALE = "#9CC9E3", "#2F5D8A", "#E3A857", "#DDE1E6"

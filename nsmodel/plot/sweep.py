@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-MAX_TICK_VALUES = 10  # So few values, and no nearer than this part of their range, are themselves the ticks.
-LOG_SCALE_RATIO = 1e3  # Positive values whose largest is so many times the smallest have a logarithmic axis.
+MAX_TICK_VALUES = 10  # So few values, and no nearer than this part of their range, are themselves the ticks: labels do not touch.
+# Positive values whose largest is so many times the smallest have a logarithmic axis: on another most are at 0.
+LOG_SCALE_RATIO = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,16 +341,17 @@ def _draw_map_dots(ax: Axes, variable: Variable, x: str, y: str, where: str) -> 
     return ax
 
 
-MAX_ERROR_BARS = 12  # So many points have error bars, more a band.
-MAX_SWEEP_LINES = 60  # Lines of a picture; of more values, so many, evenly spread.
-MAX_LEGEND_LINES = 8  # Lines that a legend names one by one; numbers of more are a colour bar.
+MAX_ERROR_BARS = 12  # So many points have error bars, more a band: bars would touch.
+MAX_SWEEP_LINES = 60  # Lines of a picture; of more values, so many, evenly spread: more cannot be told apart.
+# Lines that a legend names one by one; numbers of more are a colour bar: colours in order are told apart up to here.
+MAX_LEGEND_LINES = 8
 SPREAD_QUANTILES = (0.05, 0.5, 0.95)  # The band, in which nine of ten values are, and the line in it.
 SHOW_OPTIONS = ("mean", "median", "spread")
-ATOM_SHARE = 0.02  # A value that this part of the cells has is drawn as one.
-ATOM_TOLERANCE = 1e-9  # Values nearer than this part of their range are one value.
+ATOM_SHARE = 0.02  # A value that this part of the cells has is drawn as one: a bar would show it as many values.
+ATOM_TOLERANCE = 1e-9  # Values nearer than this part of their range are one value: they differ by the tolerance of steps.
 MAX_SPIKE_RATIO = 3.0  # Times the tallest bar: spikes above are cut, so that bars can be seen.
 CUT_LABEL = " (cut)"
-NAMED_ATOMS = 3  # Atoms whose value the legend says.
+NAMED_ATOMS = 3  # Atoms whose value the legend says, the largest: a line each.
 
 
 # -- lines -------------------------------------------------------------------------------------------------------------

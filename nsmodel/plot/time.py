@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from nsmodel.modeling.base import Model
     from nsmodel.simulation.trajectory import Trajectory
 
-MAX_SWINGS = 150  # Ways from bottom to top that can be told apart beside each other.
-BAND_POINTS = 400  # Points of the band between lows and highs.
+MAX_SWINGS = 150  # Ways from bottom to top that can be told apart beside each other: some four pixels each.
+BAND_POINTS = 400  # Points of the band between lows and highs: every other pixel, so that its edge is no line of ink.
 MEAN_POINTS = 8 * BAND_POINTS  # Of means, of which means are taken.
 EXTREMA_PER_MEAN = 6  # A mean is over so many turns, twice: about a hundredth is left of what goes up and down.
 EXTREMA_PER_BAND = 2.5  # Lows and highs in the time that one point of the band looks at: at least one of each.
@@ -111,8 +111,8 @@ def _windowed_mean(t: np.ndarray, values: np.ndarray, at: np.ndarray, width: flo
     return np.divide(whole, known_length, out=np.full(len(at), np.nan), where=known_length > 0)
 
 
-MAX_LINES = 12  # Lines of a picture; of more columns some, evenly spread.
-MIN_RESIDUAL = 1e-20  # Residuals below are as good as 0.
+MAX_LINES = 12  # Lines of a picture; of more columns some, evenly spread: colours and styles that can be told apart.
+MIN_RESIDUAL = 1e-20  # Residuals below are as good as 0: they would stretch the axis over empty decades.
 # Each dash over the one before: lines that coincide stay visible.
 DASHES: tuple[tuple[float, Any], ...] = ((2.4, "-"), (1.6, (0, (7, 3))), (1.6, (0, (3.5, 3.5))), (1.4, (0, (1.5, 1.5))))
 

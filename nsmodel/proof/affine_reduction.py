@@ -13,7 +13,8 @@ from nsmodel.proof.expression_graph import Program, apply_operation, is_double, 
 from nsmodel.proof.interval_bounds import natural_extension
 from nsmodel.proof.interval_functions import OPERATIONS
 
-MAX_PROGRAM_LENGTH = 3000  # Instructions; longer programs are left as they are.
+# Instructions; longer programs keep their coordinates: an affine value is a sum of Fractions. 2000 instructions take 0.03 s.
+MAX_PROGRAM_LENGTH = 3000
 
 
 class ReducedExpression(NamedTuple):

@@ -28,9 +28,10 @@ from nsmodel.proof.interval_arithmetic import IntervalPair, log
 from nsmodel.proof.interval_functions import OPERATIONS, constant_power
 from nsmodel.proof.verdict import not_none
 
-FAST_GROWTH_POWER = 4  # A power of t above those of polynomials that matter here.
-MAX_ORDER = 60  # Orders beyond this, and factors of exponentials, are not followed.
-ORDER_ROUNDING = 1e-11  # T^p with p rounded to a double is off by less than |p| 2^-53 log T.
+# exp u >= u^m/m! with u^m at least like t^4: enough to outgrow a square that it is compared with; a larger m has a larger m!.
+FAST_GROWTH_POWER = 4
+MAX_ORDER = 60  # Powers of t and of log t; of larger ones nothing is proved. It bounds m of u^m/m!, too: 60! is a double.
+ORDER_ROUNDING = 1e-11  # t^p with p rounded to a double is off by |p| 2^-53 log t, relatively: by 6e-13 for p = 120, t = 2^60.
 
 
 class AsymptoticOrder(NamedTuple):
@@ -136,7 +137,8 @@ def bring_to_common_order(
     return large.p, large.l, parts[0], parts[1]
 
 
-START_EXPONENTS = (6, 20, 60)  # Estimates hold from T = 2^k on, for one of these.
+# Estimates hold for t >= 2^k with one of these k: a later start proves more where terms that die out have large factors.
+START_EXPONENTS = (6, 20, 60)
 
 
 def asymptotic_orders(expr: ca.SX, z: ca.SX, inputs: Sequence[AsymptoticOrder | None], k: int) -> list[AsymptoticOrder | None]:

@@ -64,10 +64,8 @@ def _import_clarabel() -> Any:
     return clarabel
 
 
-SIMPLEX_FIRST_ENTRIES, MAX_SIMPLEX_ENTRIES = (
-    1000,
-    20000,
-)  # Entries of A below which the simplex method goes first, above which it is not tried.
+SIMPLEX_FIRST_ENTRIES = 1000  # Entries of A up to which the exact simplex method goes first: there both methods take 0.1 s.
+MAX_SIMPLEX_ENTRIES = 20000  # Above it is not tried at all: 5000 entries of two decimals take 10 s already, and its numbers grow.
 
 
 class ConicSystem(NamedTuple):

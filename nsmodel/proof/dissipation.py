@@ -22,7 +22,8 @@ from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.proof.storage_matrix import Pairing, well_conditioned_block
 
 MAX_STORAGE_SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
-RANK_TOLERANCE = 1e-9  # of balanced numbers, which are about 1
+# Of balanced numbers, which are about 1: smaller ones are the solver's error. What is chosen by it is proved exactly.
+RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -245,8 +246,10 @@ def _stack_upper_triangle(S: np.ndarray) -> np.ndarray:
     return weighted[i, j]
 
 
-MAX_SDP_STATES = 20  # Up to this many states the semidefinite program is solved; above, a few candidates for Y are compared.
-ZERO_RATE_TOLERANCE = 1e-9  # omega / |J| below which omega = 0 is tried.
+# Up to this many states the semidefinite program is solved, 9 s for 20; above, a few candidates for Y are compared.
+MAX_SDP_STATES = 20
+# omega / |J| below which omega = 0 is tried, which counts where it is proved exactly: so small a rate may be rounding.
+ZERO_RATE_TOLERANCE = 1e-9
 
 
 class ProvedRate(NamedTuple):

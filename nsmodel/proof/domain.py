@@ -26,10 +26,10 @@ from nsmodel.proof import extremum, interval_bounds, polynomial
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_same_expression, operation_codes, symbol_hashes
 from nsmodel.proof.verdict import HOLDS, UNKNOWN, VIOLATED
 
-MAX_TIME_PARTS, MIN_TIME_PART = 20_000, 2.0**-46  # Parts of the interval looked at, and how small they get beside it.
-GROWTH_DISTANCES = 2.0 ** -np.arange(
-    6.0, 40.0
-)  # Distances from a singular time, beside the interval, at which growth is looked at.
+MAX_TIME_PARTS = 20_000  # Parts of the interval looked at: the middles of those that are left are then tried as singular times.
+MIN_TIME_PART = 2.0**-46  # How small they get beside the interval: some 100 doubles of the size of its length are in one.
+# Distances from a singular time, beside the interval, at which growth is looked at: the nearest are 32 times what is too near.
+GROWTH_DISTANCES = 2.0 ** -np.arange(6.0, 40.0)
 NONZERO, POSITIVE, NONNEGATIVE = "!= 0", "> 0", ">= 0"
 
 

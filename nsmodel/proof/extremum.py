@@ -12,7 +12,8 @@ from nsmodel.proof.interval_arithmetic import interval_matrix_product, widen_sum
 from nsmodel.proof.interval_bounds import enclose, mean_value_form, natural_extension, validated_boxes
 from nsmodel.proof.verdict import connected_components
 
-MAX_SLOPE_ENTRIES = 64  # A matrix of more entries is bounded without slopes.
+# A matrix of more entries is bounded without slopes, which are a number for each entry and coordinate: 8 x 8.
+MAX_SLOPE_ENTRIES = 64
 
 
 def supremum(

@@ -27,11 +27,16 @@ from nsmodel.proof.interval_bounds import (
 )
 from nsmodel.proof.verdict import suppress_output
 
-RELATIVE_GAP = 1e-9  # Relative gap between value and bound that ends a search.
-BOXES_PER_STEP = 512  # Boxes cut at once.
-MIN_STEP_COUNT = 32  # A step counts as so many boxes at least: small ones cost as much.
-GAP_SHRINK_FACTOR = 0.95  # The gap must shrink at least so much while the number of boxes doubles.
-MAX_SLOPE_ROWS = 8  # So many constraints are bounded by their slopes too.
+# Relative gap between value and bound that ends a search: more digits than reports show. Tighter ones cut more boxes.
+RELATIVE_GAP = 1e-9
+# Boxes cut at once: bounds of 512 take 1.7 times as long as those of one. Of more, many would be cut that a better point drops.
+BOXES_PER_STEP = 512
+# A step counts as so many boxes at least: up to there it takes as long as with one, so that a count is about a time.
+MIN_STEP_COUNT = 32
+# A search is given up where twice the boxes leave more of the gap: five doublings from 512 to all boxes would take off a quarter.
+GAP_SHRINK_FACTOR = 0.95
+# So many constraints are bounded by their slopes too, a number for each row and coordinate; others by their values alone.
+MAX_SLOPE_ROWS = 8
 
 
 class BoxBounds(NamedTuple):
@@ -259,13 +264,14 @@ def _choose_coordinate(
     return np.where(mask.any(axis=1), best, -1)
 
 
-QUICK_SAMPLES, FULL_SAMPLES = 256, 2048  # Sample points of a quick and of a full search.
-MAX_LOCAL_SEARCHES = 4  # Sample points from which a local search starts.
-MAX_SEARCH_BOXES, MAX_SEARCH_WORK = (
-    20_000,
-    2_000_000,
-)  # A search looks at so many boxes at most, fewer where the expression has many instructions.
-MAX_JOINT_COORDINATES = 6  # Constraints' own coordinates are cut too where there are no more than so many in all.
+QUICK_SAMPLES = 256  # Sample points of a quick search, which ends with them,
+FULL_SAMPLES = 2048  # and of a full one, which searches on from the best of them; fewer where the expression is long.
+MAX_LOCAL_SEARCHES = 4  # Sample points from which a local search starts: the best ones that are a tenth of the box apart.
+# Boxes of a search; after them the bound is as wide as it is, and a hypothesis that needs a narrower one stays open.
+MAX_SEARCH_BOXES = 20_000
+MAX_SEARCH_WORK = 2_000_000  # Boxes times instructions: fewer boxes, but 400, where the expression is long.
+# Constraints' own coordinates are cut too where there are no more than so many in all: halving each once makes 2^6 boxes.
+MAX_JOINT_COORDINATES = 6
 LOCAL_SEARCH_OPTIONS = {
     "print_time": False,
     "error_on_fail": False,

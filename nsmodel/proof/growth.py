@@ -32,7 +32,8 @@ from nsmodel.proof import interval_bounds, polynomial
 from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import Instruction, Program, program
 
-MAX_BOUND_TERMS = 60  # Terms of a bound; one of more is none.
+# Terms of a bound; by longer ones nothing is proved. A product has as many as the numbers of its factors multiplied.
+MAX_BOUND_TERMS = 60
 AtomMonomial = tuple[tuple[int, Fraction], ...]  # ((atom, power), ...), atoms increasing, powers not 0
 MonomialSum = tuple[tuple[float, AtomMonomial], ...]
 
@@ -115,7 +116,7 @@ def raise_terms(a: tuple[QuotientTerm, ...] | None, q: Fraction) -> tuple[Quotie
     )  # fmt: skip
 
 
-LOG_2 = 0.6931471805599454  # Above log 2 in its last digit: log(a + b) <= log 2 + max(log a, log b).
+LOG_2 = 0.6931471805599454  # log 2, rounded up in its last digit: log(a + b) <= log 2 + max(log a, log b).
 
 
 class PowerBound(NamedTuple):

@@ -18,10 +18,11 @@ Array = np.ndarray
 IntervalPair = tuple[Array, Array]
 
 LARGEST_DOUBLE = np.finfo(float).max  # Some 1.8e308.
-LIBRARY_ERROR = 2e-15  # Relative error allowed to a library function: 9 ulps or more.
-DOMAIN_ROUNDING = 4 * np.finfo(float).eps  # An argument outside a domain by less, beside its other end or 1, counts as rounded.
+LIBRARY_ERROR = 2e-15  # Relative error allowed to a library function: 9 ulps or more, where C libraries promise a few.
+# An argument outside a domain by less, beside its other end or 1, counts as rounded: a few operations lose as much.
+DOMAIN_ROUNDING = 4 * np.finfo(float).eps
 PI_BELOW, PI_ABOVE = np.nextafter(np.pi, 0), np.nextafter(np.pi, 4)  # Doubles below and above pi.
-HALF_PI = PI_ABOVE / 2
+HALF_PI = PI_ABOVE / 2  # Above pi/2: halving is exact.
 ONE, ZERO = (np.ones(1), np.ones(1)), (np.zeros(1), np.zeros(1))
 MINUS_ONE = (-np.ones(1), -np.ones(1))
 UNBOUNDED = (np.full(1, -np.inf), np.full(1, np.inf))
@@ -270,8 +271,8 @@ def cosh(x: IntervalPair) -> IntervalPair:
 def acos(x: IntervalPair) -> IntervalPair:
     """Return the inverse cosine."""
     a, b = np.arccos(np.clip(x[1], -1, 1)), np.arccos(np.clip(x[0], -1, 1))
-    lo = np.clip(next_down(a - 1e-15), 0, PI_ABOVE)
-    hi = np.where(x[0] >= 1, 0, np.clip(next_up(b + 1e-15), 0, PI_ABOVE))
+    lo = np.clip(widen_down(a), 0, PI_ABOVE)
+    hi = np.where(x[0] >= 1, 0, np.clip(widen_up(b), 0, PI_ABOVE))
     return select_interval(in_domain(x, -1, 1), make_interval(lo, hi), UNBOUNDED)
 
 

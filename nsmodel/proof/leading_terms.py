@@ -12,8 +12,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-SERIES_TERMS = 24  # Orders beyond the largest term in which a leading term is looked for.
-MAX_RADICAND_BITS = 160  # Longer numbers are not taken apart into primes.
+# Orders beyond the largest term in which a leading term is looked for: terms that cancel in so many are left open.
+SERIES_TERMS = 24
+# Longer numbers are not taken apart into primes, and the root stays a ball: two primes of 80 bits take 0.4 s.
+MAX_RADICAND_BITS = 160
 GrowthRank = tuple[int, tuple[Fraction, ...]]  # orders exponentials e^q by their size at infinity; q from its highest power down
 RadicalKey = tuple[tuple[tuple[int, Fraction], ...], Fraction]  # ((prime, p), ...), 0 < p < 1; q(0)
 

@@ -23,7 +23,7 @@ from nsmodel.proof.expression_graph import (
 )
 
 SWITCHING_STEPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE)
-MAX_MONOTONE_PIECES = 32  # Pieces of a function of one variable; more are left open.
+MAX_MONOTONE_PIECES = 32  # Pieces of a function of one variable; more are left open, as each is bounded by itself.
 
 
 def extract_constant_factor(term: ca.SX) -> tuple[Fraction, ca.SX]:

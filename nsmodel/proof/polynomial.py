@@ -19,7 +19,9 @@ from nsmodel.proof.expression_graph import apply_operation, fold_graph, rewrite_
 
 Monomial = tuple[tuple[int, int], ...]  # ((variable, power), ...), variables increasing, powers > 0
 Polynomial = dict[Monomial, Fraction]  # without zeros
-MAX_POLYNOMIAL_TERMS, MAX_POLYNOMIAL_DEGREE = 4000, 30  # Beyond these nothing is read: None.
+# Terms of two factors multiplied; longer products are not read: None. 63 by 63 take 0.02 s, in Fractions.
+MAX_POLYNOMIAL_TERMS = 4000
+MAX_POLYNOMIAL_DEGREE = 30  # Degree of a product, likewise: powers are multiplied out one by one.
 
 
 class Quadratic(NamedTuple):
@@ -283,7 +285,7 @@ def _polynomial_power(a: Polynomial, exponent: Fraction) -> Polynomial | None:
 
 
 PolynomialCoefficients = Sequence[Fraction]  # c_0, c_1, ...
-INITIAL_PRECISION = 64  # Bits to begin with; doubled until every question about a root is decided.
+INITIAL_PRECISION = 64  # Bits to begin with, a word of the machine; doubled until every question about a root is decided.
 
 
 def negative_point(

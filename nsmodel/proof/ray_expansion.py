@@ -17,7 +17,8 @@ from nsmodel.proof.expression_graph import fold_graph
 from nsmodel.proof.interval_arithmetic import IntervalPair, add, div, excludes, hull, mul, neg, point_interval, square_root
 from nsmodel.proof.interval_functions import OPERATIONS, constant_power
 
-MAX_GERM_TERMS = 6  # Powers of s that are kept; the last of more goes into the coefficient of the one before.
+# Powers of s that are kept; the last of more goes into the coefficient of the one before: signs near 0 are those of the first.
+MAX_GERM_TERMS = 6
 ODD_OPERATIONS = {
     ca.OP_SIN,
     ca.OP_TAN,

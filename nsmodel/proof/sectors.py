@@ -20,8 +20,10 @@ from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.exponential_sums import ball_lower_bound
 from nsmodel.proof.expression_graph import additive_terms, program
 
-SECTOR_WIDENINGS = (0.0, 2.0**-20, 2.0**-8)  # What slopes are enlarged by, where h lies beyond the line at infinity.
-CELLS_PER_OCTAVE = 16  # Parts of each octave of [-T, T].
+# What slopes are enlarged by, beside 1 + |slope|, where h lies beyond the
+# line at infinity: first by nothing, then by 1e-6 and 0.4 %.
+SECTOR_WIDENINGS = (0.0, 2.0**-20, 2.0**-8)
+CELLS_PER_OCTAVE = 16  # Parts of each octave of [-T, T]: each is 4 % of its place wide, however far out, and so are bounds on it.
 
 
 class Sector(NamedTuple):

@@ -19,8 +19,10 @@ from nsmodel.proof import exact
 from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 
-MIN_SCALED_EIGENVALUE = 1e-10  # Least eigenvalue of P, scaled to a unit diagonal, that doubles show with some digits.
-LARGE_STATE_COUNT = 40  # From this size on the condition number is minimised on a coarser grid.
+# Least eigenvalue of P, scaled to a unit diagonal, of which doubles show six digits; another Y is tried below it.
+MIN_SCALED_EIGENVALUE = 1e-10
+# From more states on the condition number is minimised on a coarser grid: each point of it solves systems of that size.
+LARGE_STATE_COUNT = 40
 
 
 class Pairing(NamedTuple):
@@ -234,8 +236,9 @@ def _symmetrise(M: np.ndarray) -> np.ndarray:
 
 
 EXACT_ARITHMETIC_NOTE = "exact rational arithmetic on the given numbers"
-ENTRY_RANGE = 1e-75, 1e75  # Sizes of entries from which products of four stay in the range of doubles.
-PASSIVITY_ROUNDING = 64 * MACHINE_EPSILON  # relative rounding of a given number, and of one operation with it
+ENTRY_RANGE = 1e-75, 1e75  # Sizes of entries of which products of four stay in the range of doubles, 1e308.
+# Relative rounding of a given number and of one operation with it, with room: numbers of a model come from a few operations.
+PASSIVITY_ROUNDING = 64 * MACHINE_EPSILON
 
 
 class StorageDecision(NamedTuple):

@@ -18,9 +18,12 @@ import numpy as np
 from nsmodel.proof import conic, exact, polynomial
 from nsmodel.proof.polynomial import Polynomial
 
-MAX_GRAM_MONOMIALS = 45  # Rows of the Gram matrix of a semidefinite program: more are not tried.
-MAX_KERNEL_REDUCTIONS = 4  # Times that the kernel of a Gram matrix, known in doubles, is taken out of it.
-ROUNDING_BITS = 40  # Of the rational numbers that a Gram matrix in doubles is rounded to, where 20 are too few.
+# Rows of the Gram matrix of a semidefinite program, those of degree 4 in 8 variables: 45 take 2 s; more are not tried.
+MAX_GRAM_MONOMIALS = 45
+# Times that the kernel of a Gram matrix, known in doubles, is taken out of it: each leaves a smaller one.
+MAX_KERNEL_REDUCTIONS = 4
+# Of the rational numbers that a Gram matrix in doubles is rounded to, where 20 are too few: the solver has no more right.
+ROUNDING_BITS = 40
 MonomialPowers = tuple[int, ...]
 
 

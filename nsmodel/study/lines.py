@@ -16,9 +16,11 @@ from nsmodel.proof.verdict import not_none
 POINT_DONE, POINT_FAILED, POINT_LEFT_OUT = "done", "failed", "left out"
 SCHEME_LINE, SOLVER_LINE, PEER_LINE = "scheme", "solver", "peer"
 ERROR_MEASURES = ("max", "end", "l2", "multipliers", "outputs")
-ROUNDING_ERROR = 1e-13  # Relative errors below this are rounding and have no order.
-EXTRAPOLATION_LIMIT = 100.0  # An error is extrapolated to this part of the least one.
-STALLED_ORDER = 0.25  # An error that falls more slowly than h^STALLED from some step on has met its floor.
+ROUNDING_ERROR = 1e-13  # Relative errors below this, 450 EPS, are rounding and have no order.
+# An error is extrapolated to this part of the least one: further, an order seen on a few points says little.
+EXTRAPOLATION_LIMIT = 100.0
+# An error that falls more slowly than h^STALLED_ORDER from some step on has met its floor: half of the lowest order, 1/2.
+STALLED_ORDER = 0.25
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ def observed_order(steps: Sequence[float], errors: Sequence[float], resolved: Se
 
 
 def find_error_floor(h: np.ndarray, e: np.ndarray) -> int | None:
-    """Return the first point from which on errors fall more slowly than h^STALLED, seen at two finer ones at least; else None."""
+    """The first point from which on errors fall more slowly than h^STALLED_ORDER, seen at two finer ones at least; else None."""
     for i in range(h.size - 2):
         if (e[i + 1 :] > e[i] * (h[i + 1 :] / h[i]) ** STALLED_ORDER).all() or (e[i:] <= ROUNDING_ERROR).all():
             return i

@@ -18,12 +18,15 @@ from nsmodel.solvers.mlcp import QP_SOLVERS as QP_SOLVERS
 from nsmodel.solvers.plan import STEP_SOLVERS
 from nsmodel.study.lines import SCHEME_LINE, SOLVER_LINE
 
-THETA_GAMMA_WEIGHTS = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5))  # Values of theta and gamma whose schemes are compared.
-STUDY_RTOLS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # Of runs with steps under error control.
+# Values of theta and gamma whose schemes are compared: implicit Euler, then weights of order two for f alone, and for both.
+THETA_GAMMA_WEIGHTS = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5))
+# Of runs with steps under error control: from a rough one to one that takes some 300 times the steps at order two.
+STUDY_RTOLS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 FINE_RTOLS = (1e-9, 1e-11)  # And of event-driven runs, which reach these too.
-MAX_REPEATS = 5  # Timed runs of a point at most, after the warm-up;
+MAX_REPEATS = 5  # Timed runs of a point at most, after the warm-up; the least counts, as others disturb single ones;
 ENOUGH_SECONDS = 0.25  # none is added once they have taken so many seconds together.
-LONG_RUN_SECONDS = 1.0  # A run that takes so many seconds is made once.
+# A run that takes so many seconds is made once: what disturbs it is small beside it, and it needs no warm-up.
+LONG_RUN_SECONDS = 1.0
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,8 @@ from nsmodel.solvers.structure import read_step_structure
 from nsmodel.study.lines import Point
 from nsmodel.study.reference_steps import REFERENCE_STEP
 
-MAX_SINGLE_STEPS = 300  # Steps that are taken for one question; what is left stays on its line, or is not known.
+# Steps that are taken for one question, an interpreted step each; what is left stays on its line, or is not known.
+MAX_SINGLE_STEPS = 300
 
 StateAt = Callable[[int, float], np.ndarray]  # (row, h) -> what a step of h from there starts from
 StepFromRow = Callable[
@@ -143,13 +144,17 @@ def _states_with_inputs(run: FixedGridPropagator, made: Trajectory, state_at: St
 
 
 GRID_MEASURES = ("max", "l2")  # Measures that look at the states at all times.
-RESOLVED_FACTOR = 5.0  # A point is resolved where its error is so many times the reference's own.
-CLOSED_FORM_ROUNDING = 1e-14  # What a closed form is known to, relative.
-NEGLIGIBLE_STATE_SIZE = 1e-9  # A state smaller than this part of its group is no more than rounding.
-ORDER_RANGE = 0.5, 2.0  # The schemes' orders; outside of them an order seen on three runs is chance.
-REGULARITY_TOLERANCE = 1e-10  # Least singular value, relative to the largest, of a matrix that determines its multipliers.
-PIECE_SUBDIVISIONS = 8  # Parts in which a piece is compared.
-MAX_CHECKED_INDEX_SETS = 60  # So many different index sets of a run are looked at.
+# A point is resolved where its error is so many times the reference's own: that changes it by a fifth, at most.
+RESOLVED_FACTOR = 5.0
+CLOSED_FORM_ROUNDING = 1e-14  # What a closed form is known to, relative: 45 EPS, a few functions of the library.
+# A state smaller than this part of its group is no more than rounding: its errors are measured by the group.
+NEGLIGIBLE_STATE_SIZE = 1e-9
+ORDER_RANGE = 0.5, 2.0  # The schemes' orders, 1/2 with impulses, 1 and 2; outside of them an order seen on three runs is chance.
+# Least singular value, relative to the largest, of a balanced matrix that determines its multipliers: others lose ten digits.
+REGULARITY_TOLERANCE = 1e-10
+PIECE_SUBDIVISIONS = 8  # Parts in which a piece is compared: errors between its ends are as large as there, or larger.
+# So many different index sets of a run are looked at, the first: each takes a matrix and its singular values.
+MAX_CHECKED_INDEX_SETS = 60
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,10 @@ COLUMN_HEADINGS = {
     "max": "largest", "end": "at end", "l2": "rms", "multipliers": "multipl.", "outputs": "outputs", "seconds": "seconds",
     "setup": "set-up", "residual": "residual", "violation": "violated", "energy": "energy",
 }  # fmt: skip
-MAX_TABLE_COLUMNS = 9  # Columns of a table that fit into a line.
-SOLVER_TABLE_STEPS = 8  # Steps side by side in the table of solvers.
-EQUAL_ERROR_TOLERANCE = 1e-6  # Errors that differ by less than this part are those of the same steps.
+MAX_TABLE_COLUMNS = 9  # Columns of a table that fit into a line of 100 letters; of more, that of the set-up is left out.
+# Steps side by side in the table of solvers, ten letters each behind the solver's name: a line of 100 letters.
+SOLVER_TABLE_STEPS = 8
+EQUAL_ERROR_TOLERANCE = 1e-6  # Errors that differ by less than this part are those of the same steps, solved to a tolerance.
 
 
 @dataclass(frozen=True, repr=False)

@@ -32,11 +32,14 @@ from nsmodel.study.reference_steps import EVALUATION_ROUNDING, formula_residuals
 from nsmodel.study.stress_result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
 from nsmodel.study.units import in_units
 
-STEPS_PER_CELL = 24  # Steps of a run of the stress test.
-STEP_FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)  # Steps, in those of the model.
-# Units of states and of time, in those of the model.
+# Steps of a run of the stress test: enough for some switches; there are a few dozen runs, and more of each model.
+STEPS_PER_CELL = 24
+# Steps, in those of the model: from where rounding is all to where nothing is resolved.
+STEP_FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)
+# Units of states and of time, in those of the model: each alone and both against each other, nine orders either way.
 UNIT_SCALES = ((1.0, 1.0), (1e-9, 1.0), (1e9, 1.0), (1.0, 1e-9), (1.0, 1e9), (1e-9, 1e9), (1e9, 1e-9))
-AGREEMENT_TOLERANCE = 1e-7  # Largest difference of two runs that must be equal, beside the motion.
+# Largest difference of two runs that must be equal, beside the motion: a hundred times what a step is solved to by default.
+AGREEMENT_TOLERANCE = 1e-7
 PREMISES = ("S-convex", "O-theta", "O-g", "4.1", "5.1", "5.2", "M-T", "M-C")  # Where one is violated nothing is promised.
 SINGLE_SOLVERS = ("daqp", "lemke", "ipopt")  # The first that applies is run alone.
 
@@ -212,7 +215,7 @@ def _compare_single_solver(model: Model, own: Trajectory, h: float, end: float) 
 def _run_difference(
     what: str, model: Model, own: Trajectory, run: Trajectory, x: np.ndarray, known: np.ndarray
 ) -> dict[str, float]:
-    """Two runs that must be the same, where the solution is unique: AGREE beside what moved and acted so far, and rounding."""
+    """Two runs that must be the same, where the solution is unique: apart by no more than AGREEMENT_TOLERANCE allows."""
     if any(UNIQUENESS_WARNING in text for text in (*own.metadata["warnings"], *run.metadata["warnings"])):
         return {}
     rows = min(len(x), len(known))
@@ -235,7 +238,7 @@ def _run_difference(
 
 @np.errstate(all="ignore")
 def _input_difference(own: Trajectory, run: Trajectory, tau: float) -> dict[str, float]:
-    """Edges and ticks of two runs in units of time that differ by tau, and their inputs: AGREE beside the largest of each."""
+    """Edges and ticks of two runs in units of time that differ by tau, and their inputs: by AGREEMENT_TOLERANCE, at most."""
     rows = min(len(own.t), len(run.t))
     pairs = [(own.t[:rows, None], run.t[:rows, None] / tau)]
     pairs += [(own.arrays[side][:rows], run.arrays[side][:rows]) for side in ("inputs", "inputs_begin")]

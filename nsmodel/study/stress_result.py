@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel._utils import TEXT_WIDTH, display, escape_invisible, html_repr, labelled_lines, one_line, short_repr, wrap_lines
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
-_MAX_LISTED_CELLS = 12  # Wrong runs, and runs that stopped, that the table names.
+_MAX_LISTED_CELLS = 12  # Wrong runs, and runs that stopped, that the table names: half a screen; the result holds them all.
 _CELL_LABELS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG", LEFT_OUT: "-"}
 
 

@@ -45,15 +45,14 @@ from nsmodel.study.reference import (
 )
 from nsmodel.study.result import Study, StudyInterrupted, short_number
 
-REFINEMENT, MIN_REFINEMENT = (
-    8,
-    2,
-)  # Steps of the reference for one of the finest run; where there is no time for more.
-EVENT_DRIVEN_RTOLS = 1e-9, 1e-11  # The rtol of a rougher run and of the reference.
-MIN_STEP_COUNTS = 3  # So many numbers of steps are measured whatever their reference costs.
+REFINEMENT = 8  # Steps of the reference for one of the finest run: at order 1 its error is then an eighth;
+MIN_REFINEMENT = 2  # where there is no time for more.
+# The rtol of a rougher run and of the reference: their difference is the error of the first, far above that of the second.
+EVENT_DRIVEN_RTOLS = 1e-9, 1e-11
+MIN_STEP_COUNTS = 3  # So many numbers of steps are measured whatever their reference costs: fewer show no order.
 RUNS_WORK_RATIO = 1 + 1 / 2 + 1 / 4  # Steps of the three runs behind a reference, for one of the last.
-MAX_REFERENCE_BYTES = 1 << 30  # Bytes that the three runs behind a reference may take.
-MIN_PROBE_SECONDS = 0.02  # s: a run that takes so long tells what a step takes.
+MAX_REFERENCE_BYTES = 1 << 30  # Bytes that the three runs behind a reference may take, 1 GB; finer ones are not made.
+MIN_PROBE_SECONDS = 0.02  # s: a run that takes so long tells what a step takes; shorter ones measure the clock and the set-up.
 
 
 @dataclass(frozen=True)
@@ -199,13 +198,16 @@ class ReferenceSearch:
         return replace(best, run=calm.run, rows=rows, own={**best.own, "multipliers": calm.own["multipliers"]})
 
 
-DEFAULT_BUDGET = 60.0  # Seconds for a whole study, where none are given.
+DEFAULT_BUDGET = 60.0  # Seconds for a whole study, where none are given: what a person waits for, once.
 PHASE_DEADLINES = {"schemes": 0.7, "variable steps": 0.85}  # Parts of what the reference leaves, after which none is begun.
-ALWAYS_MEASURED_SECONDS = 0.05  # s: a point that takes less is measured even where its line has used up its share.
-COARSEST_FACTOR, FINEST_FACTOR = 16, 8  # The default steps: from COARSEST_FACTOR h to h / FINEST_FACTOR, halved each time.
-MIN_COARSEST_STEPS = 8  # Steps of the coarsest run, at least, where the model's own has more.
+# s: a point that takes less is measured even where its line has used up its share: about a thousandth of the default budget.
+ALWAYS_MEASURED_SECONDS = 0.05
+COARSEST_FACTOR = 16  # The default steps: from 16 times the model's own,
+FINEST_FACTOR = 8  # to an eighth of it, halved each time: eight points about the step that the model was written with.
+MIN_COARSEST_STEPS = 8  # Steps of the coarsest run, at least, where the model's own has more: with fewer nothing is resolved.
 TOLERANCE_WORK_RATIO = 10.0**0.5  # Steps that a tolerance ten times smaller takes for one, where order is two.
-EVENT_DRIVEN_WORK_RATIO = 2.0  # Pieces that an rtol ten times smaller takes for one, at most, when time is planned.
+# Pieces that an rtol ten times smaller takes for one, at most, when time is planned: their order rises with it.
+EVENT_DRIVEN_WORK_RATIO = 2.0
 BUDGET_SHARES = {"reference": 1 / 3, SCHEME_LINE: 1 / 4, SOLVER_LINE: 1 / 16}  # Parts of the budget that one of these may take.
 
 

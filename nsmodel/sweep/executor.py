@@ -34,7 +34,7 @@ from nsmodel.sweep.request import CellResults, SweepRequest
 from nsmodel.sweep.variable import CELL_FAILED
 
 MAX_PROCESSES = 61 if sys.platform == "win32" else 1 << 20  # Processes in a pool: Windows waits for no more at once.
-PARENT_CHECK_SECONDS = 1.0  # Seconds between two looks of a worker at whether its parent is alive.
+PARENT_CHECK_SECONDS = 1.0  # Seconds between two looks of a worker at whether its parent is alive: so long it may outlive it.
 _forked_requests: dict[
     int, SweepRequest
 ] = {}  # What sweeps ask for, for workers that are forked: functions without names go no other way.
@@ -214,9 +214,9 @@ def _init_worker(parent: int, forked: bool) -> None:
 
 
 TARGET_CHUNK_SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
-MAX_CHUNK_BYTES = 16 << 20  # Bytes of results that a chunk holds, at most.
+MAX_CHUNK_BYTES = 16 << 20  # Bytes of results that a chunk holds, at most, 16 MB: they are sent between processes in one go.
 MAX_ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
-POLL_SECONDS = 0.2  # Seconds between two looks at signals.
+POLL_SECONDS = 0.2  # Seconds between two looks at signals: so late, at most, comes Ctrl-C where no chunk ends.
 
 
 @dataclass

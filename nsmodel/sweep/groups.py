@@ -81,8 +81,10 @@ class ModelSource:
         raise UsageError(f"'{name}' cannot be varied")
 
 
-MAX_MODELS_TRIED, MAX_STARTS_TRIED = 1000, 20  # Cells looked at for one that has a model, and for one whose run can begin.
-MAX_PACKED_GROUPS = 64  # Groups of which the bytes are at hand.
+MAX_MODELS_TRIED = 1000  # Cells looked at for one that has a model: binding one takes some milliseconds,
+MAX_STARTS_TRIED = 20  # and for one whose run can begin, which takes a plan of its steps, too.
+# Groups of which the bytes are at hand, those used last: one group has cells in chunks that follow each other.
+MAX_PACKED_GROUPS = 64
 GroupKey = tuple[int, ...]
 StartFunction = Callable[[np.random.Generator], Mapping[str, float]]
 

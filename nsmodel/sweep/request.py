@@ -102,7 +102,7 @@ def _read_reduction(name: str, what: Any) -> Callable[[Any], Any]:
     raise UsageError(f"output '{name}': '{what}'; expected NAME[ROW], such as x1[-1] for the end, or max(NAME), mean(NAME), ...")
 
 
-TARGET_ROWS = 200  # Rows that are kept of a run, where nothing else is asked for.
+TARGET_ROWS = 200  # Rows that are kept of a run, where nothing else is asked for: a line of a picture needs no more.
 CELL_FACTS: Mapping[
     str, tuple[str, Any]
 ] = {  # {name of what is kept of every cell: (data type, value of a cell that was not run)}

@@ -88,7 +88,8 @@ def sweep_dataset(sweep: Sweep) -> Any:
     return found
 
 
-MAX_FAILURE_KINDS = 4  # Kinds of failures that a summary counts, the most frequent first.
+# Kinds of failures that a summary counts, the most frequent first: failures are few kinds, and all are in the result.
+MAX_FAILURE_KINDS = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)

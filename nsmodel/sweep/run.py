@@ -41,7 +41,7 @@ from nsmodel.sweep.store import (
 )
 from nsmodel.sweep.variable import CELL_NOT_RUN
 
-WORKING_BYTES = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
+WORKING_BYTES = 64 << 20  # Bytes that the rows of a chunk take while its cells are run, 64 MB in each process.
 EXPORT_WRITERS = {".nc": Sweep.to_netcdf, ".zarr": Sweep.to_zarr}
 
 

@@ -436,8 +436,8 @@ def _check_quantiles(quantiles: Sequence[float]) -> tuple[float, ...]:
     return tuple(float(q) for q in requested)
 
 
-MAX_TABLE_ROWS = 24  # Rows of a table; of more, some are left out.
-MAX_WORD_WIDTH = 16  # Characters of a coordinate that is a word.
+MAX_TABLE_ROWS = 24  # Rows of a table, which fit on a screen; of more, some are left out.
+MAX_WORD_WIDTH = 16  # Characters of a coordinate that is a word, so that some columns fit into a line.
 _Column = Callable[[np.ndarray], list[str]]  # rows -> their text
 
 

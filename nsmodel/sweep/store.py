@@ -222,7 +222,8 @@ CODE_CHECKS = {
 
 
 _PART_NAME_PATTERN = re.compile(r"part-(\d+)\.npz")
-_BLOCK_BYTES = 1 << 22  # Bytes that are read or written at a time.
+# Bytes that are read or written at a time, those of one digest, 4 MB: what memory a file takes while it is made.
+_BLOCK_BYTES = 1 << 22
 _REMOVE_HINT = "take it out of the folder, or give another folder"
 QuantityTypes = Mapping[str, tuple[str, tuple[int, ...]]]
 

@@ -134,6 +134,15 @@ def test_files_that_are_no_certificates(tmp_path):
         assert "is not a certificate" in verify.main(str(path))
 
 
+def test_functions_of_more_inputs_than_have_numbers_are_not_read():
+    """Input 100000 would be taken for what a parameter moves with, a number between 0 and 1."""
+    names = [f"x_{k}" for k in range(verify.FIRST_UNIT + 1)]
+    assert verify.span(verify.variable(verify.FIRST_UNIT)).lo == 0
+    model = {**oscillator(), "g": {"inputs": names, "steps": [["in", verify.FIRST_UNIT]], "outputs": [0]}}
+    answer = verify.answer(model, claim("O-g", {"interior": ["0"]}, **{"lower bound of g": "0"}))
+    assert answer == ("not checkable", "a function has too many inputs")
+
+
 def test_programs_that_take_for_ever_are_not_read():
     squared = [["in", 0], *(["mul", k, k] for k in range(60))]
     model = {**inclusion(), "F": {"inputs": ["x"], "steps": [*squared, ["add", 1, 60]], "outputs": [61]}}

@@ -1,5 +1,9 @@
 """Hypotheses of inclusions: the paper's constants, and brute force on random models against everything that is said to hold."""
 
+from fractions import Fraction
+from itertools import product
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,7 +14,9 @@ import nsmodel
 from nsmodel import MonotoneInclusion, relay
 from nsmodel.hypotheses.region import region_of
 from nsmodel.models.monotone_inclusion import autonomous as inclusion
+from nsmodel.models.monotone_inclusion.growth import max_constant_part
 from nsmodel.models.monotone_inclusion.schemes import set_constraints, velocity_selection
+from nsmodel.proof import exact
 from nsmodel.solvers.residuals import numeric_law
 
 IDS = ["M-T", "M-C", "M-A1", "M-A2", "M-A3", "M-24"]
@@ -263,6 +269,27 @@ def quotient(model, direction, size):
     assert sampler.inside(x)
     v = next(sampler.velocities(x, np.random.default_rng(0)))
     return x @ sampler.projected(x, v) / (x @ x)
+
+
+def test_the_size_of_a_constant_field_is_rounded_up():
+    """sqrt(3) is above its double."""
+    model = MonotoneInclusion(x=ca.SX.sym("x", 3), field=ca.SX.ones(3), x0=[0, 0, 0], t_end=1.0, step=0.1)
+    found = {finding.id: finding for finding in nsmodel.check(model, runs=[], quick=True).findings}["M-A2"]
+    assert found.verdict == "holds"
+    assert Fraction(found.value["a_1"]) ** 2 >= 3 > (Fraction(found.value["a_1"]) * (1 - Fraction(1, 10**9))) ** 2
+
+
+def test_the_largest_constant_part_is_rounded_up_where_multipliers_cancel():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        n, k = rng.integers(1, 4), rng.integers(1, 4)
+        columns, width = rng.normal(size=(n, k)), 10.0 ** rng.uniform(-16, 0, k)
+        b = -columns.sum(axis=1)
+        jumps = [SimpleNamespace(lower=1 - one, upper=1 + one) for one in width]
+        found = max_constant_part(SimpleNamespace(aligned=[], jumps=jumps), b, columns)
+        corners = [exact.rational(np.array(corner)) for corner in product(*((one.lower, one.upper) for one in jumps))]
+        most = max(((exact.rational(b) + exact.rational(columns) @ corner) ** 2).sum() for corner in corners)
+        assert Fraction(found) ** 2 >= most
 
 
 @pytest.mark.parametrize(

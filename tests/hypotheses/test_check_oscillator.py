@@ -423,6 +423,19 @@ def test_example_4_2_stops_at_zero_or_anywhere(load_case, b, end, finite):
     assert ("finite from every start" in follows) == finite
 
 
+@pytest.mark.parametrize("steep", [0.5, 5.0, 500.0])
+def test_zero_is_on_the_boundary_where_a_slope_comes_up_to_the_radius(steep):
+    """Of smooth potentials at the ends of the rest points; beyond a kink, and where no slope is as large, it is interior."""
+    q, s = ca.SX.sym("q"), ca.SX.sym("s")
+    smooth = [steep * ca.cosh(q), 2 * steep * q**2 + q**4, steep * (ca.exp(q) - q), (1 + steep) * ca.sqrt(1 + q**2)]
+    kinked = [g + 2 * ca.fabs(q) for g in smooth[:2]] + [ca.sqrt(1 + (steep * q) ** 2) / (2 * steep)]
+    for finite, potentials in ((False, smooth), (True, kinked)):
+        for g in potentials:
+            model = FrictionOscillator(x=q, s=s, friction=[s], potential=g, x0=[0.3], v0=[0], t_end=1.0, step=0.01)
+            follows = {item.name for item in nsmodel.check(model, runs=[], quick=True).consequences}
+            assert ("finite from every start" in follows) == finite, g
+
+
 def test_rest_points_of_a_quartic_and_of_a_wall():
     s, q = ca.SX.sym("s"), ca.SX.sym("q")
     model = FrictionOscillator(x=q, s=s, friction=4 * s, potential=q**4, x0=2, t_end=1, step=0.1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from nsmodel.hypotheses.framework import HYPOTHESIS_CHECKS
 from nsmodel.hypotheses.moving_law import freeze_law
 from nsmodel.hypotheses.region import region_of
 from nsmodel.hypotheses.staying import stay_by_rates, stay_in_ball
+from nsmodel.models.lure_system.inputs_and_parameters import unit_ball_box
+from nsmodel.proof import exact
 
 x, t, p, s = (ca.SX.sym(name) for name in ("x", "t", "p", "s"))
 q = ca.SX.sym("q", 2)
@@ -105,6 +109,20 @@ def test_times_of_inclusions_over_a_box():
     assert 0.25 < T < np.log(10) / 2
     pushed = MonotoneInclusion(field=[p * x**3 / 100], lower=[t], x0=[0.5], **given)
     assert 0.4 < until(pushed, region={"x": (-1, 1)}) <= 1
+
+
+@pytest.mark.parametrize("gap", [0.5, 1e-4, 1e-8, 1e-10])
+@pytest.mark.parametrize("size", [1.0, 1e6])
+def test_the_box_of_a_nearly_singular_norm_holds_its_ball(gap, size):
+    P = np.array([[1.0, (1 - gap) * size], [(1 - gap) * size, size**2]])
+    reach, room = unit_ball_box(P)
+    for off in (-1, 0, 1):  # A rational P that has these doubles: its entries are off by half of EPS, at most.
+        one = exact.rational(P)
+        one[0, 0] += off * one[0, 0] * Fraction(exact.MACHINE_EPSILON) / 2
+        true = np.sqrt(exact.doubles(np.diagonal(exact.inverse_matrix(one))))
+        assert (reach >= true).all()
+        assert (reach <= true * room**2).all()
+    assert room < 1 + 1e-8 / min(gap, 1)
 
 
 def left_before(name, seed):

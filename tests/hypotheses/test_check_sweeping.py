@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import combinations
 
 import casadi as ca
@@ -36,6 +37,15 @@ def segment_distance(p, start, end):
     start, along = ca.DM(start), ca.DM(end) - ca.DM(start)
     part = ca.fmin(ca.fmax(ca.dot(p - start, along) / ca.sumsqr(along), 0), 1)
     return ca.norm_2(p - start - part * along)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 6, 7])
+def test_the_size_of_a_constant_velocity_is_rounded_up(n):
+    """sqrt(n) may be above its double."""
+    q = ca.SX.sym("q", n)
+    found = decided({"wall": q[0] + 5}, q, np.zeros(n), ca.SX.ones(n), quick=True)["S-f"]
+    assert found.verdict == HOLDS
+    assert Fraction(found.value["L_f"]) ** 2 >= n > (Fraction(found.value["L_f"]) * (1 - Fraction(1, 10**9))) ** 2
 
 
 # -- gamma at a point --------------------------------------------------------------------------------------------------

@@ -192,6 +192,16 @@ def test_the_exact_value_lies_inside_and_the_bound_is_sharp(name):
     assert (hi - lo <= (3e-4 if name == "erfinv" else 3e-14) * size).all()
 
 
+def test_values_that_a_library_errs_by_nine_ulps_lie_inside():
+    points, x = np.linspace(-0.95, 0.95, 38), ca.SX.sym("x")
+    for name in ("exp", "expm1", "sin", "cos", "asin", "acos", "atan", "sinh", "asinh", "atanh"):
+        lo, hi = (end.ravel() for end in enclose(getattr(ca, name)(x), x, points[:, None], points[:, None]))
+        with mpmath.workdps(60):
+            exact = np.array([float(EXACT[name](mpmath.mpf(float(point)))) for point in points])
+        assert (lo <= exact - 9 * np.spacing(np.abs(exact))).all(), name
+        assert (hi >= exact + 9 * np.spacing(np.abs(exact))).all(), name
+
+
 def test_rational_operations_round_outwards_and_keep_exact_results():
     rng = np.random.default_rng(1)
     x = ca.SX.sym("x", 2)

@@ -144,7 +144,9 @@ class _ProgramWriter:
 # Numbers are stated with so much room, relative: they were rounded to doubles; more where a cover of the box would take too
 # many parts, as a bound that is attained is told from its violation only by small ones.
 ROUNDING_ALLOWANCES = ROUNDING_ALLOWANCE, *_ = Fraction(1, 2**40), Fraction(1, 2**10), Fraction(1, 2**5)
-MAX_COVER_PARTS, MAX_COVER_DEPTH = 1000, 40  # Of a cover of a box: parts, and cuts of one part.
+# Parts of a cover of a box, all of which the file holds and the verifier looks at; of more the statement has no proof there.
+MAX_COVER_PARTS = 1000
+MAX_COVER_DEPTH = 40  # Cuts of one part: it is then 2^-40 of the box, and a bound that fails there fails everywhere near.
 ROUND_DOWN, KEEP_EXACT, ROUND_UP = -1, 0, 1  # Which way a stated number may be off.
 
 

@@ -27,7 +27,7 @@ from itertools import accumulate, pairwise, product
 from typing import Any
 
 FORMAT = 4  # Of the certificates that this file reads.
-BITS = 80  # Intervals are rounded outwards to so many bits.
+BITS = 80  # Intervals are rounded outwards to so many bits: 27 more than doubles have, so that their bounds are proved.
 CONTEXT = decimal.Context(prec=60)
 # BIG: larger numbers are rounded to infinity, smaller ones than 1/BIG to 0 or 1/BIG.
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
@@ -43,8 +43,9 @@ Switch = tuple[Q, list[Q], Q]  # w, a, c of w l a with l in Sgn(a'x + c), w >= 0
 NUMBER = re.compile(r"-?[0-9]{1,4000}(/[1-9][0-9]{0,3999})?", re.ASCII)
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,40}", re.ASCII)
 UP, DOWN = decimal.ROUND_CEILING, decimal.ROUND_FLOOR
-FIRST_UNIT, FIRST_ATOM = 10**5, 10**6  # Variables of polynomials: inputs 0, 1, ..., units and atoms from here on.
-MAX_PARAMETERS, MAX_CORNERS = 1000, 4096  # Of a statement, and of a box: more are not checked.
+FIRST_UNIT, FIRST_ATOM = 10**5, 10**6  # Variables of polynomials: inputs 0, 1, ... below, units and atoms from here on.
+MAX_PARAMETERS = 1000  # Of a statement; units of functions of parameters are numbered from here on.
+MAX_CORNERS = 4096  # Of a box: each is a matrix decided by itself, those of 12 parameters; more are not checked.
 
 
 class Unproved(Exception):
@@ -342,6 +343,7 @@ class VerifierProgram:
         self.own, self.n = self.inputs[: len(self.inputs) - len(parameters)], len(self.inputs) - len(parameters)
         need([*self.own, *parameters] == self.inputs, "a function leaves out a parameter")
         need(inputs is None or self.own == inputs, "a function has other inputs")
+        need(len(self.inputs) <= FIRST_UNIT, "a function has too many inputs", UNCHECKED)
         need("steps" in data, f"a function that is not written down: {escaped(data.get('why'))}", UNCHECKED)
         self.steps: list[tuple[str, Any, Any]] = []
         self.steps.extend(self._read_step(*entries(step)) for step in entries(data["steps"]))

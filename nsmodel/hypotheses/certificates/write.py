@@ -40,7 +40,8 @@ from nsmodel.modeling.laws import Law
 from nsmodel.modeling.parts import Part
 
 Data = dict[str, Any]
-MAX_HINT_PARAMETERS = 6  # Parameters for which hints look at all 2^6 corners of the box.
+# Parameters for which hints look at all 2^6 corners of the box; of more an end of an interval is written as its formula.
+MAX_HINT_PARAMETERS = 6
 
 
 class CertificateSubject(NamedTuple):

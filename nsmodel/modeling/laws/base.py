@@ -176,7 +176,8 @@ class InvalidLawRow(NamedTuple):
     text: str
 
 
-NEGATION_DEPTH = 32  # Of the graphs in which an end is seen to be the negative of the other.
+# Of the graphs in which an end is seen to be the negative of the other; deeper ones are two ends, which costs a length alone.
+NEGATION_DEPTH = 32
 
 
 def fixed_ends(a: ca.SX, b: ca.SX, moving: ca.SX, *, guarded: bool) -> tuple[ca.SX, ca.SX, float, float]:

@@ -36,9 +36,11 @@ from nsmodel.modeling.laws.base import (
 )
 
 SLIP_ROWS = (1, 2)  # Of a contact in the plane, and in space.
-MIN_DRAG, DRAG_DECADES = 1e-12, 30  # |y_T|/|P_T| in slip, beside the largest entry of W: the least, and how far it is looked for.
-MAX_CANCELLATION = 1e12  # Terms of W l beside b from which on W seems singular.
-DRAG_BISECTIONS = 100  # Of that interval, until its ends are neighbours.
+MIN_DRAG = 1e-12  # |y_T|/|P_T| in slip, beside the largest entry of W: the least, slower slip being rounding,
+DRAG_DECADES = 30  # and how many factors of ten it is looked for above.
+MAX_CANCELLATION = 1e12  # Terms of W l beside b from which on W seems singular: four digits of 16 are left.
+# Of that interval, until its ends are neighbours: 53 are enough for a decade; at 0 they leave 2^-100 of it.
+DRAG_BISECTIONS = 100
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from nsmodel.modeling.laws.base import (
 from nsmodel.modeling.laws.box import make_box_law
 from nsmodel.proof.verdict import not_none
 
-MULTIPLIER_ITERATIONS = 100  # Of Newton's method for mu; a dozen are usual.
+MULTIPLIER_ITERATIONS = 100  # Of Newton's method for mu, which rises to it; a dozen are usual.
 
 
 @dataclass(frozen=True, eq=False)

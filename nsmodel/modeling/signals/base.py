@@ -67,7 +67,7 @@ class SignalJump(NamedTuple):
     after: np.ndarray
 
 
-NEAR_TOLERANCE = 16 * EPS  # Times that are nearer than this part of the larger are one.
+NEAR_TOLERANCE = 16 * EPS  # Times that are nearer than this part of the larger are one: a product and a few sums of a period.
 SLOPE_ROUND_UP = 1 + 16 * EPS  # More than a quotient and a few sums lose.
 
 
@@ -366,7 +366,8 @@ class ParametricSignal(Signal):
         )
 
 
-MAX_PERIODS = 50_000_000  # Of a signal or a block in a run: all of its times are kept, some 8 numbers each.
+# Of a signal or a block in a run: all of its times are kept, some 8 numbers each, 3 GB; more are refused.
+MAX_PERIODS = 50_000_000
 
 
 def period_numbers(first: float, last: float, period: float) -> np.ndarray:

@@ -22,7 +22,8 @@ from nsmodel.modeling.signals.base import (
     read_numbers,
 )
 
-JUMP_TOLERANCE = 1e-9  # A change at an edge below this part of the values is none.
+# A change at an edge below this part of the values is none: a function that bends there changes by rounding.
+JUMP_TOLERANCE = 1e-9
 
 Edges = Sequence[float] | np.ndarray | Callable[[float, float], Sequence[float]]
 

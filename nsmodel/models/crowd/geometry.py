@@ -12,8 +12,9 @@ import numpy as np
 from nsmodel.errors import ModelError, NsmodelError
 from nsmodel.modeling.parameters import describe_argument
 
-MAX_CHUNK_NUMBERS = 2_000_000  # Numbers in the largest array of intermediate results.
-LEAF_SIZE = 16  # Places in a leaf of a k-d tree, on which the order of its pairs depends, and which of two equally near it names.
+MAX_CHUNK_NUMBERS = 2_000_000  # Numbers in the largest array of intermediate results, 16 MB: larger inputs are taken in parts.
+# Places in a leaf of a k-d tree, fixed: the order of its pairs, and which of two equally near it names, depend on it.
+LEAF_SIZE = 16
 
 
 def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from nsmodel.models.crowd.room import Room
 if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
 
-CUT_OFF = 1.0  # Nobody takes up more room than a disc of this radius, m.
+CUT_OFF = 1.0  # Nobody takes up more room than a disc of this radius, m: at the edge of a crowd Voronoi cells have no end.
 
 
 def positions(run: Trajectory) -> np.ndarray:

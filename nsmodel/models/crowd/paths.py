@@ -28,7 +28,7 @@ from nsmodel.models.crowd.geometry import (
 )
 from nsmodel.models.crowd.room import Room, RoomGrid
 
-MAX_ARC_PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
+MAX_ARC_PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most: the way keeps 1 to 1.035 clearances.
 CORNER_DISTANCE = 1 / np.cos(MAX_ARC_PIECE / 2)  # Distance of the corners of the tangents, in clearances.
 
 

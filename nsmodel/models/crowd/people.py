@@ -88,10 +88,13 @@ class NoisyVelocity:
         return np.column_stack([c * wanted[:, 0] - s * wanted[:, 1], s * wanted[:, 0] + c * wanted[:, 1]])
 
 
-MAX_PUSH_ROUNDS = 4000  # Of pushing apart, before `place` gives up.
-WEDGED_ROUNDS = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.
-MIN_SEPARATION = 1e-3  # What `place` leaves between people, m.
-EXIT_ZONE_DEPTH = 1.0  # How deep the place behind a door is in which people are taken away, m.
+MAX_PUSH_ROUNDS = 4000  # Of pushing apart, before `place` says that there is no room.
+# Rounds after which those who still overlap somebody placed before, who does not give way, are put elsewhere.
+WEDGED_ROUNDS = 200
+# What `place` leaves between people, m: so that none overlap after rounding, and no contact is closed at the start.
+MIN_SEPARATION = 1e-3
+# How deep the place behind a door is in which people are taken away, m, if not twice a stride: nobody steps across it.
+EXIT_ZONE_DEPTH = 1.0
 
 
 @dataclass(frozen=True, eq=False)

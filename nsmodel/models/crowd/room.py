@@ -20,9 +20,11 @@ from nsmodel.modeling.parameters import describe_argument
 from nsmodel.modeling.time_grid import is_number
 from nsmodel.models.crowd.geometry import checked_array, checked_number, contains, distances, nearest_points, polygon_sides
 
-COLOUR_TOLERANCE = 60  # Colours are the same where no channel differs by more, of 255.
-MAX_BLUR_PIXELS = 2  # So many pixels between a wall and a door may have a colour in between.
-STRAIGHT_TOLERANCE = 0.75  # An outline is a straight line where it is this near to one, in pixels.
+# Colours are the same where no channel differs by more, of 255: half of the least difference that two colours may have.
+COLOUR_TOLERANCE = 60
+MAX_BLUR_PIXELS = 2  # So many pixels between a wall and a door may have a colour in between, as smoothed edges of a drawing have.
+# An outline is a straight line where it is this near to one, in pixels: the steps of a slanting line are within 1/2 of it.
+STRAIGHT_TOLERANCE = 0.75
 
 
 def read_floor_plan(image: Any, pixel: float, walls: Any, exits: Mapping[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -183,9 +185,11 @@ def _format_rgb(colour: np.ndarray) -> str:
     return "({:.0f}, {:.0f}, {:.0f})".format(*colour)
 
 
-GRID_MARGIN = 1.0  # What a grid shows of the outside, m.
-TOUCH_DISTANCE = 1e-3  # An exit ends at a wall that is as near as this, m.
-PROBE_FRACTIONS = np.arange(1, 8) / 8  # Where along an exit both of its sides are looked at.
+GRID_MARGIN = 1.0  # What a grid shows of the outside, m: ways out lead there.
+# An exit ends at a wall that is as near as this, m: through a smaller gap nobody fits, and none is drawn so.
+TOUCH_DISTANCE = 1e-3
+# Where along an exit both of its sides are looked at: not at its ends, which lie on walls; obstacles may cover some.
+PROBE_FRACTIONS = np.arange(1, 8) / 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,10 @@ from nsmodel.models.first_order_system.linearisation import SystemLinearisation,
 from nsmodel.proof import conic, exact
 from nsmodel.solvers.residuals import numeric_law
 
-MAX_STEP_INDEX_SETS = 750  # Index sets that are all decided.
-SIGN_MARGIN = 1e-9  # A sign counts where the number is this part of its terms, or exactly 0.
+# Index sets that are all decided, by exact elimination each: 3^6 are 729; of more, samples of states tell.
+MAX_STEP_INDEX_SETS = 750
+# A sign counts where the number is this part of its terms, or exactly 0: numbers of a model may be rounded by a few EPS.
+SIGN_MARGIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ def is_step_solution(step: AffineStep, b: np.ndarray, l: np.ndarray) -> bool:
     return True
 
 
-MAX_SET_PAIRS = 800  # Pairs of index sets, times states, that are all decided.
+MAX_SET_PAIRS = 800  # Pairs of index sets, times states, that are all decided, each by an exact linear program.
 
 
 @dataclass(frozen=True)
@@ -324,9 +326,11 @@ def _gives_same_state(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.nd
     return columns[-1] in conic.implied_zeros(conic.ConicSystem(A, tuple(columns)))
 
 
-STATE_SAMPLES = 3000  # States that floating point looks at, in each of two ways.
-LOST_PART = 1e-6  # A b smaller than this part of its size is none that was asked for.
-MAX_BLOCK_CONDITION = 1e8  # Condition beyond which a block of W is left to exact arithmetic.
+# States that floating point looks at, in each of two ways: the report says how many; which fail is decided exactly.
+STATE_SAMPLES = 3000
+LOST_PART = 1e-6  # A b smaller than this part of its size is none that was asked for: what is left of it is rounding.
+# Condition beyond which a block of W is left to exact arithmetic: half of the digits of doubles are lost.
+MAX_BLOCK_CONDITION = 1e8
 
 
 def find_counterexample(step: AffineStep) -> StepCounterexample | None:

@@ -67,9 +67,11 @@ KINK_OPERATION_NAMES = {
     ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil",
 }  # fmt: skip
 BY_ROUNDING = "Regular by rounding only: a change of the entries of M and G by 64 eps of themselves can make W singular."
-DIFFERENCE_TOLERANCE = 1e-4  # A difference quotient further off than this part of the Jacobian's largest entry is no rounding.
+# A difference quotient further off than this part of the Jacobian's largest entry is no rounding: without kinks 1e-11 is usual.
+DIFFERENCE_TOLERANCE = 1e-4
 OTHER_STEPS_TEXT = "Of the steps, multipliers and rows of the run it is not proved apart from that."
-MAX_EXACT_STEPS = 50  # Different step lengths that are decided one by one.
+# Different step lengths that are decided one by one, each by elimination of rational numbers; of more the finding is sampled.
+MAX_EXACT_STEPS = 50
 
 
 def check(

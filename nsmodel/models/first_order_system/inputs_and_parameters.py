@@ -58,13 +58,12 @@ from nsmodel.simulation.trajectory import Trajectory
 
 FIELDS_OF_SYSTEM = ("M", "f", "h", "g", "law")
 JACOBIAN_IDS = (F_JACOBIANS.id, F_W.id, F_MLCP.id, F_STEP.id)
-MAX_INVERSE_STATES = 6  # Up to so many M is inverted in symbols.
+MAX_INVERSE_STATES = 6  # Up to so many M is inverted in symbols: 700 nodes for 6, and bounds of it are wide for more.
 STEP_ROUNDING = 1e-9  # Relative: h |M^-1 G| is below 1 by more than it and its bound are rounded by.
-MAX_CORNER_STEPS, MAX_MLCP_STATES, MAX_MLCP_ROWS = (
-    5,
-    6,
-    6,
-)  # Step lengths, states and multipliers up to which W_mlcp is written out.
+# Step lengths that are decided one by one; of more the whole interval between the least and the largest at once.
+MAX_CORNER_STEPS = 5
+MAX_MLCP_STATES = 6  # States up to which W_mlcp is written out, by cofactors of M - h G,
+MAX_MLCP_ROWS = 6  # and multipliers, of which all principal minors are.
 
 
 StepInterval = tuple[float, float]
@@ -305,8 +304,9 @@ F_INPUTS = Hypothesis(
 )  # fmt: skip
 STEP_DEPENDENT_IDS = (F_MLCP.id, F_UNIQUE.id)
 SHORTER_STEPS_TEXT = "Steps that end at an edge of an input may be shorter than the one looked at."
-DEFAULT_RANGE = 1.0  # Of multipliers that neither K nor a run bounds.
-INPUT_JUMP_SAMPLES = 64  # Where a jump of h or g is looked for.
+# Of multipliers that neither K nor a run bounds: some values have to be looked at, and the finding says which.
+DEFAULT_RANGE = 1.0
+INPUT_JUMP_SAMPLES = 64  # Where a jump of h or g is looked for, at the edges of inputs; which jump, any point shows.
 
 
 def freeze_law(model: FirstOrderSystem) -> FirstOrderSystem:

@@ -26,10 +26,13 @@ from nsmodel.proof.jumps import ExpressionJump, find_jump, jump_nodes
 from nsmodel.proof.verdict import HOLDS, UNKNOWN
 from nsmodel.simulation.trajectory import Trajectory
 
-MAX_SAMPLED_RUN_ROWS = 100  # Rows of the runs that are looked at.
-MAX_FACE_SETS = 500  # Sets of faces of a polyhedron that are looked at.
-MIN_ENCLOSED_STATES, MAX_ENCLOSED_CONDITION = 64, 1e12  # From so many states on W^{-1} is enclosed, where it is not too large.
-REGION_SAMPLES = 32  # Points of the region that are looked at where there is no run.
+# Rows of the runs that are looked at, evenly spread: each is differentiated, and its matrices are decided.
+MAX_SAMPLED_RUN_ROWS = 100
+# Sets of faces of a polyhedron that are looked at for corners, each by exact elimination; of more no corners are known.
+MAX_FACE_SETS = 500
+MIN_ENCLOSED_STATES = 64  # From so many states on W^{-1} is enclosed, where rational numbers get long,
+MAX_ENCLOSED_CONDITION = 1e12  # if its condition is below: else the enclosure is too wide to show a sign.
+REGION_SAMPLES = 32  # Points of the region that are looked at where there is no run; each is differentiated, as rows of runs are.
 
 
 class Jacobians(NamedTuple):

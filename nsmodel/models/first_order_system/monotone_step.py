@@ -36,8 +36,9 @@ from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.proof.expression_graph import CONTINUOUS_OPERATIONS, operation_codes
 from nsmodel.proof.storage_matrix import well_conditioned_block
 
-MAX_FORM_BOXES, MAX_PART_BOXES = 2000, 300  # in which the form is bounded, on the whole box and on a part of it
-FORM_ROOM = 1e-9  # of the form's size, that its least eigenvalue is above 0 by: far more than constants in it are rounded by
+MAX_FORM_BOXES = 2000  # Boxes in which the form is bounded, on the whole box
+MAX_PART_BOXES = 300  # and on a part of it, of which there are MAX_REGION_PARTS; more leave it open.
+FORM_ROOM = 1e-9  # Of the form's size, that its least eigenvalue is above 0 by: far more than constants in it are rounded by.
 
 
 class MonotoneForm(NamedTuple):
@@ -178,7 +179,7 @@ def rows_of_blocks(at: SystemLinearisation) -> list[list[int]]:
     return out
 
 
-PROGRAM_POINTS = 24  # at which the program asks for a definite form
+PROGRAM_POINTS = 24  # Points at which the program asks for a definite form, a block each; what it suggests is proved on boxes.
 
 
 class _SampledForm(NamedTuple):
@@ -282,8 +283,8 @@ def _stack_triangle(S: np.ndarray) -> np.ndarray:
     return np.where(i == j, S[i, j], np.sqrt(2) * S[i, j])
 
 
-MAX_REGION_PARTS = 10  # Parts of the box that are looked at; more are left open.
-MAX_FORM_UNKNOWNS = 9  # States and multipliers together; of more a form is not looked for.
+MAX_REGION_PARTS = 10  # Parts of the box that are looked at, each with a semidefinite program; more are left open.
+MAX_FORM_UNKNOWNS = 9  # States and multipliers together; of more a form is not looked for: boxes are cut in all of them.
 
 
 class UniquenessProof(NamedTuple):

@@ -40,8 +40,10 @@ from nsmodel.proof.expression_graph import (
 )
 from nsmodel.proof.polynomial import Monomial
 
-MAX_PAIRED_STATES, MAX_PAIRED_STEPS = 6, 3  # States, and step sizes, of a model that is looked at; more are left open.
-MAX_TERM_RATIO = 1e4  # Terms of a sum beside the sum: more digits are not lost to rounding.
+MAX_PAIRED_STATES = 6  # States of a model that is looked at: the box of all of them is cut,
+MAX_PAIRED_STEPS = 3  # and step sizes, for each of which it is; more are left open.
+# Terms of a sum beside the sum: more digits are not lost to rounding, of the 9 that the form leaves room for.
+MAX_TERM_RATIO = 1e4
 
 
 class PairedForm(NamedTuple):

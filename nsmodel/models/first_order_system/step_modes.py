@@ -21,7 +21,7 @@ from nsmodel.proof import exact, interval_bounds
 from nsmodel.solvers.one_step_problem import rewrite_as_basic_law
 from nsmodel.solvers.residuals import numeric_law
 
-HELD_ROUNDS = 3  # With fewer multipliers more signs show.
+HELD_ROUNDS = 3  # Rounds of putting in multipliers that their signs hold: with fewer multipliers more signs show.
 
 
 def substitute_held_rows(at: SystemLinearisation) -> SystemLinearisation:

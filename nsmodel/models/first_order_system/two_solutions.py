@@ -23,22 +23,22 @@ from nsmodel.models.first_order_system.linearisation import SystemLinearisation
 from nsmodel.models.first_order_system.step_modes import StepMode, StepModes
 from nsmodel.proof import interval_bounds, krawczyk
 
-MAX_STEP_MODES = 2500  # Modes of a step that are tried at one state.
-MODE_SAMPLES, TRIED_STATES, TRIED_ROWS = (
-    300,
-    12,
-    4,
-)  # points of modes; states of them, and of the runs, at which all modes are tried
-NEWTON_STARTS = 6  # of Newton's method on a mode where a ball or a cone is touched
-MAX_NEWTON_RUNS = 2500  # Runs of Newton's method, in all.
-MAX_MODE_ITERATIONS = 14  # Of Newton's method on a mode.
-MODE_NEWTON_TOLERANCE = 1e-11  # Relative: its last step.
-INEQUALITY_SLACK, DATA_MARGIN = (
-    1e-7,
-    1e-9,
-)  # An inequality counts where it holds by this part of its size, for all data this near to the model's.
-SAME_SOLUTION = 1e-6  # Two solutions are one if they differ by less than this part of what x moves in a step.
-SINGULAR_DETERMINANT = 1e-10  # Of a matrix whose rows have a largest entry of 1: below it its sign is not told.
+# Modes of a step that are tried at one state, with Newton's method on each: 3^7 are 2187; of more none is looked for.
+MAX_STEP_MODES = 2500
+# Points of modes that are drawn: those with the rarer sign of the determinant come from states with a second solution.
+MODE_SAMPLES = 300
+TRIED_STATES = 12  # Of them, states at which all modes are tried,
+TRIED_ROWS = 4  # and of the runs.
+# Of Newton's method on a mode where a ball or a cone is touched: its equations are not affine, and have several roots.
+NEWTON_STARTS = 6
+MAX_NEWTON_RUNS = 2500  # Runs of Newton's method, in all: as many as one state of the most modes takes; then nothing was found.
+MAX_MODE_ITERATIONS = 14  # Of Newton's method on a mode: it squares the error, and a start that needs more is dropped.
+MODE_NEWTON_TOLERANCE = 1e-11  # Relative: its last step, whose square is below rounding.
+INEQUALITY_SLACK = 1e-7  # An inequality counts where it holds by this part of its size,
+DATA_MARGIN = 1e-9  # for all data this near to the model's: far more than these are rounded by, far less than the slack.
+# Two solutions are one if they differ by less than this part of what x moves in a step: Newton's method is nearer by far.
+SAME_SOLUTION = 1e-6
+SINGULAR_DETERMINANT = 1e-10  # Of a matrix whose rows have a largest entry of 1: below it its sign is not told from rounding.
 UNDERFLOW_LIMIT = np.finfo(float).tiny / EPS  # Below it products with h underflow.
 
 

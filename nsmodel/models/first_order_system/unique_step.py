@@ -45,7 +45,8 @@ from nsmodel.proof.extremum import largest_eigenvalue
 from nsmodel.proof.verdict import not_none
 from nsmodel.solvers.structure import is_eigenvalue_nonnegative, least_eigenvalue
 
-MAX_DECIDED_STEPS = 5  # Different step lengths that are decided one by one.
+# Different step lengths that are decided one by one, in rational numbers; of more, all between 0 and h, or the longest.
+MAX_DECIDED_STEPS = 5
 NO_NORMAL_CONE = "Coulomb friction is no normal cone, and not monotone: what W_mlcp is says nothing of a step"
 JUMP_TEXT = "f, h or g jumps (F-jacobians): a step across the jump may have no solution, or several, whatever W is"
 
@@ -285,10 +286,11 @@ def _search_finding(hypothesis: Hypothesis, at: SystemLinearisation) -> Finding:
     return make_finding(hypothesis, VIOLATED, how, {"solutions": 2}, witness)
 
 
-MAX_INVERSE_SIZE = 4  # States and multipliers up to which W^{-1} is written out.
+# States and multipliers up to which W^{-1} is written out: bounds of what is longer are too wide to show a sign.
+MAX_INVERSE_SIZE = 4
 DEFINITE = "W_mlcp is positive definite (exact)"
-MAX_MLCP_STEPS = 5  # Different step lengths that are decided one by one.
-MLCP_MARGIN = 1e-9  # A scaled eigenvalue or minor below minus this is no rounding.
+# A scaled eigenvalue or minor below minus this is no rounding: numbers of a model may be rounded by a few EPS.
+MLCP_MARGIN = 1e-9
 
 
 def mlcp_solvability(hypothesis: Hypothesis, at: SystemLinearisation, regular: str, quick: bool) -> Finding:
@@ -318,7 +320,7 @@ def _exact_solvability(hypothesis: Hypothesis, at: SystemLinearisation) -> Findi
     """Every step length that occurs, in rational arithmetic."""
     value: dict[str, float] = {}
     kinds = set()
-    for h in at.steps[-MAX_MLCP_STEPS:]:
+    for h in at.steps[-MAX_DECIDED_STEPS:]:
         near = at.definite_mlcp(float(h))
         W = at.exact_mlcp(float(h)) if near is None else None
         if near is None and W is None:
@@ -350,10 +352,10 @@ def _exact_solvability(hypothesis: Hypothesis, at: SystemLinearisation) -> Findi
         kinds.add("a P-matrix, all its principal minors > 0, and not psd")
         value |= {} if np.isnan(minor.value) else {"least minor with diagonal 1": minor.value}
     which = " and ".join(sorted(kinds))
-    if len(at.steps) > MAX_MLCP_STEPS and at.mlcp_kind:
+    if len(at.steps) > MAX_DECIDED_STEPS and at.mlcp_kind:
         return make_finding(hypothesis, HOLDS, f"W_mlcp is constant and {at.mlcp_kind} {_steps_text(at)}.", value)
-    if len(at.steps) > MAX_MLCP_STEPS:
-        how = f"W_mlcp is {which} at the {MAX_MLCP_STEPS} longest of {len(at.steps)} step lengths (exact)."
+    if len(at.steps) > MAX_DECIDED_STEPS:
+        how = f"W_mlcp is {which} at the {MAX_DECIDED_STEPS} longest of {len(at.steps)} step lengths (exact)."
         return make_finding(hypothesis, SAMPLED, how, value)
     return make_finding(hypothesis, HOLDS, f"Exactly: W_mlcp is constant and {which}.", value)
 

@@ -50,8 +50,10 @@ HYPOTHESES = (O_THETA, O_G, O_DRY, O_STEPS)
 WELL_POSED_IDS = (O_THETA.id, O_G.id)  # What Proposition 2.1 rests on; Theorem 4.1 and Corollary 4.2 on the second.
 REST_IDS = (O_THETA.id, O_G.id, O_DRY.id, O_STEPS.id)
 RADIUS_LABEL = "radius of A(0)"
-TIGHT_BOUND = 1e-7  # A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g.
-BOUNDARY_MARGIN = 1e-9  # A margin below this, beside the forces, at the end of a run may be 0.
+# A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g: minima are found to 1e-8 or so.
+TIGHT_BOUND = 1e-7
+# A margin below this, beside the forces, at the end of a run may be 0: a run that creeps to its rest is not there yet.
+BOUNDARY_MARGIN = 1e-9
 FORCED_TEXT = "a force that moves with time does work and does not let it rest: the paper is about oscillators left to themselves"
 VERDICTS_WORST_FIRST = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)  # from the worst
 

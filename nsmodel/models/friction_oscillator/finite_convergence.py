@@ -14,7 +14,8 @@ from nsmodel.solvers import mlcp
 from nsmodel.solvers.one_step_problem import subdifferential
 from nsmodel.solvers.residuals import NumericLaw, numeric_law
 
-REST_MARGIN_ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
+# Times EPS and the forces: smaller margins are not told from 0, as forces come from some dozen operations.
+REST_MARGIN_ROUNDING = 64
 
 
 def finite_convergence(

@@ -19,8 +19,9 @@ from nsmodel.proof.verdict import HypothesisPart
 
 ZERO_SPEED, INFINITE_SPEED = np.zeros(1), np.full(1, np.inf)  # Ends of the speeds, as boxes.
 MIN_SLOPE, MIN_CURVATURE, MIN_CURVATURE_BOUND = "min theta'", "min theta''", "theta'' is at least"
-MIN_SPEED_SAMPLES = 100  # A sample of fewer points says nothing.
-SPEED_NEAR_ZERO = 1e-300  # A speed at which a theta that is continuous at 0 has the value of there.
+MIN_SPEED_SAMPLES = 100  # A sample of fewer points, where theta has derivatives, says nothing.
+# A speed at which a theta that is continuous at 0 has the value of there: near the least double, and its powers are 0.
+SPEED_NEAR_ZERO = 1e-300
 SAMPLE_SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 400)])  # Where theta is looked at, in its own unit.
 LAW_ROUNDING = Fraction(1, 2**46)  # 64 eps, relative: a jump of theta or of its slope below this is rounding.
 

@@ -91,7 +91,8 @@ FIELDS_OF_OSCILLATOR = {
 }  # fmt: skip
 DAMPING_EIGENVALUE = "least eigenvalue of the damping"
 POTENTIAL_LOWER_BOUND = "lower bound of g"
-ENERGY_ROUNDING = 1e-9  # Of E: a bound of g on the sides of the box is sought until it is above E by this part.
+# Of E: a bound of g on the sides of the box is sought until it is above E by this part, so that rounding of E does not decide.
+ENERGY_ROUNDING = 1e-9
 ZERO_ARGUMENT, NEAR_ZERO_ARGUMENT = np.zeros(1), np.full(1, 1e-6)  # Speeds between which theta must be continuous.
 
 

@@ -33,11 +33,12 @@ from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 
 FrictionElements = Sequence[tuple[float, np.ndarray]]  # r_j > 0 and H_j
-MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius.
-MAX_LOCAL_STARTS = 20  # Points from which a local search starts.
-MAX_CELLS = 60_000  # Cells that are looked at; then the radius has the bounds found so far.
-CELL_BATCH = 2048  # Cells that are cut at once.
-CELL_TOLERANCE = 1e-10  # Relative: the gap between bound and value that ends it.
+MAX_CELL_STATES = 4  # In more dimensions the least singular value bounds the radius: cells of the sphere are too many.
+MAX_LOCAL_STARTS = 20  # Points from which a local search starts, those with the least values.
+# Cells that are looked at; then the radius has the bounds found so far. Twenty pairs of rows in four states take 12 000, 0.5 s.
+MAX_CELLS = 60_000
+CELL_BATCH = 2048  # Cells that are cut at once, those with the least bounds: arrays pay, and few are cut in vain.
+CELL_TOLERANCE = 1e-10  # Relative: the gap between bound and value that ends it, more digits than a report shows.
 
 
 class RadiusBound(NamedTuple):
@@ -217,9 +218,13 @@ def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarra
     return np.maximum(found, 0.0) - (64 + 8 * (n + rows)) * EPS * size
 
 
-MAX_REST_DISTANCE = 1e12  # Beyond this, from the minimum, no end is looked for.
-THIN_WIDTH = 1e-13  # Relative width of the intervals on which a slope is bounded.
-SLOPE_MARGIN = 1e-9  # Beside 1 and the radius: a slope below the radius by more is so beyond rounding.
+# Beyond this, beside 1 and the minimum's place, no end is looked for: the slope there tells whether there is one.
+MAX_REST_DISTANCE = 1e12
+# Relative width of the intervals on which a slope is bounded: some 450 doubles, so that a kink is on one side.
+THIN_WIDTH = 1e-13
+SLACK_DISTANCES = 1e-6, 1e-12  # Before an end, beside 1 and its place: the second is ten times what ends are rounded by.
+# Beside 1 and the radius: a slope below the radius by more is so beyond rounding, of which a formula makes far less.
+SLOPE_MARGIN = 1e-9
 REAL_LINE = -np.inf, np.inf  # A box without bounds.
 
 
@@ -372,7 +377,7 @@ def rest_interval(
         for sign, hull in ((-1.0, low), (1.0, high)):
             end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
             ends.append(end)
-            strict = strict and _has_slack(slope, domain, centre, sign, max(end, hull) if sign < 0 else min(end, hull), radius)
+            strict = strict and _has_slack(slope, domain, sign, centre, max(end, hull) if sign < 0 else min(end, hull), radius)
         left, right = ends
     return RestInterval(max(left, low, box[0]), min(right, high, box[1]), strict)
 
@@ -434,15 +439,16 @@ def _bisect_end(proved: Callable[[float], float | None], sign: float, centre: fl
     return end
 
 
-def _has_slack(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, end: float, radius: float) -> bool:
-    """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there."""
+def _has_slack(slope: ca.SX, domain: ConvexSet, sign: float, centre: float, end: float, radius: float) -> bool:
+    """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there.
+
+    A slope that comes up to the radius without a jump is nearer to it at the nearer one of two points.
+    """
     if not np.isfinite(end):
         return _far_slope(slope, domain, sign, centre) < radius - SLOPE_MARGIN * (1 + radius)
-    inside = end - sign * 1e-9 * (1 + abs(end))
-    if (inside - centre) * sign <= 0:
-        return True
-    value = float(ca.Function("slope", [domain.x], [slope])(inside)) * sign
-    return bool(value < radius - SLOPE_MARGIN * (1 + radius))
+    f = ca.Function("slope", [domain.x], [slope])
+    far, near = (radius - sign * float(f(end - sign * part * (1 + abs(end)))) for part in SLACK_DISTANCES)
+    return bool(near > max(SLOPE_MARGIN * (1 + radius), far / 2))
 
 
 def _far_slope(slope: ca.SX, domain: ConvexSet, sign: float, centre: float) -> float:

@@ -34,7 +34,8 @@ from nsmodel.proof.jumps import find_jump, jump_nodes
 from nsmodel.proof.storage_matrix import condition_number, matrix_witness, rational_cholesky, well_conditioned_block
 from nsmodel.proof.verdict import not_none
 
-MAX_VARYING_ENTRIES, MAX_HULL_STATES = 6, 12  # Up to so many different varying entries, and so many states.
+MAX_VARYING_ENTRIES = 6  # Up to so many different varying entries, whose 2^6 corners are proved one by one,
+MAX_HULL_STATES = 12  # and so many states, the size of each proof.
 
 
 class JacobianHull(NamedTuple):

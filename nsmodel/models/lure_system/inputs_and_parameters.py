@@ -73,9 +73,9 @@ HYPOTHESIS_FIELDS = {
     "5.4b": ("D", *LAW_FIELDS), "5.4c": ("D", *LAW_FIELDS), "5.x0": ("C", "D", "e", "x0", *LAW_FIELDS),
     "7.1": ("D", "e", "f", *LAW_FIELDS),
 }  # fmt: skip
-MAX_CORNER_COLUMNS = 64  # Columns of B at all corners together, for which one P is looked for.
-MAX_MINOR_SIZE = 6  # Rows of a leading minor that is written out.
-OMEGA_TRIES = 12  # Values of omega above the one in doubles, by 4^k 1e-15 of it, that are tried exactly.
+MAX_CORNER_COLUMNS = 64  # Columns of B at all corners together, for which one P is looked for; of more it is left open.
+MAX_MINOR_SIZE = 6  # Rows of a leading minor that is written out for its roots: one of n rows has up to n! terms.
+OMEGA_TRIES = 12  # Values of omega above the one in doubles, by 4^k 1e-15 of it, that are tried exactly: up to 4e-9 of it.
 
 
 class EnergyMatrix(NamedTuple):
@@ -356,7 +356,8 @@ def _has_moving_half_line(model: LureSystem, motion: InputBounds) -> bool:
     return any(not model.D[:, i].is_zero() for i in rows)
 
 
-STAY_ROUNDING = 1e-9  # Relative: what norms with a P in doubles may be rounded by.
+# Relative: far more than a norm loses by a P in doubles that is not nearly singular; for others see `unit_ball_box`.
+STAY_ROUNDING = 1e-9
 
 
 def stay_times(
@@ -395,7 +396,7 @@ def _stay_in_norm(
     if rate is None or P_OMEGA not in rate.witness or not {D_PSD_HYPOTHESIS.id, STORAGE_HYPOTHESIS.id} <= set(number):
         return []
     P = np.array(rate.witness[P_OMEGA], float)
-    reach = np.sqrt(np.diag(np.linalg.inv(P))) * (1 + STAY_ROUNDING)  # of x_i where |x|_P <= 1
+    reach, room = unit_ball_box(P)
     x, p, zero = model.x, model.p, np.zeros(len(model.names))
     y = ca.densify(model.C @ x + model.e)
     made = []
@@ -411,12 +412,24 @@ def _stay_in_norm(
             np.concatenate([z[1], [region.t1], region.parameter_bounds()[1]]),
         )
         top = extremum.supremum(ca.bilin(ca.SX(ca.DM(P)), f, f), moved, *ends, quick=True).bound
-        drive = float(np.sqrt(max(top, 0.0))) * (1 + STAY_ROUNDING)
+        drive = float(np.sqrt(max(top, 0.0))) * room
         far = np.maximum(np.abs(start[0]), np.abs(start[1])) if what == "0" else zero
-        distance = float(np.sqrt(far @ np.abs(P) @ far)) * (1 + STAY_ROUNDING)
+        distance = float(np.sqrt(far @ np.abs(P) @ far)) * room
         radius = float(np.min(np.minimum(z[0] - region.lower, region.upper - z[1]) / reach, initial=np.inf))
         until = stay_in_ball(distance, rate.value["omega"], drive, radius)
         made.append(
             StayTime(until, f"as |x - {what}|_P' <= {rate.value['omega']:.5g} |x - {what}|_P + {drive:.5g}, P the P_omega of 5.2")
         )
     return made
+
+
+def unit_ball_box(P: np.ndarray) -> tuple[np.ndarray, float]:
+    """Bounds (n,) of |x_i| where |x|_P <= 1, and a factor > 1 that such norms may err by: entries of P are rounded.
+
+    Scaled to a unit diagonal, P + E with |E_ij| <= EPS has a relative error of the norm of n EPS / least eigenvalue at most.
+    """
+    unit, n = 1 / np.sqrt(np.diagonal(P)), len(P)
+    scaled = P * np.outer(unit, unit)
+    least = float(np.linalg.eigvalsh(scaled)[0])
+    room = 1 + STAY_ROUNDING + (16 * n**2 * exact.MACHINE_EPSILON / least if least > 0 else np.inf)
+    return unit * np.sqrt(np.abs(np.diagonal(np.linalg.inv(scaled)))) * room, room

@@ -19,7 +19,7 @@ from nsmodel.proof.expression_graph import fold_graph
 from nsmodel.proof.interval_arithmetic import IntervalPair, excludes
 from nsmodel.proof.interval_functions import OPERATIONS
 
-FORCE_TIMES = 1001  # Times at which f is looked at.
+FORCE_TIMES = 1001  # Times at which f is looked at: the report says how many; 0 at all of them proves nothing.
 
 
 def rest_point_finding(hypothesis: Hypothesis, model: LureSystem, potential: ConvexPotential | None, origin: Finding) -> Finding:

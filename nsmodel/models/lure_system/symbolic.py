@@ -18,7 +18,7 @@ from nsmodel.proof.verdict import connected_components
 if TYPE_CHECKING:
     import sympy as sp
 
-MAX_SYMBOLIC_MINOR = 6  # Blocks of more rows are not written out as minors.
+MAX_SYMBOLIC_MINOR = 6  # Blocks of more rows are not written out as minors: 2^6 of them, and one of n rows has up to n! terms.
 
 
 class _ParameterConditions(NamedTuple):

@@ -25,10 +25,13 @@ from nsmodel.models.many_bodies.model import ManyBodies
 from nsmodel.models.many_bodies.schemes import BodiesProblem, ContactRows
 from nsmodel.solvers.contacts import Contacts
 
-MOVEMENT_ROUNDING = 64 * EPS  # Beside the largest position: what moves less moves by rounding.
-STANDSTILL_STEPS = 20  # Steps after which bodies that have moved by no more than that are said to stand still.
-MIN_REACTION_SHARE = 1e-8  # A reaction below this part of the largest one holds nobody.
-MIN_PIVOT_SHARE = 1e-10  # A pivot below this part of the largest one is 0.
+# Beside the largest position: what moves less moves by rounding, as a step adds some dozen numbers of that size.
+MOVEMENT_ROUNDING = 64 * EPS
+# Steps after which bodies that have moved by no more than that are said to stand still: over some they may stand by chance.
+STANDSTILL_STEPS = 20
+MIN_REACTION_SHARE = 1e-8  # A reaction below this part of the largest one holds nobody: it may be the error of the solver.
+# A pivot below this part of the largest one is 0: contacts whose matrix is so near to singular do not hold the bodies.
+MIN_PIVOT_SHARE = 1e-10
 
 
 ItemKey = tuple[int, int]  # A family and a member.

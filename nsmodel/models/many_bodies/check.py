@@ -55,7 +55,9 @@ from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
-MAX_BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
+# Bodies times steps of a run that a check makes, which takes as long as the run;
+# up to the second, also of the runs with the steps 2h and 4h.
+MAX_BODY_STEPS = 100_000, 20_000
 
 
 def most_steps(model: ManyBodies) -> int:
@@ -78,9 +80,11 @@ def effort_notes(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
     return found
 
 
-POSITION_ROUNDING = 1e-10  # A deficit below this part of the positions counts as rounding.
-MAX_CHECKED_ROWS = 100  # Rows of a run that are looked at, at most.
-MAX_MOTION_ROWS = 4_000_000  # Bodies times rows where each step's length is looked at.
+# A deficit below this part of the positions counts as rounding: rows are stored, and gaps are formed of them anew.
+POSITION_ROUNDING = 1e-10
+# Rows of a run that are looked at, at most, and fewer of many bodies: all pairs that are near are formed at each.
+MAX_CHECKED_ROWS = 100
+MAX_MOTION_ROWS = 4_000_000  # Numbers, 32 MB, of the first rows, of which each step's length is looked at.
 RUN_MOTION = Hypothesis(
     "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",
     "projection on a convex set that holds q_k",
@@ -199,7 +203,8 @@ def _longest_moves_norm(problem: BodiesProblem, run: Trajectory, k: int) -> floa
     return float(np.linalg.norm(longest))
 
 
-MAX_EXACT_SIGNS = 400  # Signs that interval arithmetic leaves open and that are decided in rational numbers, at most.
+# Signs that interval arithmetic leaves open and that are decided in rational numbers, at most; with more the start stays open.
+MAX_EXACT_SIGNS = 400
 
 
 def start_states(model: ManyBodies) -> np.ndarray:
@@ -246,7 +251,8 @@ def _exact_start_sign(problem: BodiesProblem, rows: ContactRows, k: int, q: np.n
 
 
 HYPOTHESES = sweeping.HYPOTHESES
-MAX_ONE_BY_ONE = 60, 200  # Up to so many constraints (quick, else) A5 is decided on the model written out, with more proofs.
+# Up to so many constraints (quick, else) A5 is decided on the model written out, with more proofs, which look at pairs of them.
+MAX_ONE_BY_ONE = 60, 200
 
 
 def check(model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: bool) -> tuple[list[Finding], list[Consequence]]:

@@ -26,7 +26,13 @@ from nsmodel.models.many_bodies.schemes import BodiesProblem, ContactRows, uses_
 from nsmodel.models.sweeping_process.admissible_points import FEASIBILITY_TOLERANCE
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX
 from nsmodel.models.sweeping_process.mfcq_constant import mfcq_constant
-from nsmodel.models.sweeping_process.qualification import ACTIVE_TOLERANCE, RHO_FRACTION, RHO_TRIES, QualificationResult
+from nsmodel.models.sweeping_process.qualification import (
+    ACTIVE_TOLERANCE,
+    OPPOSING_GAMMA,
+    RHO_FRACTION,
+    RHO_TRIES,
+    QualificationResult,
+)
 from nsmodel.models.sweeping_process.qualification_bounds import GammaProof, discs_proof, has_aligned_pairs
 from nsmodel.proof import interval_bounds
 from nsmodel.proof.verdict import not_none
@@ -34,9 +40,12 @@ from nsmodel.proof.verdict import not_none
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-CONSTRAINT_ROUNDING = 1e-10  # A deficit below this part of the terms of a constraint counts as rounding.
-BOUNDS_PER_CALL = 1 << 18  # Constraints that are bounded in one go.
-GAP_MARGIN_ROUNDING = 1e-9  # Constraints above a margin by this part of the positions are looked at too: their value is rounded.
+# A deficit below this part of the terms of a constraint counts as rounding:
+# far more than formulas lose, less than a step's tolerance.
+CONSTRAINT_ROUNDING = 1e-10
+BOUNDS_PER_CALL = 1 << 18  # Constraints that are bounded in one go: some arrays of 2 MB for each instruction.
+# Constraints above a margin by this part of the positions are looked at too: their value is rounded, by far less.
+GAP_MARGIN_ROUNDING = 1e-9
 
 
 def constraints_within(problem: BodiesProblem, t: float, q: np.ndarray, margin: float) -> ContactRows:
@@ -142,12 +151,15 @@ def _present_mask(q: np.ndarray) -> np.ndarray:
     return np.all(np.isfinite(q), axis=1)
 
 
-MAX_WOLFE_GROUP = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
-INTERIOR_ITERATIONS = 60  # Of the interior method, at most; then gamma has the bounds found so far.
-DUALITY_GAP = 1e-7  # Relative: between the two bounds of gamma, which ends it.
-MAX_GROUP_SIZE = 20_000, 2_000  # Constraints of a group beyond which its gamma takes too long (quick: the second).
-OPPOSING_BOUND = 1e7  # A lower bound above this ends the iteration: whether normals oppose each other is then seen on
-CORE_SIZE = 200  # so many constraints, those with the largest weights.
+# Groups of so many constraints are solved by Wolfe's method, exactly but for
+# rounding; of more its time grows faster than the interior method's.
+MAX_WOLFE_GROUP = 40
+# Of the interior method, at most, which closes the gap by a factor in each; then gamma has the bounds found so far.
+INTERIOR_ITERATIONS = 60
+DUALITY_GAP = 1e-7  # Relative: between the two bounds of gamma, which ends it: more digits than a report shows.
+# Constraints of a group beyond which its gamma takes too long (quick: the second), and is not looked at.
+MAX_GROUP_SIZE = 20_000, 2_000
+CORE_SIZE = 200  # Constraints of a group with such a bound, those with the largest weights, by which opposing normals are shown.
 
 
 class NetworkGamma(NamedTuple):
@@ -198,7 +210,7 @@ def network_constant(slopes: tuple[np.ndarray, np.ndarray], first: np.ndarray, s
             least = gamma
         else:
             least, gamma, own = interior_gamma_bounds(N)
-            if least > OPPOSING_BOUND:
+            if least > OPPOSING_GAMMA:
                 least, gamma, own = _opposing_bounds(N, least, own)
         if least > worst:
             worst, rows, weights = least, part, own
@@ -268,13 +280,13 @@ def interior_gamma_bounds(N: csr_matrix) -> tuple[float, float, np.ndarray]:
             low, best = attained, l / l.sum()
         least = float((N @ v).min())
         high = min(high, float(np.linalg.norm(v)) / least) if least > 0 else high
-        if high <= low * (1 + DUALITY_GAP) or low > OPPOSING_BOUND:
+        if high <= low * (1 + DUALITY_GAP) or low > OPPOSING_GAMMA:
             break
     return low, max(high, low), best
 
 
 def _opposing_bounds(N: csr_matrix, least: float, weights: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """Bounds of gamma and weights where the iteration ended above ``LOST``: is 0 in the hull of the normals that weigh most."""
+    """Bounds of gamma and weights where it is above OPPOSING_GAMMA: is 0 in the hull of the normals that weigh most."""
     core = np.argsort(-weights, kind="stable")[:CORE_SIZE]
     normals: Any = N[core]
     gamma, own = mfcq_constant(normals.toarray())
@@ -291,9 +303,11 @@ def _max_positive_step(x: np.ndarray, dx: np.ndarray) -> float:
     return min(1.0, float(np.min(-x[falls] / dx[falls]))) if falls.any() else 1.0
 
 
-MAX_RUN_ROWS = 32  # Rows of the runs that are looked at, at most;
-MAX_BODY_ROWS = 20_000, 2_000  # and so many bodies in them (quick: the second).
-MAX_NAMED_CONSTRAINTS = 12  # Constraints that a finding names.
+# Rows of the runs that are looked at, at most, evenly spread: gamma is sampled, and more rows may show a larger one;
+MAX_RUN_ROWS = 32
+# and so many bodies in them (quick: the second), as the pairs near each body are formed in each row.
+MAX_BODY_ROWS = 20_000, 2_000
+MAX_NAMED_CONSTRAINTS = 12  # Constraints that a finding names: as many as a report shows entries of a witness.
 TimedBodies = tuple[float, np.ndarray]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nsmodel.models.many_bodies.schemes import BodiesProblem, ContactRows, uses_neighbour_search
 
-FARTHER = 1e-12  # Part of its reach by which a search looks farther: rounding hides no pair.
+FARTHER = 1e-12  # Part of its reach by which a search looks farther: 4500 EPS, so that rounding of distances hides no pair.
 
 MemberPairs = tuple[np.ndarray, np.ndarray]
 

@@ -23,7 +23,8 @@ from nsmodel.models.sweeping_process import documents as sweeping
 from nsmodel.models.sweeping_process.documents import ConstraintRow
 from nsmodel.models.sweeping_process.model import SweepingProcess
 
-MAX_WRITTEN_CONSTRAINTS = 400  # Families of more are not written out.
+# Constraints of families that are written down one by one in certificates; of more these say not checkable.
+MAX_WRITTEN_CONSTRAINTS = 400
 STATED = sweeping.STATED
 
 

@@ -22,7 +22,7 @@ from nsmodel.models.many_bodies.families import Bodies, Family, GroupMember, che
 from nsmodel.models.sweeping_process.model import SweepingProcess
 
 NO_SYMBOLS = ca.SX(0, 1)
-MAX_WRITTEN_OUT = 20_000  # Constraints that `written_out` puts into one model.
+MAX_WRITTEN_OUT = 20_000  # Constraints that `written_out` puts into one model, each an expression of its own; more are refused.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -93,8 +93,10 @@ class BodiesRecord:
         return arrays | {"contact_row": row} | {f"contact_{k}": v for k, v in zip(Contacts._fields, parts, strict=True)}
 
 
-PLANNED_CONTACTS_PER_BODY = 3  # Contacts of a body for which memory is planned.
-OVERRUN_FACTOR = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
+# Contacts of a body for which memory is planned: discs that are packed in the plane have 6, each of two.
+PLANNED_CONTACTS_PER_BODY = 3
+# A gap below 0 by more than so many times the rounding of the positions is told, some 1e-11 of them: less is the solver's error.
+OVERRUN_FACTOR = 1e5
 
 
 class ManyBodiesPropagator(GridProgress):

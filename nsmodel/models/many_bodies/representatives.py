@@ -23,10 +23,13 @@ from nsmodel.proof.expression_graph import apply_operation, fold_graph, operatio
 from nsmodel.proof.interval_bounds import enclose
 from nsmodel.proof.jumps import jump_nodes
 
-MAX_LISTED_MEMBERS = 1 << 17  # Members whose numbers are looked at one by one; of more, the ranges of their numbers.
-MAX_TIED_MEMBERS = 16  # Members of one kind between which rounding does not decide, at most.
-OFFSET_ROUNDING = 1e-13  # Values of o that differ by less than this part of them are not told apart.
-MAX_COMBINATIONS, MAX_COMBINATIONS_QUICK = 400, 100  # Combinations of the numbers c that are looked at.
+# Members whose numbers are looked at one by one, 2^17; of more, the ranges of their numbers, which prove less.
+MAX_LISTED_MEMBERS = 1 << 17
+MAX_TIED_MEMBERS = 16  # Members of one kind between which rounding does not decide, at most: each is proved by itself.
+# Values of o that differ by less than this part of them are not told apart: 450 EPS, more than a formula loses.
+OFFSET_ROUNDING = 1e-13
+MAX_COMBINATIONS = 400  # Combinations of the numbers c that are looked at, a proof each; of more the finding is sampled.
+MAX_COMBINATIONS_QUICK = 100  # The same of a quick check.
 
 MemberNumbers = tuple[np.ndarray, float, tuple[int, int]]  # The numbers of both, what is added to g, their indices.
 

@@ -22,8 +22,9 @@ from nsmodel.proof.verdict import attach_buffers, not_none
 from nsmodel.solvers.initial_checks import InitialChecks
 from nsmodel.solvers.one_step_problem import Scheme
 
-BATCH_SIZE = 4096  # Members evaluated in one call.
-LARGEST_TABLE = 20_000_000  # Rows that a step evaluates at most.
+BATCH_SIZE = 4096  # Members evaluated in one call: fewer at a time take more calls, more at a time more memory.
+# Rows that a step evaluates at most, 160 MB for each number; larger families are refused, with what to do.
+LARGEST_TABLE = 20_000_000
 BODIES_SCHEME = "prediction-correction of many bodies (10)"
 STEP_OPERATIONS = frozenset({  # Operations with derivative 0 somewhere though their value changes there.
     ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,

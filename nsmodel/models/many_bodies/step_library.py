@@ -46,9 +46,9 @@ BODIES_CONSTANTS: Sequence[tuple[str, str]] = (
     ("codegen.structs", "READY"),
 )
 BODIES_FRAGMENTS = ("block_ldl.c", "group.c", "bodies.c")
-MAX_BODIES = 20_000  # Bodies whose numbers are written into a library.
-CONTACTS_PER_BODY = 6  # Room for contacts of each body in a library,
-MEMORY_PER_BODY = 16_384  # and bytes to work in, and
+MAX_BODIES = 20_000  # Bodies whose numbers are written into a library: lists in its source; more are refused.
+CONTACTS_PER_BODY = 6  # Room for contacts of each body in a library, twice as many as discs packed in the plane have,
+MEMORY_PER_BODY = 16_384  # and bytes to work in, 16 KB, and
 BASE_MEMORY = 65_536  # for all of them.
 HEADERS = "".join(f"#include <{name}.h>\n" for name in ("float", "math", "stddef", "stdlib", "string"))
 

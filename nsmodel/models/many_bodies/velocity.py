@@ -30,13 +30,15 @@ from nsmodel.models.sweeping_process.velocity_field import (
 )
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.domain import check_defined_in_time
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.jumps import jump_lower_bound, jump_nodes, jump_sizes
 
-MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first.
-MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
-MAX_REST_CHECKS = 64  # Times, or bodies taken away, for which all others are looked at.
-QUOTIENT_SHIFTS = 1e-1, 1e-4, 1e-7  # Parts of the box by which a body is moved for a difference quotient.
+MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first; where none of them is, the finding is sampled.
+MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps, evenly chosen.
+MAX_REST_CHECKS = 64  # Times, or bodies taken away, for which all others are looked at: each looks at all pairs that are near.
+# Parts of the box by which a body is moved for a difference quotient: a jump shows at the least, slopes at the largest.
+QUOTIENT_SHIFTS = 1e-1, 1e-4, 1e-7
 TimedPositions = tuple[float, np.ndarray]
 _BodyJump = tuple[float, dict[str, Any]]
 
@@ -142,11 +144,11 @@ def _bodies_growth_bound(model: ManyBodies, block: FieldBlock, K: float, where: 
     lower, upper = block.box(False)
     if where == EVERYWHERE:
         at_zero = ca.substitute(ca.sumsqr(block.f), block.q, ca.DM.zeros(block.q.numel()))
-        return max(K, float(np.sqrt(n * max(extremum.supremum(at_zero, block.z, lower, upper).bound, 0.0))))
+        return max(K, float(np.sqrt(n * max(extremum.supremum(at_zero, block.z, lower, upper).bound, 0.0))) * ROUND_UP_FACTOR)
     top = extremum.supremum(ca.sumsqr(block.f), block.z, lower, upper, quick=True)
     total = n * (top.bound if np.isfinite(top.bound) else max(top.value, 0.0))
     nearest = np.clip(0.0, block.lower[1:], block.upper[1:])
-    return float(np.sqrt(total) / (1 + np.sqrt(n) * np.linalg.norm(nearest)))
+    return float(np.sqrt(total) / (1 + np.sqrt(n) * np.linalg.norm(nearest))) * ROUND_UP_FACTOR
 
 
 def _bodies_time_rate_bound(
@@ -166,7 +168,7 @@ def _bodies_time_rate_bound(
     lower, upper = (np.concatenate(ends) for ends in zip((lower, upper), motion.rates, strict=True))
     top = extremum.supremum(ca.norm_2(change), ca.vertcat(z, motion.v), lower, upper, quick=quick)
     if np.isfinite(top.bound):
-        return {"L_t": float(np.sqrt(model.bodies.count) * top.bound)}, ""
+        return {"L_t": float(np.sqrt(model.bodies.count) * top.bound) * ROUND_UP_FACTOR}, ""
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"
 
 

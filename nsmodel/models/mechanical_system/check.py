@@ -33,7 +33,8 @@ UNDECIDED = (
     Hypothesis("C-F", "F is Lipschitz in (q, v) and grows at most linearly", "Monteiro Marques 1993"),
 )
 HYPOTHESES = (C_M, C_LIN, C_START, C_E, C_THETA, *UNDECIDED)
-GAP_ROUNDING = 1e-12  # Part of the size of positions and gaps that a gap may be below 0 by rounding.
+# Part of the size of positions and gaps that a gap may be below 0 by rounding: 4500 EPS, more than a formula loses.
+GAP_ROUNDING = 1e-12
 NOT_YET = "not decided yet: nothing here looks at it"
 
 

@@ -30,8 +30,10 @@ from nsmodel.models.mechanical_system.several_answers import uniqueness_doubt
 from nsmodel.solvers.initial_checks import InitialChecks, parameter_values_text
 from nsmodel.solvers.one_step_problem import OneStepProblem, Scheme, SchemeOrder, rewrite_as_basic_law, with_carried_inputs
 
-OPEN = 1e30  # What is added to the normal velocity of a contact that does not act.
-TOL_G = 1e-10  # Part of the largest gap so far up to which a contact counts as closed, where tol_g is left out.
+OPEN = 1e30  # What is added to the normal velocity of a contact that does not act: beyond any speed, and far from overflow.
+# Part of the largest gap so far up to which a contact counts as closed, where
+# tol_g is left out: far more than rounding leaves of a gap that is 0.
+TOL_G = 1e-10
 
 
 class Place(NamedTuple):
@@ -275,7 +277,8 @@ def energy_function(model: MechanicalSystem) -> ca.Function:
     return ca.Function("energy", [model.t, model.x], [ca.dot(model.v, model.M @ model.v) / 2 + model.potential])
 
 
-GAP_SLACK, JOINT_SLACK = 1e-5, 1e-8  # Parts of the size of positions by which a start may overlap, and a joint be open.
+GAP_SLACK = 1e-5  # Parts of the size of positions by which a start may overlap, as its numbers are written with some five digits,
+JOINT_SLACK = 1e-8  # and by which a joint may be open: a joint that is open stays so.
 
 
 class StartCondition(NamedTuple):

@@ -15,8 +15,8 @@ import numpy as np
 
 from nsmodel.models.mechanical_system.model import MechanicalSystem
 
-MAX_CONTACTS = 6  # With friction on lines, whose modes are looked at one by one.
-RANK_SHARE = 1e-10  # Singular values below this part of the largest are 0.
+MAX_CONTACTS = 6  # With friction on lines, whose modes are looked at one by one, four each: 4^6 are 4096.
+RANK_SHARE = 1e-10  # Singular values below this part of the largest are 0: far more than rounding leaves of them.
 
 
 def uniqueness_doubt(model: MechanicalSystem) -> str:

@@ -180,7 +180,8 @@ def _predictor_feasibility(runs: Sequence[Trajectory]) -> Consequence:
 
 CATCHING_UP_PAPER = "catching-up 2026"
 CLOSED_GRAPH = "the steps' velocities are bounded, and the graph of T is closed (Brezis 1973, Chapter II)"
-TOLERANCE_HALVINGS = 6  # Values of mu, each half of the last, at which eps(mu) is looked at.
+# Values of mu, each half of the last, at which eps(mu) is looked at: a power of mu shows after some; it is measured, not proved.
+TOLERANCE_HALVINGS = 6
 
 
 def scheme_convergence(

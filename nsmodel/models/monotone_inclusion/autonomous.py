@@ -40,6 +40,7 @@ from nsmodel.models.monotone_inclusion.tangent import dissipativity
 from nsmodel.proof import exact, extremum, interval_bounds, polynomial
 from nsmodel.proof.convex import potentials
 from nsmodel.proof.convex.sets import ConvexSet, has_interior, is_convex_set
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import symbol_hashes
 from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.proof.jumps import find_jump
@@ -53,7 +54,7 @@ M_A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{CATCHING_UP_
 M_A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{CATCHING_UP_PAPER}, (A3)")
 M_24 = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{CATCHING_UP_PAPER}, (24)")
 HYPOTHESES = (M_T, M_C, M_A1, M_A2, M_A3, M_24)
-MIN_EIGENVALUE_SAMPLES = 64  # Points of a sample, at least: fewer leave the question open.
+MIN_EIGENVALUE_SAMPLES = 64  # Points of a sample, at least: fewer, where few lie in C, say nothing and leave the question open.
 CONTRACTION_IDS = ("M-T", "M-C", "M-A1", "M-24")
 
 
@@ -280,12 +281,12 @@ def autonomous_consequences(
     out = [make_consequence("well posed", starts, findings, [*base, "M-24"], f"{CATCHING_UP_PAPER}, Theorem 5.6, Theorem 7.3")]
     alpha, beta = numbers["M-A3"].get("alpha", np.nan), numbers["M-A3"].get("beta", np.nan)
     if np.isfinite(alpha + beta):
-        radius = float(np.sqrt(max(x0 @ x0, beta / alpha)))
+        radius, absorbing = (float(np.sqrt(square)) * ROUND_UP_FACTOR for square in (max(x0 @ x0, beta / alpha), beta / alpha))
         every = "" if _is_local(findings, ["M-C", "M-A3"]) else (
-            f" for all t, and the part of C in any ball about 0 of radius >= {np.sqrt(beta / alpha):.6g} is invariant"
+            f" for all t, and the part of C in any ball about 0 of radius >= {absorbing:.6g} is invariant"
         )  # fmt: skip
         statement = f"|x(t)|^2 <= e^(-2 alpha t) |x_0|^2 + (beta/alpha)(1 - e^(-2 alpha t)): |x| <= {radius:.6g}{every}"
-        values = {"alpha": alpha, "beta": beta, "radius": radius, "absorbing radius": float(np.sqrt(beta / alpha))}
+        values = {"alpha": alpha, "beta": beta, "radius": radius, "absorbing radius": absorbing}
         out.append(
             make_consequence("bounded", statement, findings, ["M-C", "M-A3"], f"{CATCHING_UP_PAPER}, Proposition 4.1", values)
         )

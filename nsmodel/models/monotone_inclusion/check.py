@@ -69,12 +69,15 @@ from nsmodel.simulation.trajectory import Trajectory
 SET_MOTION = Hypothesis("M-H", "t -> C(t) is Lipschitz continuous in the Hausdorff distance", "Moreau 1977")
 EXISTENCE_SOURCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at each t (uniqueness)"
 KAPPA = "kappa"
-SPEED_QUADRUPLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
-SHELL_PART = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
-TIME_PARTS, MAX_BOX_PARTS = 64, 256  # Parts of the time that a bound is sought on, and of the time and all else together.
-EMPTY_SET_SAMPLES = 9  # Times, with values of all else, at which C is looked at.
+# Orders of 4 in which a speed is looked for above the least that it may be; beyond 4^5 of it the bound is left open.
+SPEED_QUADRUPLINGS = 6
+# Part of the least c in the box down to which a point is beside the edge of C: far inside the edge's speed says nothing.
+SHELL_PART = 0.02
+TIME_PARTS = 64  # Parts of the time that a bound is sought on, where one on all of it fails,
+MAX_BOX_PARTS = 256  # and of the time and all else together, each with searches; more are left open.
+EMPTY_SET_SAMPLES = 9  # Times, with values of all else, at which C is looked at: one at which it is proved empty is enough.
 MAY_BE_EMPTY = HypothesisPart(UNKNOWN, "C(t) is not shown to have a point at all times", {}, {})
-JUMP_SAMPLES = 256  # Where a point is looked for that a jump of an input puts outside of C.
+JUMP_SAMPLES = 256  # Where a point is looked for that a jump of an input puts outside of C: one that is proved is enough.
 
 
 class MovingSetRates(NamedTuple):
@@ -384,7 +387,7 @@ def uniform_consequences(model: MonotoneInclusion, region: Region, own: Sequence
 
 DRIVEN_FIELDS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
-START_TOLERANCE = 1e-10  # Of the start, by which it may be outside.
+START_TOLERANCE = 1e-10  # Of the start, by which it may be outside: runs ask for no more.
 ALL_DRIVEN_FIELDS = tuple(field for fields in DRIVEN_FIELDS.values() for field in fields)
 
 

@@ -14,8 +14,10 @@ import numpy as np
 from nsmodel.proof import conic, exact
 from nsmodel.proof.convex.sets import ConvexSet
 
-MAX_CONE_ROWS, MAX_CONE_STATES = 14, 12  # Of a cone that is decided; a larger one is left open.
-MULTIPLIER_CAP = 1e4  # Largest multiplier of scaled constraints in the semidefinite program.
+MAX_CONE_ROWS = 14  # Rows of a cone that is decided: the program has a multiplier for each pair of them,
+MAX_CONE_STATES = 12  # and states, the size of its matrix; larger cones are left open.
+# Largest multiplier of scaled constraints in the semidefinite program: without one they may run away where no margin needs them.
+MULTIPLIER_CAP = 1e4
 
 
 def copositivity_multipliers(P: np.ndarray, N: np.ndarray) -> tuple[float, np.ndarray] | None:
@@ -77,7 +79,8 @@ def _largest_copositive_margin(S: np.ndarray, basis: list[np.ndarray]) -> tuple[
     return float(x[0]) * size * (1 - 1e-6), x[1:] * size / np.array(scale)
 
 
-RANDOM_DIRECTIONS = 64  # Directions of recession that are tried, of whole numbers and of normal ones each.
+# Directions of recession that are tried, of whole numbers and of normal ones each: one that is proved is enough.
+RANDOM_DIRECTIONS = 64
 
 
 def is_recession_direction(C: ConvexSet, d: np.ndarray) -> bool:

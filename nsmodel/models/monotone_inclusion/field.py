@@ -195,9 +195,12 @@ def _align_multiplier(B: ca.SX, u: ca.SX, x: ca.SX, lower: float, upper: float, 
     return AlignedMultiplier(exact.doubles(matrix), c, float(beta), float(lower), float(upper), text)
 
 
-FACE_SAMPLES, MAX_FACE_STATES = 8, 4  # Points of each face of a box, and states of which faces are looked at.
-EDGE_STEP, EDGE_JUMPS = 2.0**-44, 8  # Of the way inwards from a boundary; jumps there that are tried.
-SEARCH_SIZE = 1e3  # Pairs of points are looked for up to this distance from 0 where C is not bounded.
+FACE_SAMPLES = 8  # Points of each face of a box, down to corners: each state makes them three times as many,
+MAX_FACE_STATES = 4  # so that faces of the first states alone are looked at.
+EDGE_STEP = 2.0**-44  # Of the way inwards from a boundary: 256 doubles, so that rounding leaves the point inside,
+EDGE_JUMPS = 8  # and the largest differences there, which are tried as jumps.
+# Pairs of points are looked for up to this distance from 0 where C is not bounded: one that is proved is enough.
+SEARCH_SIZE = 1e3
 
 
 class MonotoneSplit(NamedTuple):

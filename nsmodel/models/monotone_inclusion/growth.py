@@ -43,9 +43,10 @@ from nsmodel.proof.leading_terms import LeadingTerm
 from nsmodel.proof.sectors import sector
 from nsmodel.proof.verdict import HypothesisPart
 
-NEAR_TIME, FAR_TIME = 2.0**10, 2.0**20  # Where the growth along a curve is looked at first.
-MAX_CURVES = 8  # Curves on which a proof is tried.
-# Powers of t, and factors of them, by which curves bend that are tried.
+NEAR_TIME = 2.0**10  # Where the growth along a curve is looked at in doubles: a power of t larger by one grows a thousandfold,
+FAR_TIME = 2.0**20  # and its fifth power is still far from overflow; what grows is then proved.
+MAX_CURVES = 8  # Curves on which a proof is tried, those that grow most.
+# Powers of t, and factors of them, by which curves bend that are tried: into sets that narrow, and past terms with large factors.
 CURVE_BENDS = ((2, 1.0), (2, 1e4), (4, 1.0), (4, 1e4), (4, 1e12))
 
 
@@ -309,10 +310,9 @@ def _curve_name(path: PolynomialCurve) -> str:
 
 
 MAX_MULTIPLIER_CORNERS = 12  # Multipliers whose 2^12 corners are all looked at; else the sum of their sizes is the bound.
-SECTOR_START, TANGENT_SCALE = (
-    8,
-    64.0,
-)  # Slopes at infinity are those beyond 2^8; powers of |x| below 1 are bounded by tangents at 64.
+SECTOR_START = 8  # Slopes at infinity are those beyond 2^8, and what is nearer goes into the constant;
+# powers of |x| below 1 are bounded by their tangents at 64: any place gives a bound, the constant grows with it.
+TANGENT_SCALE = 64.0
 
 
 class AffineField(NamedTuple):
@@ -491,14 +491,17 @@ def rounded_norm(matrix: np.ndarray) -> float:
 
 
 def max_constant_part(field: SelectedField, b: np.ndarray, columns: np.ndarray) -> float:
-    """The largest |b + sum of multipliers|: over the corners of their boxes where these are few."""
+    """The largest |b + sum of multipliers|, rounded up: over the corners of their boxes where these are few."""
     terms = [(term.B, term.lower, term.upper) for term in field.aligned]
     terms += [(columns[:, [k]], jump.lower, jump.upper) for k, jump in enumerate(field.jumps)]
     if not terms:
-        return float(np.linalg.norm(b)) if b.size > 1 else abs(float(b[0]))
+        return rounded_norm(b[:, None])
     if len(terms) <= MAX_MULTIPLIER_CORNERS and all(B.shape[1] == 1 for B, _, _ in terms):
+        B = np.hstack([B for B, _, _ in terms])
         corners = np.array(list(product(*((low, high) for _, low, high in terms))))
-        return float(np.linalg.norm(b + corners @ np.hstack([B for B, _, _ in terms]).T, axis=1).max()) * ROUND_UP_FACTOR
+        size = float(np.linalg.norm(np.abs(b) + np.abs(B) @ np.abs(corners).max(axis=0)))  # of what may cancel
+        largest = float(np.linalg.norm(b + corners @ B.T, axis=1).max())
+        return largest * ROUND_UP_FACTOR + (2 + len(terms)) * exact.MACHINE_EPSILON * size
     sizes = [float(np.linalg.norm(B, 2)) * max(abs(low), abs(high)) for B, low, high in terms]
     return float(np.linalg.norm(b) + sum_in_order(sizes)) * ROUND_UP_FACTOR
 

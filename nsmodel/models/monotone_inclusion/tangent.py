@@ -36,8 +36,10 @@ from nsmodel.proof import exact, extremum, interval_bounds, polynomial, sum_of_s
 from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.verdict import HypothesisPart
 
-DECAY_RATES = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
-SLOPE_EXPONENTS = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
+# Rates k that are tried where terms beyond the quadratic ones fall faster than any: a larger k has a larger constant.
+DECAY_RATES = 1.0, 0.125
+# Slopes beyond 2^k are tried: with larger k they are nearer to those at infinity, and the constant grows.
+SLOPE_EXPONENTS = (4, 8, 14, 20)
 
 
 class DecayBound(NamedTuple):

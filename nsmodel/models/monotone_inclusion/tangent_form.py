@@ -346,7 +346,7 @@ def is_point_in_set(C: ConvexSet, point: np.ndarray) -> bool:
     return True
 
 
-ESCAPE_SIZES = (1e3, 1e6)  # Sizes at which an escape is looked for.
+ESCAPE_SIZES = (1e3, 1e6)  # Sizes at which an escape is looked for: far out beside numbers of a usual model; it proves nothing.
 
 
 def escape_direction(field: SelectedField, form: TangentForm | None) -> HypothesisPart | None:

@@ -20,11 +20,15 @@ from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import mlcp
 from nsmodel.solvers.residuals import NumericLaw
 
-MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found.
-MAX_NAMED_STATES, MAX_NAMED_TOGETHER = 12, 4  # States that a witness names one by one, and constraints that a sentence names.
-INNER_MARGINS = 1e-2, 1e-5, 1e-8  # How deep points of Q(0) are looked for, relative to the gradients and the box.
-INNER_STARTS = 16  # Places of the box from which they are looked for.
-FEASIBILITY_TOLERANCE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.
+MAX_LINEARISATIONS = 12  # Linearisations before a projection counts as not found: they converge as Newton's method does.
+MAX_NAMED_STATES = 12  # States that a witness names one by one, as many as a report shows entries of one,
+MAX_NAMED_TOGETHER = 4  # and constraints that a sentence names.
+# How deep points of Q(0) are looked for, relative to the gradients and
+# the box: a deeper one is easier to prove, thin sets have none.
+INNER_MARGINS = 1e-2, 1e-5, 1e-8
+INNER_STARTS = 16  # Places of the box from which they are looked for: one that is proved is enough.
+# A constraint may be this much below 0, relative to its gradient and the box: far more than formulas lose.
+FEASIBILITY_TOLERANCE = 1e-10
 
 
 class PartialSweepingProcess(NamedTuple):

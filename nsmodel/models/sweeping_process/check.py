@@ -291,8 +291,9 @@ HYPOTHESES = (*CONSTRAINT_HYPOTHESES, A5, A5_ACTIVE, S_F, S_START)
 _HYPOTHESES_BY_ID = {hypothesis.id: hypothesis for hypothesis in HYPOTHESES}
 
 MINIMISED_VALUES = ("a", "c", "least")  # Of these numbers the least over the constraints counts, of the others the largest.
-MANY_STATES = 24  # With more states fewer points are looked at.
-MANY_UNKNOWN_SHAPES = 40  # From so many constraints without a known shape on, bounds over the box are not refined.
+MANY_STATES = 24  # With more states fewer points are looked at: each is a projection on all constraints.
+# From so many constraints without a known shape on, bounds over the box are not refined: each takes a search.
+MANY_UNKNOWN_SHAPES = 40
 
 
 def check(
@@ -524,7 +525,8 @@ def _start_bounds(model: SweepingProcess, rows: list[int], q0: np.ndarray) -> tu
     return low, high
 
 
-MAX_GAMMA_ROWS = 2000  # of a run, where gamma is evaluated
+# Rows of a run, evenly spread, where gamma is evaluated, by Wolfe's method; of more rows the finding is sampled.
+MAX_GAMMA_ROWS = 2000
 
 
 def class_findings_along_run(

@@ -21,7 +21,7 @@ from nsmodel.proof.domain import is_defined_on_box
 from nsmodel.proof.jumps import jump_nodes, prove_jump
 from nsmodel.proof.krawczyk import enclose_zero
 
-SUP_ROUNDING_FACTOR = 1 + 1e-14  # More than what a root and a few products lose.
+SUP_ROUNDING_FACTOR = 1 + 1e-14  # 45 EPS: more than what a root and a few products lose.
 EVERYWHERE, ON_THE_BOX = "everywhere", "on the box"
 
 
@@ -178,8 +178,10 @@ def constraint_values(c: Constraint, points: np.ndarray) -> np.ndarray:
     return g if np.ndim(points) > 1 else g[0]
 
 
-MAX_SOS_DEGREE = 8  # Sums of squares are looked for in Hessians of polynomials up to this degree.
-FLAT_GRADIENT_RATIO = 1e-6  # Where a gradient is this much shorter than the longest one a point is looked for where it vanishes.
+# Sums of squares are looked for in Hessians of polynomials up to this degree: their Gram matrices grow with it.
+MAX_SOS_DEGREE = 8
+# Where a gradient is this much shorter than the longest one a point is looked for where it vanishes, which is proved or not.
+FLAT_GRADIENT_RATIO = 1e-6
 
 
 def decide_on_box(c: Constraint, missing: set[str], known: AnswersById, quick: bool) -> AnswersById:

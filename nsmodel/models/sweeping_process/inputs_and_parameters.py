@@ -265,7 +265,7 @@ def uniform_start_finding(model: SweepingProcess, region: Region) -> Finding | N
 
 
 DRIVEN_FIELDS = {"f": ("f",), "constraints": ("constraints",)}
-JUMP_SAMPLE_POINTS = 64  # Where a jump of a constraint is looked for.
+JUMP_SAMPLE_POINTS = 64  # Where a jump of a constraint is looked for: one that is proved is enough.
 
 
 def driven_findings(

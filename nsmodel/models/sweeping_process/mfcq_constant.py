@@ -18,7 +18,8 @@ from nsmodel.proof.exact import MACHINE_EPSILON, rational
 from nsmodel.proof.expression_graph import Program, program
 from nsmodel.proof.interval_bounds import bisect_boxes, mean_value_form
 
-HULL_TOLERANCE = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
+# A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding: 450 EPS, of a sum of such vectors.
+HULL_TOLERANCE = 1e-13
 
 
 def mfcq_constant(normals: np.ndarray) -> tuple[float, np.ndarray]:
@@ -175,15 +176,15 @@ def row_space(A: np.ndarray) -> np.ndarray:
     return vectors[values > 1e-6 * values.max(initial=0.0)].T
 
 
-CLOSE_RATIO = 1.05  # Cutting ends where the bound is this near to what is attained.
-MAX_SUB_BOXES, ENOUGH_SUB_BOXES = (
-    1_500,
-    700,
-)  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
-INSTRUCTION_BUDGET = 250  # With more instructions in the gradients fewer parts are looked at.
-SUB_BOXES_PER_ROUND = 512  # Parts that are cut at once, those with the largest bounds.
-MAX_HALVINGS, MAX_HALVINGS_ACTIVE = 12, 40  # Halvings of each coordinate after which a part without bound is not cut any further.
-HOPELESS_GAMMA = 1e3  # Where so large a constant is attained, a smaller rho is the better question.
+CLOSE_RATIO = 1.05  # Cutting ends where the bound is this near to what is attained: constants that follow change by as much.
+MAX_SUB_BOXES = 1_500  # Parts of the box looked at; then gamma has the bound found so far,
+ENOUGH_SUB_BOXES = 700  # and so many where the bound is within a factor of 2 of what is attained by then.
+INSTRUCTION_BUDGET = 250  # With more instructions in the gradients fewer parts are looked at, so that the time stays as it is.
+SUB_BOXES_PER_ROUND = 512  # Parts that are cut at once, those with the largest bounds: arrays pay, and few are cut in vain.
+MAX_HALVINGS = 12  # Halvings of each coordinate after which a part without bound is not cut any further,
+MAX_HALVINGS_ACTIVE = 40  # and for rho = 0, where a part that is too wide is near to active constraints alone when it is tiny.
+# Where so large a constant is attained, a smaller rho is the better question: what follows from it is useless.
+HOPELESS_GAMMA = 1e3
 
 
 class GammaBound(NamedTuple):

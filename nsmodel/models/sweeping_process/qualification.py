@@ -33,8 +33,8 @@ from nsmodel.proof.convex import rules
 from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.verdict import not_none, overlapping_groups, suppress_output
 
-TIME_SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own.
-MAX_AWAY_STATES = 60  # States up to which a point that all constraints forbid is looked for.
+TIME_SLICES = (1, 8)  # Parts of the interval of time, each with a point of its own: one point need not be forbidden at all times.
+MAX_AWAY_STATES = 60  # States up to which a point that all constraints forbid is looked for, by a search in all of them.
 
 
 class ForbiddenPointBound(NamedTuple):
@@ -137,15 +137,22 @@ def _forbidden_points(
     return [point for worst_value, point in found[:2] if worst_value < 0]
 
 
-RHO_FRACTION = 0.1  # Of the reach: the rho that is tried first.
-RHO_TRIES = 3  # Values of rho that are tried, each a quarter of the last; three times as many where rho = 0 is not violated.
-FINER_RHO_TRIES = (12, 16, 20)  # Powers of a quarter that are tried beyond, where rho = 0 is proved.
-MAX_BOX_STATES = 4  # States of a box that is cut into parts, and whose corners are looked for.
-MAX_SEARCH_STATES = 24  # Beyond, a local search takes too long.
-ACTIVE_TOLERANCE = 1e-9  # Constraints within this part of the box of 0 are active.
-CORNER_STARTS, CORNER_STEPS, MAX_CORNER_PAIRS = 24, 12, 40  # Points, steps and pairs in the search for corners.
-MAX_TOUCHING_BALLS = 100  # Balls of which each pair is looked at.
-OPPOSING_GAMMA = 1e7  # A local search that ends above this has found opposing normals, to rounding.
+# Of the reach: the rho that is tried first. Larger ones have larger gamma, smaller ones allow shorter steps alone.
+RHO_FRACTION = 0.1
+# Values of rho that are tried, each a quarter of the last, a decision each; three times as many where rho = 0 is not violated.
+RHO_TRIES = 3
+# Powers of a quarter that are tried beyond, where rho = 0 is proved: some rho > 0 has then a bound too.
+FINER_RHO_TRIES = (12, 16, 20)
+MAX_BOX_STATES = 4  # States of a box that is cut into parts, and whose corners are looked for: with more, parts are too many.
+MAX_SEARCH_STATES = 24  # Beyond, a local search by IPOPT takes too long; points that were found count as they are.
+ACTIVE_TOLERANCE = 1e-9  # Constraints within this part of the box of 0 are active: ten times what they may be below 0.
+CORNER_STARTS = 24  # Points from which corners are searched for, evenly chosen of those that are known,
+CORNER_STEPS = 12  # Newton's steps from each, which square the error,
+MAX_CORNER_PAIRS = 40  # and pairs of constraints whose corners are searched for.
+MAX_TOUCHING_BALLS = 100  # Balls of which each pair is looked at, in rational numbers: 4950 pairs.
+# A gamma above this is of normals that oppose each other, as far as a
+# search tells: 0 is then within 1e-7 of the hull of unit normals.
+OPPOSING_GAMMA = 1e7
 
 
 class QualificationResult(NamedTuple):

@@ -18,6 +18,7 @@ from nsmodel.models.sweeping_process.admissible_points import PartialSweepingPro
 from nsmodel.models.sweeping_process.constraint_bounds import EVERYWHERE, ON_THE_BOX, HypothesisAnswer
 from nsmodel.proof import extremum, interval_bounds
 from nsmodel.proof.domain import DefinednessResult, check_defined_in_time
+from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import (
     OpaqueExpression,
     apply_operation,
@@ -131,17 +132,15 @@ def _field_block(f: ca.SX, process: PartialSweepingProcess, rows: list[int], col
     return FieldBlock(formula, plain, process.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
 
 
-MAX_BASE_STATES, MAX_SWITCH_POINTS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
-MAX_QUOTIENT_POINTS = 32  # Points between all pairs of which difference quotients are formed.
-MAX_PROVED_JUMPS, MAX_DERIVATIVE_ENTRIES = (
-    16,
-    16,
-)  # Jumps that are to be proved, and entries of a derivative that are followed along a ray.
-RAY_LENGTH, SNAP_DISTANCE = (
-    1e-6,
-    1e-3,
-)  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
-PROBE_STEP = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
+MAX_BASE_STATES = 4  # Admissible states from which jumps are looked for, evenly chosen,
+MAX_SWITCH_POINTS = 256  # and switching points tried; one jump that is proved is enough.
+MAX_QUOTIENT_POINTS = 32  # Points between all pairs of which difference quotients are formed, 496.
+MAX_PROVED_JUMPS = 16  # Jumps that are to be proved, the nearest to admissible states first,
+# and entries of a derivative that are followed along a ray; where nothing is proved the finding stays open.
+MAX_DERIVATIVE_ENTRIES = 16
+RAY_LENGTH = 1e-6  # How long a ray is: a derivative that grows without bound at its start is large on all of it,
+SNAP_DISTANCE = 1e-3  # and how far a point is moved to a number of the formula, beside the box: where derivatives are infinite.
+PROBE_STEP = 1e-3  # The part of the box that a point is moved by to see how large f is around it, and so what rounding is there.
 LipschitzBound = tuple[str, float, str, int]  # (verdict, K, where, points)
 
 
@@ -310,7 +309,7 @@ def _is_box_admissible(process: PartialSweepingProcess, *corners: np.ndarray) ->
     return not process.rows or bool((interval_bounds.enclose(process.g, process.z, low, high)[0] >= 0).all())
 
 
-MAX_CONTINUATION_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
+MAX_CONTINUATION_STATES = 6  # With more, where Q(t) keeps away from is not looked for: the box of all of them is cut.
 
 
 def decide_velocity(
@@ -449,7 +448,7 @@ def _growth_bound(
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere; on the box sup |f| / (1 + |q|), bounded block by block."""
     if where == EVERYWHERE:
         at_zero = ca.sumsqr(ca.substitute(f, process.q, ca.DM.zeros(process.q.numel())))
-        return max(K, float(np.sqrt(max(_time_supremum(at_zero, process).bound, 0.0))))
+        return max(K, float(np.sqrt(max(_time_supremum(at_zero, process).bound, 0.0))) * ROUND_UP_FACTOR)
     total = 0.0
     for block in blocks:
         top = extremum.supremum(ca.sumsqr(block.f), block.z, *block.box(False), quick=True)
@@ -458,7 +457,7 @@ def _growth_bound(
     if rest:
         total += max(_time_supremum(ca.sumsqr(f[rest]), process).bound, 0.0)
     nearest = np.clip(0.0, process.lower[1:], process.upper[1:])
-    return float(np.sqrt(total) / (1 + np.linalg.norm(nearest)))
+    return float(np.sqrt(total) / (1 + np.linalg.norm(nearest))) * ROUND_UP_FACTOR
 
 
 def _time_supremum(expr: ca.SX, process: PartialSweepingProcess) -> extremum.Supremum:

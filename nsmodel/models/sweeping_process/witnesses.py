@@ -28,7 +28,8 @@ from nsmodel.proof.conic import ConicSystem, decide_feasibility
 from nsmodel.proof.interval_bounds import enclose
 from nsmodel.proof.krawczyk import enclose_zero
 
-ROUNDING_DEFICIT = 1e-12  # A deficit below this part of the terms of a constraint may be the rounding of the user's own numbers.
+# A deficit below this part of the terms of a constraint may be the rounding of the user's own numbers: 4500 EPS.
+ROUNDING_DEFICIT = 1e-12
 
 
 def start_sign(c: Constraint, q0: np.ndarray) -> int | None:
@@ -118,9 +119,11 @@ def _exact_offset(offset: Offset, t: float, c: Constraint) -> Fraction | None:
     return Fraction(low) if low == high else None
 
 
-MIN_WEIGHT = 1e-7  # Of weights whose sum is 1: a smaller one is 0.
-DENOMINATORS = (1, 10, 1000, 10**6)  # Denominators of rational points that are tried.
-INWARD_FRACTIONS = (1e-3, 1e-6, 1e-9)  # Parts of the box by which a point is moved off the constraints.
+MIN_WEIGHT = 1e-7  # Of weights whose sum is 1: a smaller one counts as 0, as it may be the error of a search.
+# Denominators of rational points that are tried: 1e6 has as many digits as numbers in a model.
+DENOMINATORS = (1, 10, 1000, 10**6)
+# Parts of the box by which a point is moved off the constraints: the first that is proved counts, the least is the sharpest.
+INWARD_FRACTIONS = (1e-3, 1e-6, 1e-9)
 
 
 class OpposingGradients(NamedTuple):

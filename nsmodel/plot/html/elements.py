@@ -172,7 +172,7 @@ SYMBOLS = {  # Commands that stand for themselves.
     **{name: _operator(name) for name in SIGNS},
     **{name: f'<mspace width="{width}"></mspace>' for name, width in SPACES.items()},
 }
-MAX_TEXT_LENGTH = 200  # Characters of one text of a page; longer ones are cut.
+MAX_TEXT_LENGTH = 200  # Characters of one text of a page; longer ones are cut: two lines of a page.
 GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"
 LEVELS = {
     "holds": GOOD, "done": GOOD, "right": GOOD, "finished": GOOD,

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
     from nsmodel.sweep.statistics import Share, Statistics
 
-MAX_ROW_TEXT = 320  # Characters of a row; longer ones are cut.
-MAX_FORMULA_LENGTH = 2500  # Characters of LaTeX in one formula.
+MAX_ROW_TEXT = 320  # Characters of a row; longer ones are cut: some three lines of a notebook.
+MAX_FORMULA_LENGTH = 2500  # Characters of LaTeX in one formula; of a longer one it is said that it cannot be read.
 
 
 def model_html(model: Model) -> str:
@@ -50,9 +50,9 @@ def model_html(model: Model) -> str:
     return elements.result_page(model.title or "untitled", type(model).__name__, *formulas, elements.facts_table(rows))
 
 
-REPORT_ROWS = 14  # More are folded.
+REPORT_ROWS = 14  # More are folded: the hypotheses of each class are fewer, but for those of runs.
 VERDICT_ORDER = {verdict: k for k, verdict in enumerate(("violated", "unknown", "sampled", "holds"))}
-MAX_UNFOLDED_TEXT = 90  # Characters of what stands unfolded.
+MAX_UNFOLDED_TEXT = 90  # Characters of what stands unfolded: a line of the last column.
 
 
 def report_html(report: Report) -> str:
@@ -112,8 +112,9 @@ def _foldable_text(text: str, source: str) -> elements.Html:
     return elements.folded_section(truncate_text(text, MAX_UNFOLDED_TEXT), elements.escape_text(text + source, 2000))
 
 
-RUN_DPI = 90  # Dots per inch of the small picture of a run.
-RUN_WARNINGS = 4  # More are folded.
+RUN_DPI = 90  # Dots per inch of the small picture of a run: its letters can just be read.
+RESULT_DPI = 75  # Of that of a study or a sweep, which is larger.
+RUN_WARNINGS = 4  # More are folded, so that the picture below stays in sight.
 
 
 def run_html(run: Trajectory) -> str:
@@ -143,7 +144,7 @@ def statistics_html(found: Statistics | Share) -> str:
     return elements.result_page(head, type(found).__name__.lower(), elements.verbatim_text(rest))
 
 
-STRESS_ROWS = 24  # More are folded.
+STRESS_ROWS = 24  # More are folded: about a screen.
 
 
 def stress_html(stress: Stress) -> str:
@@ -174,8 +175,7 @@ def _cell_row(cell: Cell) -> list[str]:
 
 
 STUDY_HEADER = ("method", "points done", "order", "largest errors", "seconds")
-STUDY_ROWS = 12  # More are folded.
-STUDY_DPI = 75  # Dots per inch of its picture.
+STUDY_ROWS = 12  # More are folded: schemes and ways of running them are seldom more.
 
 
 def sensitivity_html(found: Sensitivity) -> str:
@@ -210,7 +210,7 @@ def study_html(study: Study) -> str:
     parts = [elements.facts_table(rows), elements.first_rows_table(lines, STUDY_ROWS, "methods", STUDY_HEADER)]
     if alone:
         parts.append(elements.folded_section(f"{len(alone)} solvers alone", elements.html_table(STUDY_HEADER, alone)))
-    drawn = elements.picture(study.plot, STUDY_DPI, f"error against run time of {study.title}")
+    drawn = elements.picture(study.plot, RESULT_DPI, f"error against run time of {study.title}")
     return elements.result_page(study.title, f"study of a {study.model_class}", *parts, drawn)
 
 
@@ -235,9 +235,8 @@ def _range_text(values: list[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-UNFOLDED_FAILURES = 5  # More are folded, and of very many not all are there.
-MAX_FAILURES = 40  # Failures in the page; of more, how many there are.
-SWEEP_DPI = 75  # Dots per inch of its picture.
+UNFOLDED_FAILURES = 5  # More are folded, and of very many not all are there: the first ones show what is wrong.
+MAX_FAILURES = 40  # Failures in the page, which is kept small; of more, how many there are.
 
 
 def sweep_html(sweep: Sweep) -> str:
@@ -267,7 +266,7 @@ def sweep_html(sweep: Sweep) -> str:
             parts.append(elements.aside_paragraph(f"and {len(failures) - MAX_FAILURES} more: sweep.failures has them all"))
     known = (name for name in (*found["outputs"], *found["keep"]) if name in sweep.cells)
     if sweep.dims and (name := next(known, None)) is not None:  # The first output, or else the first that is kept.
-        parts.append(elements.picture(lambda: sweep.plot(name), SWEEP_DPI, f"{name} of {sweep.title}"))
+        parts.append(elements.picture(lambda: sweep.plot(name), RESULT_DPI, f"{name} of {sweep.title}"))
     return elements.result_page(sweep.title, f"sweep of a {found['model_class']}", *parts)
 
 

@@ -90,7 +90,8 @@ def _csp_hash(text: str) -> str:
 
 
 MAX_BYTES = 12_000_000  # Bytes for the columns of a run: as text, a third more, and with all else they stay below 20 MB.
-MAX_EXACT_BYTES = 2_000_000  # Bytes of columns that are kept in double precision.
+# Bytes of columns that are kept in double precision: others have floats, of half the size, as exact as a picture shows.
+MAX_EXACT_BYTES = 2_000_000
 COMPRESSION_LEVEL = 6  # Of zlib, from 0 to 9: its own default.
 
 

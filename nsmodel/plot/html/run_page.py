@@ -24,10 +24,11 @@ from nsmodel.simulation.run_data import input_names, model_type, multiplier_name
 if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
 
-MAX_PANEL_COLUMNS = 24  # Columns of a panel, bands of an index set.
-INITIAL_COLUMNS = 8  # Of them drawn when the page opens.
-SIZE_RATIO = 20  # A few columns without units whose sizes are so far apart have a panel of their own,
-FEW_COLUMNS = 6  # where there are so few,
+MAX_PANEL_COLUMNS = 24  # Columns of a panel, bands of an index set: as many as a legend has room for; of more some, and a note.
+INITIAL_COLUMNS = 8  # Of them drawn when the page opens: colours that can be told apart; others are switched on.
+# A few columns without units whose sizes are so far apart have a panel of their own, as the smaller would be a flat line,
+SIZE_RATIO = 20
+FEW_COLUMNS = 6  # where there are so few, so that each panel keeps some,
 ROUNDING_SHARE = 1e-9  # but for what is this part of the others: rounding.
 PANEL_ARRAYS = {
     "t",
@@ -236,9 +237,9 @@ def _off_scale_note(residual: np.ndarray) -> str:
     return "; ".join(parts + ([f"unknown: {unknown}, at the top"] if unknown else []))
 
 
-MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
-FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis,
-MAX_MOMENTS = 60  # at so many times at most.
+MAX_PLACES_BYTES = 4_000_000  # Bytes for the places; of a longer run some rows are drawn. A third of what the columns may take.
+FORBIDDEN_GRID = 100  # Points of the forbidden set along each axis: 10 KB a time, before they are deflated,
+MAX_MOMENTS = 60  # at so many times at most; between them the nearest is shown.
 
 
 def disc_scene_data(run: Trajectory) -> dict[str, Any] | None:
@@ -289,9 +290,10 @@ def forbidden_set_data(run: Trajectory, model: Any) -> dict[str, Any] | None:
     }
 
 
-CURVE_POINTS = 20_000  # Read off the polynomials of an event-driven run.
-MAX_EVENTS = 100_000  # The most that are marked,
-MAX_EVENT_TEXTS = 2_000  # and that say what changes.
+# Read off the polynomials of an event-driven run: ten for each pixel across, so that a part can be looked at closely.
+CURVE_POINTS = 20_000
+MAX_EVENTS = 100_000  # The most that are marked, of which the page holds the times, 800 KB,
+MAX_EVENT_TEXTS = 2_000  # and that say what changes, in words, some 50 bytes each.
 LAW_PANELS = ("Multipliers", "Reactions")  # Before these stands the index set.
 RUN_SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
 

@@ -20,7 +20,8 @@ from nsmodel.proof.exponential_sums import Enclosure
 from nsmodel.proof.expression_graph import additive_terms
 from nsmodel.proof.univariate import WeightedTerms
 
-MIDDLE_WIDTH = 1e-6  # Half the width of the interval around 0 on which the two halves of a line are seen to be joined smoothly.
+# Half the width of the interval around 0 on which slopes are proved continuous, where two halves join: any width proves it.
+MIDDLE_WIDTH = 1e-6
 
 
 class DirectionPart(NamedTuple):

@@ -197,7 +197,8 @@ def descent_direction(
     return found.x[:n]
 
 
-BOUNDARY_SAMPLES = 512  # Points of the box of a curved set from which the least value is looked for.
+# Points of the box of a curved set at which g is looked at, as IPOPT may fail there: one call of a vector function.
+BOUNDARY_SAMPLES = 512
 MINIMISER_OPTIONS = {
     "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "ipopt.print_level": 0, "ipopt.sb": "yes",
     "ipopt.max_iter": 200, "ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0,
@@ -267,7 +268,9 @@ def _ipopt_candidates(g: ca.SX, C: ConvexSet, start: np.ndarray) -> list[np.ndar
     return [point for point in found if np.isfinite(point).all()]
 
 
-UNBOUNDED_LEVEL = 1e12  # A least value below minus this, beside the value at the start, is no minimum.
+# A least value below minus this, beside the value at the start, is that
+# of a search that ran away: its point is the direction tried.
+UNBOUNDED_LEVEL = 1e12
 
 
 class LowerBoundResult(NamedTuple):

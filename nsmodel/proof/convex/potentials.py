@@ -18,9 +18,13 @@ from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.proof.expression_graph import additive_terms, is_same_expression, rewrite_nodes
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, HypothesisPart
 
-EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
-MAX_DIRECTIONS = 12  # Directions of a potential that are looked at together; of more, convexity is left open.
-WITNESS_DISTANCES = 1e-2, 1e-4, 1e-6  # How far from a kink a witness is taken, beside its place.
+# An eigenvalue of a matrix that is not above this part of the largest is
+# not told from 0: what formulas of some dozen operations lose.
+EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON
+# Directions of a potential that are looked at together: the box of all of them is cut. Of more, convexity is left open.
+MAX_DIRECTIONS = 12
+# How far from a kink a witness is taken, beside its place: the largest is the easiest to check, smaller ones fit between kinks.
+WITNESS_DISTANCES = 1e-2, 1e-4, 1e-6
 MIN_EIGENVALUE_KEY, EIGENVALUE_BOUND_KEY = "least eigenvalue of D2 g", "eigenvalues of D2 g are at least"
 
 

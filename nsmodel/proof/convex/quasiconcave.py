@@ -21,7 +21,8 @@ INCREASING = {
     ca.OP_EXP, ca.OP_EXPM1, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT, ca.OP_TANH, ca.OP_ATAN, ca.OP_ERF, ca.OP_SINH, ca.OP_ASINH,
 }  # fmt: skip
 EVEN = {ca.OP_SQ, ca.OP_FABS, ca.OP_COSH}
-MAX_NODES = 200  # Longer expressions are not looked through.
+# Longer expressions are left open: the rules are recursive and look at a part anew each time. 165 nodes take 0.02 s.
+MAX_NODES = 200
 PARTIAL = {ca.OP_LOG: 0.0, ca.OP_LOG1P: -1.0, ca.OP_SQRT: 0.0}  # Arguments below have no value.
 
 

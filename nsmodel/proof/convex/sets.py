@@ -21,7 +21,8 @@ from nsmodel.proof.expression_graph import operation_codes, stack_column
 from nsmodel.proof.parameter_hull import mixture_corners
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, HypothesisPart, not_none, suppress_output
 
-PAIR_SAMPLES = 512  # Points of the box among which two of a set are looked for whose middle is outside.
+# Points of the box among which two of a set are looked for whose middle is outside: one call of a vector function.
+PAIR_SAMPLES = 512
 
 
 class ConvexSet:
@@ -416,7 +417,8 @@ def _exact_interior_point(C: ConvexSet) -> np.ndarray | None:
     return None if point is None else np.array([float(entry / point[C.n]) for entry in point[: C.n]])
 
 
-MAX_PARAMETER_CELLS = 128  # Parts of the box of parameters that are looked at; more are left open.
+# Parts of the box of parameters that are looked at, each by a search for an inner point; more are left open.
+MAX_PARAMETER_CELLS = 128
 INTERIOR_MARGIN = "interior margin"
 
 
