@@ -237,7 +237,8 @@ class SpanInputs:
         return state
 
 
-LOOK_AHEAD_FACTOR = 2.0  # Times as far as steps have come: signals are looked at up to there.
+# LOOK_AHEAD_FACTOR: so that a stepper asks log2(steps) times.
+LOOK_AHEAD_FACTOR = 2.0  # Times as far as steps have come: signals are looked at up to there. (+)
 
 
 class FreeInput(ConstantSignal):
