@@ -373,7 +373,7 @@ def _guard(name: str, by_state: np.ndarray, own: np.ndarray, before: _Side, rate
     return Guard(name, by_state, own, float(rate), float(abs(off / rate)) if rate else (np.inf if off else 0.0), value)
 
 
-MAX_PARTS = 200_000  # Parts of all pieces of a run together; beyond, a run has no derivative.
+MAX_PARTS = 200_000  # Parts of all pieces of a run together, of 10 states 160 MB; beyond, a run has no derivative.
 # STOP_ROUNDING: less halves parts for rounding.
 STOP_ROUNDING = 10  # Before the stop of a block, times the rounding of y beside |y|: what one step and two may differ by. (+)
 SHORTEST_PART = 1e-12  # Of its piece, 2^-40: a part that would have to be shorter is an error: S has a singularity there. (+)

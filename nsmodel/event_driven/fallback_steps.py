@@ -47,6 +47,7 @@ SWITCH_SHARE = 0.1  # and one across a switch by this: ten of them by rtol.
 FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6
 IMPACT = 22  # The j of the least step where walls call for impulses: v behind one is known to eps |y|/h, its time to h.
 REACHED = 5e-7  # Relative: what such steps cannot err by less than, twice the least of them; a smaller rtol is raised to it.
+# VELOCITY_ROUNDING: less takes it for an error, and has the least steps; more lets errors of v pass.
 VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
 MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least: less is nothing beside what steps err by.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same: any does.
@@ -262,9 +263,10 @@ def backward_euler(p: ContinuousProblem) -> OneStepProblem:
 
 
 RETURNS = 16  # How often a run comes back from a stretch; from then on it is stepped to its end.
-EVERY = 8  # Steps of a stretch after which a mode is looked for first,
+EVERY = 8  # Steps of a stretch after which a mode, at the cost of a piece, is looked for first,
 RARER = 1.25  # and the factor in the number of steps after which it is looked for again: 28 times in 20 000 steps.
 MIN_PIECE_GAIN = 4  # A piece must go so many times as far as a step: less comes back for pieces that stop at once.
+# SOON: so that RETURNS are not used up at once.
 SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two.
 
 

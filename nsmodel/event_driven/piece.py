@@ -62,6 +62,7 @@ class Piece(NamedTuple):
         return self._replace(s=(t - self.t) / self.tau, last=list(x), defect=error) if t > self.t else self
 
 
+# AT_START: a long one spares pieces, a short one errs less.
 AT_START = (100, 50, 30, 26, 24, 22, 200, 400)  # Octaves below 1 of the lengths that are tried at t = 0,
 ON_THE_WAY = range(4, 31)  # and of those above a rounding of the time elsewhere.
 SMALLEST_DOUBLE_OCTAVES = 1074  # Octaves below 1 of the least double, 2^-1074.

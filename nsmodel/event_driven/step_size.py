@@ -33,6 +33,7 @@ LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in 
 MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol: of index 2 they have one order less than x.
 PASSES = 3  # In which sizes on the piece and its length settle; later ones change the length by little.
 FIRST = 0.1  # By which share of their size states may move in the first unit of time: pieces tell the next one.
+# SMALL: less asks for digits that rounding of the others takes, more forgives errors of small ones.
 SMALL = 1e-3  # Rows of y and l below this share of the largest are measured beside that share.
 
 
