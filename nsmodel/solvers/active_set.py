@@ -27,6 +27,7 @@ PIVOTS_EACH, PIVOTS_MORE = 20, 50  # The most pivots of Lemke's method: so many 
 GONE = 1e-13  # Part of the largest |q| from which on Lemke's artificial variable is 0: 450 EPS.
 PREFERRED = 1e-13  # Part of the largest step within which it is that variable which leaves: 450 EPS.
 PIVOT_ERROR = 64  # Times EPS: the part of its terms by which an entry of a pivot column may err: more of it refuses pivots.
+# MIN_PIVOT: ten times as much, and Lemke's method ends without a solution on two models of tests.search.constants.
 MIN_PIVOT = 1e-12  # Part of the largest entry of a pivot column below which none is a pivot; less pivots on round-off.
 TIED = 1e-12  # Part of the largest value within which two are equal: then the next column decides, so that none cycles.
 RANK = 1e-12  # Singular values below this part of the largest, round-off, are 0 where a regularised answer is polished.

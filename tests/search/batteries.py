@@ -10,7 +10,15 @@ import casadi as ca
 import numpy as np
 
 import nsmodel
-from nsmodel import FrictionOscillator, LureSystem, Sensitivity, Trajectory, complementarity
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    LureSystem,
+    MonotoneInclusion,
+    Sensitivity,
+    Trajectory,
+    complementarity,
+)
 from tests import ball_models, derivative_models, event_models, event_scenes, event_ties, stiff_scenes
 
 from .hidden import KINDS
@@ -44,6 +52,24 @@ def walled() -> FrictionOscillator:
     x, s = ca.SX.sym("x"), ca.SX.sym("s")
     wall = {"floor": x + 0.5}
     return FrictionOscillator(x=x, potential=x**2 / 2, friction=0.15 * s, s=s, constraints=wall, x0=2, v0=0, t_end=10)
+
+
+def string(n: int) -> FirstOrderSystem:
+    """A string that falls onto an obstacle of two humps: a large sparse step."""
+    i, x, l = np.arange(1, n + 1) / (n + 1), ca.SX.sym("x", n), ca.SX.sym("l", n)
+    stiffness = 1e3 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    obstacle = 0.3 * np.sin(2 * np.pi * i) ** 2 - 0.4
+    f = -ca.sparsify(ca.DM(stiffness)) @ x - 40
+    return FirstOrderSystem(x=x, lam=l, f=f, h=x - obstacle, g=l, law=complementarity(n), x0=np.zeros(n), t_end=0.1, step=0.01)
+
+
+def rounded() -> MonotoneInclusion:
+    """A rotation in a disc, on which points are projected but approximately."""
+    x = ca.SX.sym("x", 2)
+    field = ca.vertcat(x[1] + 0.5, -x[0])
+    return MonotoneInclusion(
+        x=x, field=field, constraints={"disc": 1 - ca.sumsqr(x)}, x0=[0.9, 0], tolerances=1e-5, t_end=2, step=0.1
+    )
 
 
 SCENES: dict[str, tuple[Callable[[], Any], float]] = {
@@ -95,8 +121,25 @@ def proved() -> Iterator[Scene]:
         yield scene(f"{name}, proved", make(), t_end, 1e-8, certify="interval")
 
 
+BY_LEMKE = (
+    "lure:6", "lure:422", "lure:910", "sweeping:80", "sweeping:268", "sweeping:260", "sweeping:457", "oscillator:34", "first:3",
+)  # fmt: skip
+
+
 def constant_steps() -> Iterator[Scene]:
-    """Four steps of models that are hard, some of cases."""
+    """Four steps of models that are hard, some by solvers that come late, some of cases; large and approximate ones."""
+    for name in (*BY_LEMKE, "sweeping:4", "lure:0"):
+        kind, seed = name.split(":")
+        model, solver = case(kind, int(seed)).model(), "lemke" if name in BY_LEMKE else "ipopt"
+        yield (
+            f"{name} by {solver}",
+            1e-9,
+            lambda model=model, solver=solver: nsmodel.simulate(
+                model, compiled=False, solver=solver, t_end=4 * float(model.step)
+            ),
+        )
+    yield "string by bands", 1e-9, lambda: nsmodel.simulate(string(70), compiled=False)
+    yield "disc by cuts", 1e-9, lambda: nsmodel.simulate(rounded(), compiled=False)
     for name in HARD:
         kind, seed = name.split(":")
         model = case(kind, int(seed)).model()
