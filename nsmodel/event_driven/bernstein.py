@@ -24,7 +24,7 @@ HALVED = 0.5  # until one changes it by no smaller factor: later ones change it 
 GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ. More takes modes that part slowly for one.
 NO_ERRORS = (0.0,) * (ORDERS + 1)  # Of the coefficients of a germ: exact ones.
 NONE = 2.0  # Stands for a root in [0, 1] where there is none: any number above 1.
-NARROW = 1e-13  # Two roots that are as near as this are one: 450 EPS, after 44 halvings of [0, 1].
+NARROW = 1e-13  # Two roots that are as near as this are one: 450 EPS, after 44 halvings of [0, 1]. (+)
 ITERATIONS = 80  # Of Newton's method for a root, at most: in as many halving alone comes to EXACT of a root at 2^-50.
 EXACT = 1e-9  # Of [0, 1]: a step of it after which the next would be rounding, as it squares the error: to 1e-18.
 

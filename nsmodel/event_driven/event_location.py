@@ -212,15 +212,15 @@ def _positive_until(c: np.ndarray, e: float) -> float | None:
 
 # POLISHING: each leaves about the fifth power of the distance (AROUND + 1), so that two do from NEAR.
 POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last.
-ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event; another expansion would find rounding.
+ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event; another expansion would find rounding. (+)
 STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew: they leave the eighth power of the distance.
 TAIL = 2  # Last coefficients of an expansion, which tell what it cuts off: one of two may be 0, as in even and odd functions.
-LOST = 1e-2  # Of the largest coefficient: where a truncation errs by more, half of the way to its root is gone first.
+LOST = 1e-2  # Of the largest coefficient: where a truncation errs by more, half of the way to its root is gone first. (~)
 # DIP: LARGEST_ORDER + 2 roundings, of EPS/2, come to 16 EPS of that sum; four times as much is taken.
-DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
+DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis. (~)
 # MIN_PART: its sixth power is 0 in doubles.
 MIN_PART = 2.0**-200  # Of a piece: a shorter part is not looked at for rounding that hides a root.
-T_ROUNDING = 8  # In roundings of the time: an event that is as near is now; less looks for times that are no doubles.
+T_ROUNDING = 8  # In roundings of the time: an event that is as near is now; less looks for times that are no doubles. (+)
 STEEP = 0.5  # Of the slope at a simple root: what it may change by where the sign is not known: below 1 it keeps its sign.
 
 

@@ -48,8 +48,8 @@ FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6
 IMPACT = 22  # The j of the least step where walls call for impulses: v behind one is known to eps |y|/h, its time to h.
 REACHED = 5e-7  # Relative: what such steps cannot err by less than, twice the least of them; a smaller rtol is raised to it.
 # VELOCITY_ROUNDING: less takes it for an error, and has the least steps; more lets errors of v pass.
-VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
-MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least: less is nothing beside what steps err by.
+VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up. (+)
+MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least: less is nothing beside what steps err by. (+)
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same: any does.
 
 

@@ -283,7 +283,7 @@ def with_stick_slip_modes(problem: ContinuousProblem) -> ContinuousProblem:
 
 ONSET_ITERATIONS = 20  # Iterations of l and sigma at the first order, at most; they end where l moves by 1e-15 of itself.
 # INSIDE_MARGIN: less takes what Newton's method leaves for stick, more a block that sticks for one that slips.
-INSIDE_MARGIN = 1e-6  # Of c: where l'S l is less than c by more, the block does not slip.
+INSIDE_MARGIN = 1e-6  # Of c: where l'S l is less than c by more, the block does not slip. (+)
 NOT_SLIPPING = -1e100  # Sigma_1 of such a block: so large that no rounding is beside it.
 
 

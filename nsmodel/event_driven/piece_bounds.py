@@ -47,9 +47,9 @@ NEARLY = 0.97  # Of the length that a bound lets be: what is left is for its rou
 SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many, the first ones by half, then by so much at a time.
 CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter: 2^-480 in all.
 # POLE: less of both calls a steep motion a pole, more comes near one by MAX_STILL_PIECES before it is told.
-POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole,
-SUDDEN = 1e3  # and how much more than itself that rate would.
-AS_NOW = 2.0**-51  # Of the time, and of the length of a piece, 2 EPS: what a state does in it is rounding.
+POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole, (+)
+SUDDEN = 1e3  # and how much more than itself that rate would. (+)
+AS_NOW = 2.0**-51  # Of the time, and of the length of a piece, 2 EPS: what a state does in it is rounding. (~)
 MAX_STILL_PIECES = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
 ENTRY_CANCELLED = 2.0**-50  # An entry of P = I - B N C below this, 4 EPS, is rounding of its terms.
 # FAR: 1/t is 64 times smaller there, t^-1/2, which has an integral, 8 times.

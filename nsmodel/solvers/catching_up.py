@@ -27,8 +27,8 @@ from nsmodel.solvers.time_stepper import Stepper
 
 USED = 0.9  # Part of eps_k that an approximate projection on a box uses up: what is left is for its rounding.
 CUT_ITERATIONS = 60  # Outer polyhedra that are projected on, at most; then the step is refused, with its excess.
-CUT_TOLERANCE = 1e-10  # Residual to which that is done: a tenth of the default tolerance of a step, to which it is held.
-ACTS = 1e-9  # A cut with |value| below this part of its size holds the foot; others are dropped, and come back if they act.
+CUT_TOLERANCE = 1e-10  # Residual to which that is done: a tenth of the default tolerance of a step, to which it is held. (+)
+ACTS = 1e-9  # A cut with |value| below this part of its size holds the foot; others are dropped, and come back if they act. (+)
 BISECTIONS = 80  # On the way from that foot into C, at most: rounding ends them before, but on the first 2^-30 of the way.
 
 
