@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.util import module_from_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import REPOSITORY
-from search import constants
-from search.constants import Changed, Outcome, difference, numbers
+from search.changed import Changed, numbers
+from search.constants import Outcome, difference
 
 MODULE = '''
 """A module."""
@@ -52,7 +53,7 @@ def test_all_numbers_are_found(module):
 def test_what_is_made_of_a_number_follows(module, name, up, values):
     number = next(one for one in numbers(module) if one.name == name)
     spec = Changed(number, up).find_spec("small")
-    made = constants.importlib.util.module_from_spec(spec)
+    made = module_from_spec(spec)
     spec.loader.exec_module(made)
     found = made.ONE, made.COUNT, made.SHARE, *made.TRIED, made.HALF, made.of(2)
     assert found == pytest.approx(values)
