@@ -31,7 +31,7 @@ PIVOT_ERROR = 64  # Times EPS: the part of its terms by which an entry of a pivo
 MIN_PIVOT = 1e-12  # Part of the largest entry of a pivot column below which none is a pivot; less pivots on round-off.
 TIED = 1e-12  # Part of the largest value within which two are equal: then the next column decides, so that none cycles. (+)
 RANK = 1e-12  # Singular values below this part of the largest, round-off, are 0 where a regularised answer is polished. (+)
-POLISHED = 1e-10  # Part of the sizes of the problem to which it then must be solved; the certificate is stricter. (+)
+POLISHED = 1e-10  # Part of the sizes of the problem to which it then must be solved; the certificate judges it. (+)
 
 
 def solve_on_index_set(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray) -> np.ndarray | None:

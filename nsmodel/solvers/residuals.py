@@ -43,7 +43,7 @@ GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above th
 # UNSEEN: 4500 EPS.
 UNSEEN = 1e-12  # Part of c s_y from which on the rounding of l counts as a distance from the graph of a curved set. (+)
 CLEAR = 1e-2  # Part of the tolerance up to which a residual is told as it is; above, rounding may be excused. (+)
-STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this: E and Y add their own rounding. (+)
+STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this: E and Y add their own rounding. (~)
 
 
 @dataclass(frozen=True)
