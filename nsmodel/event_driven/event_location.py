@@ -60,10 +60,10 @@ from nsmodel.event_driven.system import ModeSystem
 ALMOST = 0.999  # Of the way to where a sign is no longer proved: so far no rounding of that root leads beyond it.
 CLOSER = 8.0  # Factor by which discs shrink towards a root: 18 such lead from 1 to EPS.
 WIDER = 1.5  # Factor by which they grow beyond it: 89 such lead from EPS to 1; so near is the sign found again.
-MAX_DISCS = 400  # Discs on the way to one event, at most; then the run goes on from where they have come to.
+MAX_DISCS = 400  # Discs on the way to one event, at most; then the run goes on from where they have come to. (+)
 MAX_MULTIPLICITY = 8  # Order of a derivative, at most, by whose simple root a multiple root is told; else by its own.
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
-LOOKED = 16  # Values of a polynomial that is rounding alone, at as many points: each costs one Horner's rule.
+LOOKED = 16  # Values of a polynomial that is rounding alone, at as many points: each costs one Horner's rule. (+)
 # NEAR: an expansion of order AROUND errs by about 0.1^5 so far away.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
 
@@ -211,10 +211,10 @@ def _positive_until(c: np.ndarray, e: float) -> float | None:
 
 
 # POLISHING: each leaves about the fifth power of the distance (AROUND + 1), so that two do from NEAR.
-POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last.
+POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last. (+)
 ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event; another expansion would find rounding. (+)
-STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew: they leave the eighth power of the distance.
-TAIL = 2  # Last coefficients of an expansion, which tell what it cuts off: one of two may be 0, as in even and odd functions.
+STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew: they leave the eighth power of the distance. (+)
+TAIL = 2  # Last coefficients of an expansion, which tell what it cuts off: one of two may be 0, as in even and odd functions. (~)
 LOST = 1e-2  # Of the largest coefficient: where a truncation errs by more, half of the way to its root is gone first. (~)
 # DIP: LARGEST_ORDER + 2 roundings, of EPS/2, come to 16 EPS of that sum; four times as much is taken.
 DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis. (~)

@@ -267,7 +267,7 @@ EVERY = 8  # Steps of a stretch after which a mode, at the cost of a piece, is l
 RARER = 1.25  # and the factor in the number of steps after which it is looked for again: 28 times in 20 000 steps.
 MIN_PIECE_GAIN = 4  # A piece must go so many times as far as a step: less comes back for pieces that stop at once.
 # SOON: so that RETURNS are not used up at once.
-SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two.
+SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two. (+)
 
 
 # As `HybridIntegrator.checkpoint`, before any stretch.

@@ -211,7 +211,7 @@ P_ROUNDING = 1e-9  # Of the largest impulse: by so much one may be outside its b
 NONZERO_SHARE = 1e-4  # Of its size: a larger y is 0 in no mode; less may rule out the right one, more costs modes to try. (+)
 MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, by 63 roundings in all, beside one that has no number.
 MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double; more would be motion.
-FEW = 9  # Rows up to which all modes are tried one by one: 512, each in some 2 ms, or 3^9 where l has two ends.
+FEW = 9  # Rows up to which all modes are tried one by one: 512, each in some 2 ms, or 3^9 where l has two ends. (+)
 # LAPLACE_SHARES: a guess that is wrong costs time alone, as germs judge it.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time, of the Laplace transforms whose index sets are guesses.
 GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for; germs judge it all the same. (+)

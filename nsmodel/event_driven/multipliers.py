@@ -31,7 +31,7 @@ SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices
 CANCELS = 1e-13  # Of the terms of a sum, or of the length of a vector: what comes to less, 450 EPS, is rounding. (+)
 ENTRY_ROUNDING = 1 / 8  # Of an inverse of condition 1: an entry is rounded by u of the largest, 1/8 of TERM_ROUNDING.
 MAX_MINOR_ROWS = 8  # Rows of a matrix whose principal minors are all looked at: 255 take 4 ms; of more modes are tried.
-BALANCING = 4  # Passes that bring the entries of a matrix near 1: each takes roots, four make 10 of 1e16.
+BALANCING = 4  # Passes that bring the entries of a matrix near 1: each takes roots, four make 10 of 1e16. (+)
 NOTHING = 1e-300  # Beside what may be 0, where it divides: less than any size, and its quotients are numbers.
 SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal, as in TINY_STEP. (+)
 

@@ -117,7 +117,7 @@ def replay_recurrences(
 
 
 # STAGE_ITERATIONS: each has to be SLOW or better, so that 20 come to 1e-6 at least; 1e-15 is 4.5 EPS.
-STAGE_ITERATIONS, STAGE_CONVERGED = 20, 1e-15  # Of Newton's method for the stages: how many; the next one that is rounding.
+STAGE_ITERATIONS, STAGE_CONVERGED = 20, 1e-15  # Of Newton's method for the stages: how many; the next one that is rounding. (~)
 ORDERS_OF_TWO = 4  # Of a series, for each two stages beyond the first: s stages have the order 2 s - 1.
 SLOW = 0.5  # By how much each of them has to come nearer: else a shorter piece is cheaper, or rounding is all.
 # STAGE_NEAR: more lets errors of the stages count, less refuses pieces for their rounding.
@@ -353,11 +353,11 @@ LOW_ORDERS = 2  # First coefficients of the states, by which they must hardly mo
 INNER_SHARE = 0.1  # Of rtol: what a piece may err by inside; at its end it errs by a power of that.
 OCTAVES_MORE = 2  # By which the next piece may be longer: its error is foretold from this one's alone.
 SAFE = 0.5  # The share of what is allowed that its error is foretold to be: more has to make pieces anew, less shorter ones.
-ENDINGS = 8  # How often a piece is made anew to end at an event; then it ends where its polynomial has the event.
+ENDINGS = 8  # How often a piece is made anew to end at an event; then it ends where its polynomial has the event. (+)
 ENDED = 1e-4  # Of its length: so near its end what it errs by inside counts by the square of that. (+)
 MOVED = 0.1  # By which share of its length a piece may have to be longer than its polynomial told, for that; or it is none.
 # MAX_WAIT_OCTAVES: a trial costs little beside 64 series.
-MAX_WAIT_OCTAVES = 6  # After trials that failed, 2^k series pass before the next one, with k up to this.
+MAX_WAIT_OCTAVES = 6  # After trials that failed, 2^k series pass before the next one, with k up to this. (+)
 
 
 class StiffPiece(NamedTuple):

@@ -18,7 +18,7 @@ from nsmodel.event_driven.multipliers import TERM_ROUNDING, TIE, generalised_inv
 from nsmodel.event_driven.step_size import initial_time_unit
 from nsmodel.event_driven.system import ModeSystem
 
-PROJECTIONS = 3  # Iterations of the projection of x onto y = 0, at most: each squares what pieces have left of rtol.
+PROJECTIONS = 3  # Iterations of the projection of x onto y = 0, at most: each squares what pieces have left of rtol. (~)
 
 
 def project_to_held_rows(system: ModeSystem, place: PieceStart, rows: tuple[int, ...]) -> bool:

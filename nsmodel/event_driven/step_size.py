@@ -27,11 +27,11 @@ from nsmodel.proof.verdict import BufferedFunction
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
 LARGEST_ORDER = 30  # Of a series, for which C has memory; rtol = 1e-14 asks for 22.
-BEYOND = 3  # Orders of a series beyond -ln(rtol)/2, see `taylor_order`.
+BEYOND = 3  # Orders of a series beyond -ln(rtol)/2, see `taylor_order`. (~)
 LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, so that 100 add up to rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit: s^30 is 2^150.
 MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol: of index 2 they have one order less than x. (~)
-PASSES = 3  # In which sizes on the piece and its length settle; later ones change the length by little.
+PASSES = 3  # In which sizes on the piece and its length settle; later ones change the length by little. (~)
 FIRST = 0.1  # By which share of their size states may move in the first unit of time: pieces tell the next one. (~)
 # SMALL: less asks for digits that rounding of the others takes, more forgives errors of small ones.
 SMALL = 1e-3  # Rows of y and l below this share of the largest are measured beside that share. (~)

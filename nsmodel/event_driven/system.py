@@ -86,7 +86,7 @@ def remains_zero(system: ModeSystem, how: MultiplierSolver, orders: Iterable[int
 NEWTON = 30  # Iterations of l at order 0, at most, where f, g or h are not linear in it; then the next start, or no mode.
 NEWTON_CONVERGED = 1e-14  # Relative, for each iteration allowed: a change of l below NEWTON times this, 3e-13, is rounding. (+)
 MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept; one more, and all are made anew.
-HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0; of later ones products leave more rounding.
+HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0; of later ones products leave more rounding. (+)
 SOLVED = TERM_ROUNDING / TIE  # Of what l of a held row is the sum of: TIE of this is the rounding of its solve.
 # LITTLE: less asks for digits that rounding of the others takes, more forgives errors of small ones.
 LITTLE = 1e-6  # Of the largest multiplier, or y, of rows that are tied: a smaller one is measured beside that. (+)

@@ -31,7 +31,7 @@ from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import NumericLaw
 from nsmodel.solvers.rounding_errors import SUM_ERROR
 
-PARALLEL_TOLERANCE = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it: round-off.
+PARALLEL_TOLERANCE = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it: round-off. (+)
 
 
 def nearest_point_of_polyhedron(p: np.ndarray, N: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -82,7 +82,7 @@ def _build_conic_solver(name: str, n: int, rows: int) -> ca.Function:
     )  # fmt: skip
 
 
-SEMISMOOTH_ITERATIONS = 60  # Of Newton's method on curved sets, at most; then it starts from Gauss and Seidel's answer.
+SEMISMOOTH_ITERATIONS = 60  # Of Newton's method on curved sets, at most; then it starts from Gauss and Seidel's answer. (+)
 GAUSS_SEIDEL_SWEEPS = 400  # Projected gradient sweeps that give Newton's method a start, at most.
 SWEPT = 1e-10  # Part of l: changes below this end the sweeps: the start is as good as they make it. (+)
 # CONVERGED: 450 EPS.

@@ -24,7 +24,7 @@ UNIT_ROUND_OFF = EPS / 2  # u, relative: what one operation is rounded by, at mo
 MAX_BOUND_NODES = (
     10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
 )
-PROBES = 8  # Sign vectors by which it is told what the unknowns err by, each a solve; of one alone terms may cancel.
+PROBES = 8  # Sign vectors by which it is told what the unknowns err by, each a solve; of one alone terms may cancel. (+)
 # FRAGILE: three of 16 digits.
 FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system. (+)
 # WORTH: half of the digits are left.
