@@ -49,6 +49,8 @@ nightly: $(STAMP) ## set up and search for refused steps, wrong answers and forg
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.events --models $(if $(NSMODEL_SHORT),1 --t-end 1,300) --json results/events.jsonl
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.forgeries --attempts $(if $(NSMODEL_SHORT),3,100000 --rounds 10)
 	$(if $(NSMODEL_SHORT),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.forgeries --mutants --attempts 10000)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.constants nsmodel/$(if $(NSMODEL_SHORT),solvers/step_doubling.py,derivatives)
+	$(if $(NSMODEL_SHORT),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.constants nsmodel/solvers nsmodel/event_driven nsmodel/simulation)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.golden $(if $(NSMODEL_SHORT),--class lure)
 
 lint: $(STAMP) ## ruff, types, which package imports which, and the limits of the structure

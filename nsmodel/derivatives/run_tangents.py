@@ -32,8 +32,8 @@ from nsmodel.event_driven.problem import SAME_TIME
 KNOWN, CROSSING, IMPULSE, START = "known time", "switch", "impulse", "start"
 
 
-SAME_RATE = 1e-9  # Of a rate: what edges change of it together, beside the sum of what each does.
-SAME_TIME_ROUNDING = 1e-13  # Of a time: a guard that is nearer to 0 than that at a known time comes with it.
+SAME_RATE = 1e-9  # Of a rate: what edges change of it together, beside the sum of what each does: more is a part of its own. (+)
+SAME_TIME_ROUNDING = 1e-13  # Of a time, 450 EPS: a guard that is nearer to 0 than that at a known time comes with it. (+)
 
 
 class Guard(NamedTuple):
@@ -373,9 +373,10 @@ def _guard(name: str, by_state: np.ndarray, own: np.ndarray, before: _Side, rate
     return Guard(name, by_state, own, float(rate), float(abs(off / rate)) if rate else (np.inf if off else 0.0), value)
 
 
-MAX_PARTS = 200_000  # Parts of all pieces of a run together; beyond, a run has no derivative.
-STOP_ROUNDING = 10  # Before the stop of a block, times the rounding of y beside |y|: what one step and two may differ by.
-SHORTEST_PART = 1e-12  # Of its piece: a part that would have to be shorter is an error.
+MAX_PARTS = 200_000  # Parts of all pieces of a run together, of 10 states 160 MB; beyond, a run has no derivative.
+# STOP_ROUNDING: less halves parts for rounding.
+STOP_ROUNDING = 10  # Before the stop of a block, times the rounding of y beside |y|: what one step and two may differ by. (+)
+SHORTEST_PART = 1e-12  # Of its piece, 2^-40: a part that would have to be shorter is an error: S has a singularity there. (+)
 
 
 class Stop(NamedTuple):

@@ -38,7 +38,9 @@ from nsmodel.simulation.run_data import multiplier_names
 from nsmodel.simulation.simulate import bound_model, make_run
 from nsmodel.simulation.trajectory import Trajectory
 
+# LARGE_GROWTH: three digits are left.
 LARGE_GROWTH = 1e-3  # Rounding in S, beside the sizes of what it is between: from here on it is warned of.
+# NEARLY_GRAZING: S is 1e4 times as large behind it.
 NEARLY_GRAZING = 1e-4  # The rate of a guard beside its largest value on the piece over its length, below which that is said.
 
 
@@ -105,7 +107,7 @@ def sensitivity(
 
 
 DERIVATIVE_METHODS = ("event-driven", "differences")
-DEFAULT_RTOL = 1e-8  # Of a run that is differentiated, where rtol is left out.
+DEFAULT_RTOL = 1e-8  # Of a run that is differentiated, where rtol is left out: eight digits of S, differences of runs have five.
 
 
 class Request(NamedTuple):
@@ -322,6 +324,7 @@ class DifferencedModel(_Movable):
         return np.column_stack([*(columns[name] for name in self._outputs), *integrals])
 
 
+# MIN_WIDTH: EPS/1e-4 of S is rounding then.
 MIN_WIDTH = 1e-4  # Relative: the least part of a number by which it is moved for a difference quotient.
 
 

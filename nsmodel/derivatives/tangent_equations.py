@@ -30,7 +30,7 @@ BRANCH_CHOICES = {"floor": np.floor, "ceil": np.ceil, "toward zero": np.trunc, "
 
 
 TRY_DIFFERENCES = "take method='differences' (--method differences)"
-LARGEST_MAP = 256  # Points that are evaluated by one call.
+LARGEST_MAP = 256  # Points that are evaluated by one call; CasADi makes a function of each power of two up to it.
 
 
 class Slopes(NamedTuple):

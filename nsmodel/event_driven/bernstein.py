@@ -16,17 +16,17 @@ from typing import Any
 
 from nsmodel._utils import sum_in_order
 
-GERM = 1e-9  # Coefficients below this share of the largest are rounding.
-ORDERS = 6  # Highest order of a germ: the coefficients that decide the sign of a condition just after now.
-HALF_ORDERS = 3  # Orders whose coefficients those of higher orders are not to exceed, by choice of the unit of time.
-PACES = 8  # Iterations of that unit of time, at most,
-HALVED = 0.5  # until one changes it by no smaller factor.
-GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ.
+GERM = 1e-9  # Coefficients below this share of the largest are rounding: more hides slow motion, less makes motion of it.
+ORDERS = 6  # Highest order of a germ, whose coefficients decide signs just after now; modes that part later are not decided.
+HALF_ORDERS = 3  # ORDERS/2: coefficients of higher orders are not to exceed those up to it, by choice of the unit of time.
+PACES = 8  # Iterations of that unit of time, at most: each but the last halves it, or more,
+HALVED = 0.5  # until one changes it by no smaller factor: later ones change it less.
+GERM_DIFFERENCE = 1e-7  # Of their size: coefficients of two modes that differ. More takes modes that part slowly for one.
 NO_ERRORS = (0.0,) * (ORDERS + 1)  # Of the coefficients of a germ: exact ones.
-NONE = 2.0  # Stands for a root in [0, 1] where there is none.
-NARROW = 1e-13  # Two roots that are as near as this are one.
-ITERATIONS = 80  # Of Newton's method for a root, at most.
-EXACT = 1e-9  # Of [0, 1]: a step of it after which the next would be rounding, as it squares the error.
+NONE = 2.0  # Stands for a root in [0, 1] where there is none: any number above 1.
+NARROW = 1e-13  # Two roots that are as near as this are one: 450 EPS, after 44 halvings of [0, 1]. (+)
+ITERATIONS = 80  # Of Newton's method for a root, at most: in as many halving alone comes to EXACT of a root at 2^-50.
+EXACT = 1e-9  # Of [0, 1]: a step of it after which the next would be rounding, as it squares the error: to 1e-18.
 
 
 def poly_value(c: list[float], s: float) -> float:

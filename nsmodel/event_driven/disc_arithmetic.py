@@ -25,6 +25,7 @@ from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, RECURRENCES, TWO
 INF = math.inf
 _DISC_DIALECT = PYTHON_DIALECT._replace(choose="pass")  # The sides of branches are given.
 _ROUNDED_DIALECT = _DISC_DIALECT._replace(kept="rounded({0})")
+# PRODUCT_ROUNDINGS: One is EPS/2 at most, and is counted as EPS: half is room.
 PRODUCT_ROUNDINGS, FUNCTION_ROUNDINGS = 3, 8  # Roundings of a coefficient beside one for each coefficient.
 MAX_EXP_ARGUMENT = 700.0  # exp of less is a double: log of the largest one is 709.8.
 

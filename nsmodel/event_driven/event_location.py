@@ -57,13 +57,14 @@ from nsmodel.event_driven.multipliers import TIE, MultiplierSolver
 from nsmodel.event_driven.step_size import power_of_two_unit
 from nsmodel.event_driven.system import ModeSystem
 
-ALMOST = 0.999  # Of the way to where a sign is no longer proved.
-CLOSER = 8.0  # Factor by which discs shrink towards a root.
-WIDER = 1.5  # Factor by which they grow beyond it.
-MAX_DISCS = 400  # Discs on the way to one event, at most.
-MAX_MULTIPLICITY = 8  # Order of a derivative, at most, by whose simple root a multiple root is told.
+ALMOST = 0.999  # Of the way to where a sign is no longer proved: so far no rounding of that root leads beyond it.
+CLOSER = 8.0  # Factor by which discs shrink towards a root: 18 such lead from 1 to EPS.
+WIDER = 1.5  # Factor by which they grow beyond it: 89 such lead from EPS to 1; so near is the sign found again.
+MAX_DISCS = 400  # Discs on the way to one event, at most; then the run goes on from where they have come to. (+)
+MAX_MULTIPLICITY = 8  # Order of a derivative, at most, by whose simple root a multiple root is told; else by its own.
 DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
-LOOKED = 16  # Values of a polynomial that is rounding alone.
+LOOKED = 16  # Values of a polynomial that is rounding alone, at as many points: each costs one Horner's rule. (+)
+# NEAR: an expansion of order AROUND errs by about 0.1^5 so far away.
 NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
 
 
@@ -209,15 +210,18 @@ def _positive_until(c: np.ndarray, e: float) -> float | None:
     return s if s <= 1 else None
 
 
-POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last.
-ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event.
-STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew.
-TAIL = 2  # Last coefficients of an expansion, which tell what its truncation errs by.
-LOST = 1e-2  # Of the largest coefficient: a truncation that errs by more has no root to be trusted.
-DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis.
+# POLISHING: each leaves about the fifth power of the distance (AROUND + 1), so that two do from NEAR.
+POLISHING = 6  # Expansions at an event, at most, each nearer to it than the last. (+)
+ON_EVENT = 1e-3  # Of a tie: a condition that is no more is on the event; another expansion would find rounding. (+)
+STEPS_PER_EXPANSION = 3  # Of Newton's method, before the state is expanded anew: they leave the eighth power of the distance. (+)
+TAIL = 2  # Last coefficients of an expansion, which tell what it cuts off: one of two may be 0, as in even and odd functions. (~)
+LOST = 1e-2  # Of the largest coefficient: where a truncation errs by more, half of the way to its root is gone first. (~)
+# DIP: LARGEST_ORDER + 2 roundings, of EPS/2, come to 16 EPS of that sum; four times as much is taken.
+DIP = 64 * EPS  # Of the sum of its terms: what rounding may hide of a polynomial in the Bernstein basis. (~)
+# MIN_PART: its sixth power is 0 in doubles.
 MIN_PART = 2.0**-200  # Of a piece: a shorter part is not looked at for rounding that hides a root.
-T_ROUNDING = 8  # In roundings of the time: an event that is as near is now.
-STEEP = 0.5  # Of the slope at a simple root: what it may change by where the sign is not known.
+T_ROUNDING = 8  # In roundings of the time: an event that is as near is now; less looks for times that are no doubles. (+)
+STEEP = 0.5  # Of the slope at a simple root: what it may change by where the sign is not known: below 1 it keeps its sign.
 
 
 class Margins(NamedTuple):

@@ -28,22 +28,29 @@ from nsmodel.event_driven.step_size import ModelEquations, power_of_two_unit
 from nsmodel.modeling.laws.base import LawEnds
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.step import StepResult, WarmStart, verified_step
-from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, ErrorScale, controlled_step, extrapolation_error
+from nsmodel.solvers.step_doubling import (
+    STEP_DOUBLING_LIMIT,
+    BothWays,
+    ErrorNorm,
+    ErrorScale,
+    controlled_step,
+    extrapolation_error,
+)
 from nsmodel.solvers.time_stepper import Stepper
 
-STEP_BUDGET = 100_000  # Steps of a run, over all of its stretches.
-STRICT = 20_000  # Steps from which on more error is allowed.
-TENFOLD = 5_000  # Steps more after which it is ten times as much.
-SMOOTH_SHARE = 0.1  # Of rtol: a smooth step may err by this share times h/t,
-SWITCH_SHARE = 0.1  # and one across a switch by this.
-GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
-# Steps are 2^-j of the time so far, of these j: the first one, the least, the largest.
+STEP_BUDGET = 100_000  # Steps of a run, over all of its stretches: of a small model 1 ms each, two minutes in all.
+STRICT = 20_000  # Steps from which on more error is allowed,
+TENFOLD = 5_000  # ten times as much after so many more: 10^16 times, which is any, at the end of the budget.
+SMOOTH_SHARE = 0.1  # Of rtol: a smooth step may err by this share times h/t, in all of it by 0.1 ln(t/t_0),
+SWITCH_SHARE = 0.1  # and one across a switch by this: ten of them by rtol.
+# Steps are 2^-j of the time so far, of these j: the first one, the least, 4096 roundings of it, and the largest, 1/64 of it.
 FIRST_STEP_OCTAVES, MIN_STEP_OCTAVES, MAX_STEP_OCTAVES = 20, 40, 6
 IMPACT = 22  # The j of the least step where walls call for impulses: v behind one is known to eps |y|/h, its time to h.
-REACHED = 5e-7  # Relative: what such steps cannot err by less than; a smaller rtol is raised to it.
-VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up.
-MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least.
-PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
+REACHED = 5e-7  # Relative: what such steps cannot err by less than, twice the least of them; a smaller rtol is raised to it.
+# VELOCITY_ROUNDING: less takes it for an error, and has the least steps; more lets errors of v pass.
+VELOCITY_ROUNDING = 64 * EPS  # There v differs by so much of t/h from step to step: no error of a step, it does not add up. (+)
+MIN_RESIDUAL_TOLERANCE = 1e-11  # Tolerance of a step's residual, at the least: less is nothing beside what steps err by. (+)
+PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same: any does.
 
 
 def error_relaxation(steps: int) -> float:
@@ -226,7 +233,7 @@ class FallbackSteps:
         self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
         self.steps += 1
         at.scale = max(at.scale, power_of_two_unit(end))
-        if 8 * trial.error <= GROW * allowed:
+        if 8 * trial.error <= STEP_DOUBLING_LIMIT * allowed:
             at.h = min(2 * at.h, math.ldexp(at.scale, -MAX_STEP_OCTAVES))
         return pieces
 
@@ -255,11 +262,12 @@ def backward_euler(p: ContinuousProblem) -> OneStepProblem:
     )  # fmt: skip
 
 
-RETURNS = 16  # How often a run comes back from a stretch.
-EVERY = 8  # Steps of a stretch after which a mode is looked for first,
-RARER = 1.25  # and the factor in the number of steps after which it is looked for again.
-MIN_PIECE_GAIN = 4  # A piece must go so many times as far as a step.
-SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two.
+RETURNS = 16  # How often a run comes back from a stretch; from then on it is stepped to its end.
+EVERY = 8  # Steps of a stretch after which a mode, at the cost of a piece, is looked for first,
+RARER = 1.25  # and the factor in the number of steps after which it is looked for again: 28 times in 20 000 steps.
+MIN_PIECE_GAIN = 4  # A piece must go so many times as far as a step: less comes back for pieces that stop at once.
+# SOON: so that RETURNS are not used up at once.
+SOON = 1e-4  # Of the time so far: where pieces stop again so soon, the next stretch lasts longer, by powers of two. (+)
 
 
 # As `HybridIntegrator.checkpoint`, before any stretch.

@@ -27,7 +27,7 @@ import numpy as np
 
 from nsmodel._utils import sum_in_order
 from nsmodel.event_driven.bernstein import poly_value
-from nsmodel.event_driven.multipliers import generalised_inverse
+from nsmodel.event_driven.multipliers import TIE, generalised_inverse
 from nsmodel.event_driven.problem import ContinuousProblem, NotEventDriven, SlipGrowth
 from nsmodel.event_driven.recurrence_code import TaylorExpansion
 from nsmodel.event_driven.recurrences import taylor_decompose
@@ -35,9 +35,9 @@ from nsmodel.modeling.laws import CurvedSet, Law, box, product
 from nsmodel.solvers.mlcp import projected_gauss_seidel, semismooth_newton
 from nsmodel.solvers.residuals import NumericLaw
 
+# STOPS: in units of LOCAL, as a piece is asked for: 0.1 of the run's rtol.
 STOPS = 10.0  # A block stands as soon as its speed is below this share of rtol of its largest: y is then put to 0.
-REST = 1e-12  # A speed below this share of its size is 0: rounding.
-ABOVE = 4.0  # A slip that becomes slower ends so many times above that.
+ABOVE = 4.0  # A slip that becomes slower ends so many times above what is 0: nearer its direction is rounding.
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ class FrictionBlock:
         if not now or (self.curved is None and not self.is_singular_at_onset):
             return 0.0
         share = min(sizes[i] / abs(row[0]) for i, row in zip(self.at, self.y, strict=True) if row[0])
-        least = max(STOPS * rtol * share, ABOVE * REST * max(sizes[i] for i in self.at) / now)
+        least = max(STOPS * rtol * share, ABOVE * TIE * max(sizes[i] for i in self.at) / now)
         return self.size[0] * least if least < 1 or self.size[1] < 0 else 0.0
 
 
@@ -223,7 +223,7 @@ class FrictionBlocks:
         self.onset_blocks = []
         for block in self.slipping_blocks(codes):
             block.size[:] = [0.0] * len(block.size)
-            rests = block.is_at_rest(REST * max(map(size_y, block.at)))
+            rests = block.is_at_rest(TIE * max(map(size_y, block.at)))
             if rests and block.curved is not None:
                 self.onset_blocks.append(block)
                 continue
@@ -281,9 +281,10 @@ def with_stick_slip_modes(problem: ContinuousProblem) -> ContinuousProblem:
     return replace(problem, law=product(*laws))
 
 
-ONSET_ITERATIONS = 20  # Iterations of l and sigma at the first order.
-INSIDE_MARGIN = 1e-6  # Of c: where l'S l is less than c by more, the block does not slip.
-NOT_SLIPPING = -1e100  # Sigma_1 of such a block: no rounding.
+ONSET_ITERATIONS = 20  # Iterations of l and sigma at the first order, at most; they end where l moves by 1e-15 of itself.
+# INSIDE_MARGIN: less takes what Newton's method leaves for stick, more a block that sticks for one that slips.
+INSIDE_MARGIN = 1e-6  # Of c: where l'S l is less than c by more, the block does not slip. (+)
+NOT_SLIPPING = -1e100  # Sigma_1 of such a block: so large that no rounding is beside it.
 
 
 class SlipOnset:

@@ -73,16 +73,16 @@ from nsmodel.event_driven.system import ModeSystem
 from nsmodel.modeling.time_grid import format_value, is_number
 from nsmodel.proof.verdict import not_none
 
-MIN_RTOL = 1e-14  # Doubles hold no more than 16 digits.
-JUMPS, UPDATES = 2, 8  # At one time: jumps of the state, and changes of what blocks hold.
+MIN_RTOL = 1e-14  # 45 EPS: below it there is rounding alone.
+JUMPS, UPDATES = 2, 8  # At one time: jumps of the state, and changes of what blocks hold; more of them may have no end.
 NO_SWITCH_TIMES = SwitchTimes()
-ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
-UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
-LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
-HARDLY, STILL = 2.0**-50, 16  # Of the time: a piece that hardly moves it; so many, after which a state may have come to rest.
-AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
-MAX_UNDECIDED_MOTION = 10.0  # In rtol: by how much an event whose time is not known may move a state.
-STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
+ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time; more makes coefficients grow.
+UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is: 2^-360 in all.
+LONGER, STUMP = 8, 1e-6  # The unit after an event, in pieces (a long one costs series); of the one before: too short to tell.
+HARDLY, STILL = 2.0**-50, 16  # Of the time, 4 EPS: a piece that hardly moves it; so many, and a state may have come to rest.
+AFTER = 2.0**-10  # Units of time after which a law without room is looked for: soon, and beyond rounding of the time.
+MAX_UNDECIDED_MOTION = 10.0  # In rtol: by how much an event whose time is not known may move a state: as a run may err by.
+STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried, each about 1/20 of the last; a shorter piece asks for one.
 
 
 class Integrator:
@@ -647,7 +647,7 @@ class Integrator:
         return self._final or self.problem.empty(self.place.t, self.place.x, self.place.tau * AFTER)
 
 
-MAX_EVENT_DRIVEN_OPERATIONS = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
+MAX_EVENT_DRIVEN_OPERATIONS = 10_000  # Of f, g and h, up to which "auto" is event-driven; of 20 400 a piece takes a minute.
 
 
 def operation_count(p: ContinuousProblem) -> int:

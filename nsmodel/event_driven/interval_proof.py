@@ -31,8 +31,8 @@ from nsmodel.event_driven.step_size import MULTIPLIERS
 from nsmodel.proof.interval_arithmetic import next_up
 from nsmodel.proof.interval_functions import ZERO_INTERVAL, Interval, point_intervals
 
-DOUBLINGS, SHARE = 4, 0.5  # A piece is cut as long as remainders are more than this share of its bounds, so often at most.
-SIGNIFICANT_DEPTH = 1e-12  # A depth below this share of a condition is rounding.
+DOUBLINGS, SHARE = 4, 0.5  # A piece is cut while remainders are more than this share of its bounds, into 16 parts at most.
+SIGNIFICANT_DEPTH = 1e-12  # A depth below this share of a condition is rounding, as TIE: no piece is cut for it. (+)
 
 
 class StoredPieces(NamedTuple):

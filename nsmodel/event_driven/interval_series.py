@@ -136,7 +136,7 @@ def radius_powers(radius: np.ndarray, orders: int) -> list[Interval]:
     return found
 
 
-CELL_OCTAVES, CELL_CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often.
+CELL_OCTAVES, CELL_CUTS = 48, 4  # Cells [2^-j, 2^(1-j)], each cut so often: 192, to 16 EPS from an end of the part.
 
 
 def polynomial_lower_bounds(c: IntervalCoefficients, count: int) -> tuple[np.ndarray, np.ndarray]:

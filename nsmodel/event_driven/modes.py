@@ -203,16 +203,18 @@ def _block_conditions(system: ModeSystem, block: FrictionBlock, code: int, known
         yield SwitchCondition((ROW, block.first), block.inner, -1.0, block.quadric[1], known, 1, "inside")
 
 
+# PIVOTS: after them guesses are tried, then all modes of FEW rows.
 PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wrong rows at once.
 PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
-TINY_STEP = 1e-6  # In units of time: a step whose affine problem has the modes just after now.
-P_ROUNDING = 1e-9  # Of the largest impulse: by so much one may be outside its bounds.
-NONZERO_SHARE = 1e-4  # Of its size: a larger y is 0 in no mode.
-MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, behind or before one that has no number.
-MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double.
-FEW = 9  # Rows up to which all modes are tried one by one.
+TINY_STEP = 1e-6  # In units of time: a step whose affine problem has the modes just after now: D counts a million times C B. (+)
+P_ROUNDING = 1e-9  # Of the largest impulse: by so much one may be outside its bounds; less would refuse a jump for rounding. (+)
+NONZERO_SHARE = 1e-4  # Of its size: a larger y is 0 in no mode; less may rule out the right one, more costs modes to try. (+)
+MAX_NUDGES = 6  # Places, each by rounding, twice as much as the last, by 63 roundings in all, beside one that has no number.
+MAX_NUDGE = 2.0**12  # Roundings of the time, that a state may need to be another double; more would be motion.
+FEW = 9  # Rows up to which all modes are tried one by one: 512, each in some 2 ms, or 3^9 where l has two ends. (+)
+# LAPLACE_SHARES: a guess that is wrong costs time alone, as germs judge it.
 LAPLACE_SHARES = (1e-2, 1e-3, 1e-4, 1e-6)  # 1/s in units of time, of the Laplace transforms whose index sets are guesses.
-GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for.
+GUESS_RESIDUAL = 1e-9  # Of an index set of transforms: no others are looked for; germs judge it all the same. (+)
 FACTORIALS = np.array([float(math.factorial(k)) for k in range(ORDERS + 1)])  # k!, of Laplace transforms of t^k.
 
 

@@ -26,13 +26,14 @@ from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF
 
 MatrixRows = list[list[float]]
 HIDDEN = 1e-9  # Of the largest l now: where rounding leaves more of one, C does not decide modes, see `ModeSystem.rounding`.
-SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
-CANCELS = 1e-13  # Of the terms of a sum, or of the length of a vector: what comes to less is rounding.
-ENTRY_ROUNDING = 1 / 8  # Of an inverse of condition 1: the rounding of an entry, in 8 roundings of the largest.
-MAX_MINOR_ROWS = 8  # Rows of a matrix whose principal minors are all looked at.
-BALANCING = 4  # Passes that bring the entries of a matrix near 1.
-NOTHING = 1e-300  # Beside what may be 0, where it divides.
-SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal.
+# SINGULAR: more takes rows of unlike stiffness for tied ones, less rounding for rank.
+SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0. (+)
+CANCELS = 1e-13  # Of the terms of a sum, or of the length of a vector: what comes to less, 450 EPS, is rounding. (+)
+ENTRY_ROUNDING = 1 / 8  # Of an inverse of condition 1: an entry is rounded by u of the largest, 1/8 of TERM_ROUNDING.
+MAX_MINOR_ROWS = 8  # Rows of a matrix whose principal minors are all looked at: 255 take 4 ms; of more modes are tried.
+BALANCING = 4  # Passes that bring the entries of a matrix near 1: each takes roots, four make 10 of 1e16. (+)
+NOTHING = 1e-300  # Beside what may be 0, where it divides: less than any size, and its quotients are numbers.
+SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal, as in TINY_STEP. (+)
 
 
 @dataclass(frozen=True)
@@ -282,8 +283,8 @@ def constant_matrix(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
     return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
 
 
-TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
-NEGLIGIBLE_MOTION = 1e-6  # Of what moves a state on a piece.
+TIE = 1e-12  # What rounding has left in a state, 4500 EPS of its size so far; a condition below this share of its own is 0. (~)
+NEGLIGIBLE_MOTION = 1e-6  # Of what moves a state on a piece: what moves less is measured beside that. (~)
 TERM_ROUNDING = ROUNDING * UNIT_ROUND_OFF  # c u of running error analysis: of what a number is the sum of, that much is rounding.
 
 

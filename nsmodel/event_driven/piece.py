@@ -62,11 +62,14 @@ class Piece(NamedTuple):
         return self._replace(s=(t - self.t) / self.tau, last=list(x), defect=error) if t > self.t else self
 
 
+# AT_START: a long one spares pieces, a short one errs less.
 AT_START = (100, 50, 30, 26, 24, 22, 200, 400)  # Octaves below 1 of the lengths that are tried at t = 0,
 ON_THE_WAY = range(4, 31)  # and of those above a rounding of the time elsewhere.
-SMALLEST_DOUBLE_OCTAVES = 1074  # Octaves below 1 of the least double.
-FALLS = 2.0**-0.0625  # By which the terms fall from octave to octave at least: |t|^-0.93 does.
-NEAR_0, STEEPER = 1e-100, 4.0  # Where f is looked at, and at its square; how many times as steep it is there: x^0.99 is.
+SMALLEST_DOUBLE_OCTAVES = 1074  # Octaves below 1 of the least double, 2^-1074.
+FALLS = 2.0**-0.0625  # By which the terms fall from octave to octave at least: |t|^-0.93 does, and |t|^-1 has no integral.
+# NEAR_0: x^0.99 is 10 times as steep there, x ln x twice.
+NEAR_0, STEEPER = 1e-100, 4.0  # Where f is looked at, and at its square; how many times as steep it is there.
+# COMES_TO: well above h, which is 2^-22 or less: what t^k comes to in h itself would be no size.
 COMES_TO = 0.25  # The power of h: the time, in which a state that is 0 at the start comes to what it is measured beside.
 
 
@@ -114,9 +117,10 @@ def may_leave_0(of: ModelEquations, t: float, x: list[float], l: list[float], i:
     return False
 
 
-TINY_PIECES, TINY = 50, 1e-13  # So many pieces one after the other that are so short: switches accumulate.
-MANY, FASTER = 4096, 0.6  # Events from which on they are asked whether they accumulate; see `ZenoDetector.grows`.
-SPACINGS = 5  # Between events n and n/2, n/2 and n/4, ... that are compared.
+TINY_PIECES, TINY = 50, 1e-13  # So many pieces one after the other that are so short, 450 EPS: switches accumulate.
+# MANY: FASTER is between 0.7 of a chirp, which goes on, and 0.5 of n that grows exponentially.
+MANY, FASTER = 4096, 0.6  # Events from which on they are asked whether they accumulate; see `ZenoDetector.event_rate_grows`.
+SPACINGS = 5  # Between events n and n/2, n/2 and n/4, ... that are compared: four ratios, of up to 16 times as many events.
 
 
 class ZenoDetector:

@@ -39,18 +39,22 @@ from nsmodel.event_driven.multipliers import MultiplierSolver
 from nsmodel.event_driven.step_size import LOCAL, MULTIPLIERS, SMALL, ModelEquations, estimate_local_error, zero_start_scales
 from nsmodel.event_driven.system import ModeSystem
 
+# RADIUS_OF_BALL: a bound falls like radius^-p; near a singularity only close discs have one.
 RADIUS_OF_BALL, WIDE_RADIUS, CLOSE_RADIUS = 6.0, 2.0, 1.25  # Of the disc, in lengths of the piece: of a ball, of two forms.
-PROVED = 0.45  # Of the length that was asked for: with less a smaller disc may prove more.
-NEARLY = 0.97  # Of the length that a bound lets be.
-SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many by half, then by so much at a time.
-CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter.
-POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole,
-SUDDEN = 1e3  # and how much more than itself that rate would.
-AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
+PROVED = 0.45  # Of the length that was asked for: with less a disc of half the size may prove more, and 0.5 at most.
+NEARLY = 0.97  # Of the length that a bound lets be: what is left is for its rounding.
+# SHRINKINGS: 2^-1160 in all, down to the least double.
+SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many, the first ones by half, then by so much at a time.
+CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter: 2^-480 in all.
+# POLE: less of both calls a steep motion a pole, more comes near one by MAX_STILL_PIECES before it is told.
+POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole, (+)
+SUDDEN = 1e3  # and how much more than itself that rate would. (+)
+AS_NOW = 2.0**-51  # Of the time, and of the length of a piece, 2 EPS: what a state does in it is rounding. (~)
 MAX_STILL_PIECES = 2000  # Pieces, one after the other, that hardly move time: from rest some hundred are needed.
-ENTRY_CANCELLED = 2.0**-50  # An entry of P = I - B N C below this is rounding of its terms.
+ENTRY_CANCELLED = 2.0**-50  # An entry of P = I - B N C below this, 4 EPS, is rounding of its terms.
+# FAR: 1/t is 64 times smaller there, t^-1/2, which has an integral, 8 times.
 FAR, GROWS = 64.0, 4.0  # Times in which time stands still, and how much smaller rates are so far from a pole.
-AT_REST = 1e-290  # What a state that is exactly 0 may err by.
+AT_REST = 1e-290  # What a state that is exactly 0 may err by: a number whose square roots and shares are numbers.
 
 
 TIERS = ((False, RADIUS_OF_BALL), (True, WIDE_RADIUS), (True, CLOSE_RADIUS))
@@ -256,6 +260,7 @@ def _row_error_ratio(bound: float, order: int, q: float, now: float, goal: float
     return error_ratio(bound * q**order, MULTIPLIERS * goal + AT_REST + bound * now**order)
 
 
+# SHORTENINGS: by half or more, 2^-30 in all.
 SHORTENINGS, CAUTION = 30, 0.9  # Of a piece, and the share of the length that its error allows.
 
 

@@ -39,7 +39,7 @@ from nsmodel.modeling.signals.schedule import merge_near_times
 from nsmodel.modeling.variants import block_input_entries, initial_inputs
 from nsmodel.proof.verdict import connected_components, not_none
 
-TINY_SPEED = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
+TINY_SPEED = 1e-150  # Beside a size, that its derivatives are numbers where it is 0; its square is one.
 
 
 BLOCK = "block"  # Begins the names of those parts of the equations that are what blocks set.
@@ -323,7 +323,7 @@ def _derivative_values(inputs: Mapping[str, Any], t: float) -> list[float]:
     return [v for signal in signals for column in np.asarray(signal.derivatives(t)).T.tolist() for v in column]
 
 
-SAME_TIME = 4 * EPS  # Of a known time: an event that is as near is at it.
+SAME_TIME = 4 * EPS  # Of a known time: an event that is as near is at it: both are rounded as what is added to a time.
 
 
 @dataclass(frozen=True)
@@ -358,7 +358,7 @@ def reaches_time(t: float, known: float) -> bool:
     return known < math.inf and t >= known * (1 - SAME_TIME)
 
 
-AHEAD = 2.0  # Times of the run up to which times of signals are known.
+AHEAD = 2.0  # Times of the run up to which times of signals are known: pieces are made beyond its end.
 
 
 def switch_times_of(model: Model, t_end: float) -> SwitchTimes:

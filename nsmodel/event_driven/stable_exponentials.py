@@ -21,9 +21,10 @@ from nsmodel.event_driven.problem import ContinuousProblem
 from nsmodel.event_driven.recurrences import SMALLEST_DOUBLE
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, numeric_constants, operation_codes
 
-MAX_REWRITTEN_TERMS = 4  # Of a sum; a longer one stays as it is written.
+MAX_REWRITTEN_TERMS = 4  # Of a sum; a longer one stays as it is written: each may be the largest, and has its own form.
 # The series of d/(e^d - 1), see `_bernoulli`:
-SERIES_BELOW = 0.5  # |d| below which it stands for the quotient.
+SERIES_BELOW = 0.5  # |d| below which it stands for the quotient, whose expansions divide by e^d - 1.
+# SERIES_RADIUS: (2/(2 pi))^34 = 1e-17 is what 17 even terms leave.
 SERIES_RADIUS = 2.0  # |d| up to which it errs by rounding alone, with
 BERNOULLI_TERMS = 17  # so many coefficients.
 VANISHING_WEIGHT = 1e-300  # Of a term that is nothing beside 1, but whose root keeps discs within the radius.

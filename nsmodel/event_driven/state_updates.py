@@ -18,7 +18,7 @@ from nsmodel.event_driven.multipliers import TERM_ROUNDING, TIE, generalised_inv
 from nsmodel.event_driven.step_size import initial_time_unit
 from nsmodel.event_driven.system import ModeSystem
 
-PROJECTIONS = 3  # Iterations of the projection of x onto y = 0.
+PROJECTIONS = 3  # Iterations of the projection of x onto y = 0, at most: each squares what pieces have left of rtol. (~)
 
 
 def project_to_held_rows(system: ModeSystem, place: PieceStart, rows: tuple[int, ...]) -> bool:
@@ -77,7 +77,7 @@ def _left_null_space(D: bytes, rows: int) -> np.ndarray:
     return generalised_inverse(np.frombuffer(D).reshape(rows, rows)).left
 
 
-AROUND = 4  # Order of the expansions at an event.
+AROUND = 4  # Order of the expansions at an event: what they leave of a distance NEAR is its fifth power.
 
 
 def reset_branch_choices(system: ModeSystem) -> None:

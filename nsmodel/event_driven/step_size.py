@@ -27,13 +27,14 @@ from nsmodel.proof.verdict import BufferedFunction
 from nsmodel.solvers.rounding_errors import rounding_error_bound
 
 LARGEST_ORDER = 30  # Of a series, for which C has memory; rtol = 1e-14 asks for 22.
-BEYOND = 3  # Orders of a series beyond -ln(rtol)/2.
-LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, and of no more than this.
-LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.
-MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol.
-PASSES = 3  # In which sizes on the piece and its length settle.
-FIRST = 0.1  # By which share of their size states may move in the first unit of time.
-SMALL = 1e-3  # Rows of y and l below this share of the largest are measured beside that share.
+BEYOND = 3  # Orders of a series beyond -ln(rtol)/2, see `taylor_order`. (~)
+LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, so that 100 add up to rtol, and of no more than this.
+LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit: s^30 is 2^150.
+MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol: of index 2 they have one order less than x. (~)
+PASSES = 3  # In which sizes on the piece and its length settle; later ones change the length by little. (~)
+FIRST = 0.1  # By which share of their size states may move in the first unit of time: pieces tell the next one. (~)
+# SMALL: less asks for digits that rounding of the others takes, more forgives errors of small ones.
+SMALL = 1e-3  # Rows of y and l below this share of the largest are measured beside that share. (~)
 
 
 def taylor_order(rtol: float) -> int:
@@ -130,8 +131,8 @@ def _common_length(rows: list[_CoefficientRow]) -> float:
     return given
 
 
-POINT = 0.95  # Of a piece.
-SEEN, SEEN_ROW = 1e-14, 1e-12  # Shares of what a residual is made of that are rounding.
+POINT = 0.95  # Of a piece: near its end, where the defect of a series, like s^p, is largest.
+SEEN, SEEN_ROW = 1e-14, 1e-12  # Shares of what a residual is made of that are rounding: 45 EPS of x', 4500 of rows, as TIE. (+)
 
 
 class ModelEquations:

@@ -49,7 +49,7 @@ from nsmodel.modeling.expressions import derivatives
 from nsmodel.proof.verdict import BufferedFunction, not_none
 
 TIME_ROUNDING = EPS / TERM_ROUNDING  # What time is known to, in the rounding of an operation.
-STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
+STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less. More takes a slow row for one at rest. (+)
 
 
 def relative_change(system: ModeSystem, how: MultiplierSolver, direct: list[float], through: list[float]) -> float:
@@ -83,15 +83,17 @@ def remains_zero(system: ModeSystem, how: MultiplierSolver, orders: Iterable[int
     return True
 
 
-NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
-NEWTON_CONVERGED = 1e-14  # Relative, for each iteration allowed: a change of l below NEWTON times this is rounding.
-MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept.
-HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
+NEWTON = 30  # Iterations of l at order 0, at most, where f, g or h are not linear in it; then the next start, or no mode.
+NEWTON_CONVERGED = 1e-14  # Relative, for each iteration allowed: a change of l below NEWTON times this, 3e-13, is rounding. (+)
+MAX_CACHED_MODES = 1000  # Modes with their slopes whose matrices are kept; one more, and all are made anew.
+HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0; of later ones products leave more rounding. (+)
 SOLVED = TERM_ROUNDING / TIE  # Of what l of a held row is the sum of: TIE of this is the rounding of its solve.
-LITTLE = 1e-6  # Of the largest multiplier, or y, of rows that are tied: a smaller one is measured beside that.
-RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
-AT_ONCE = 2.0**-40  # Of the time: what comes to 0 so soon is at 0.
-AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
+# LITTLE: less asks for digits that rounding of the others takes, more forgives errors of small ones.
+LITTLE = 1e-6  # Of the largest multiplier, or y, of rows that are tied: a smaller one is measured beside that. (+)
+# RESTS: less takes the rounding of forces at rest for motion, more slow motion for rest.
+RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding. (+)
+AT_ONCE = 2.0**-40  # Of the time, 4096 EPS: what comes to 0 so soon is at 0, in the words of an error.
+AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0; less refuses what pieces leave of rtol. (+)
 
 
 def _first_orders(rows: Sequence[Sequence[float]], number: int) -> np.ndarray:

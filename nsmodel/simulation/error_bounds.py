@@ -48,10 +48,12 @@ from nsmodel.proof.interval_arithmetic import next_up
 from nsmodel.proof.interval_functions import Interval, interval_function, point_intervals
 from nsmodel.proof.storage_matrix import find_storage_matrix, well_conditioned_block
 
-BOXES_PER_PIECE = 8  # Boxes that each piece is covered by.
-METRIC_SAMPLES = 8  # Jacobians for which P is chosen.
-TUBE_HALF_WIDTHS = (1e-6, 1e-3, 1e-1)  # Half widths of tubes that are tried, beside the largest of each state.
-SUM_ROUNDING_SHARE = 1e-12  # What sums in doubles may err by: every bound is raised by this share.
+BOXES_PER_PIECE = 8  # Boxes that each piece is covered by: bounds of f_x are over boxes, and cost as many. (+)
+METRIC_SAMPLES = 8  # Jacobians for which P is chosen; whatever it is, the bound holds, and may be worse. (+)
+# TUBE_HALF_WIDTHS: a bound that leaves one is sought in the next, on which f_x is larger.
+TUBE_HALF_WIDTHS = (1e-6, 1e-3, 1e-1)  # Half widths of tubes that are tried, beside the largest of each state. (+)
+# SUM_ROUNDING_SHARE: every bound is raised by this share: 4500 EPS, sums have as many terms as a model has states.
+SUM_ROUNDING_SHARE = 1e-12  # What sums in doubles may err by.
 
 
 class NoErrorBound(ValueError):

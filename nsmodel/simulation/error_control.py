@@ -66,20 +66,29 @@ from nsmodel.simulation.step_inputs import SpanInputs
 from nsmodel.solvers import impacts
 from nsmodel.solvers.one_step_problem import OneStepProblem, state_before_short_step, state_constraints
 from nsmodel.solvers.residuals import numeric_law
+from nsmodel.solvers.rounding_errors import SUM_ERROR
 from nsmodel.solvers.step import UNKNOWN_INDEX, RowRecord, StepResult, WarmStart, verified_step
-from nsmodel.solvers.step_doubling import BothWays, ErrorNorm, controlled_step, error_scale_groups, extrapolation_error
+from nsmodel.solvers.step_doubling import (
+    STEP_DOUBLING_LIMIT,
+    BothWays,
+    ErrorNorm,
+    controlled_step,
+    error_scale_groups,
+    extrapolation_error,
+)
 
+# COARSEST_LEVEL: no step is longer than 1/16 of a run; the least, as of stretches, is 4096 roundings of it.
 COARSEST_LEVEL, FINEST_LEVEL = 4, 40  # Steps are L/2^j with j between these.
-FIRST_LEVEL = 7  # j of the first step where none is given.
+FIRST_LEVEL = 7  # j of the first step where none is given: its error tells the next one. (+)
+# SWITCH_ERROR_SHARE: less has to halve steps at each switch, more adds up: four switches come to the tolerance.
 SWITCH_ERROR_SHARE = 0.25  # Part of the allowed error that a step across a switch may use.
-STEP_DOUBLING_LIMIT = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 CONTROL_CONSTANTS = {"largest": COARSEST_LEVEL, "crossing": SWITCH_ERROR_SHARE, "grow": STEP_DOUBLING_LIMIT}  # Of C.
 OPEN_CONE_CODE = -1  # The index of a cone whose l is 0: y is inside.
-UNSOLVED_HALVINGS = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
-MAX_ACCEPTED_STEPS = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
-MISSED_TOLERANCE_FACTOR = 10  # Times what rtol allows: where errors add up to more, a warning says so.
-LOOSENING_INTERVAL = 500  # Accepted steps after which what is allowed may grow.
-INITIAL_ROW_CAPACITY = 4096  # Rows for which there is memory at first.
+UNSOLVED_HALVINGS = 4  # How often a step without an answer is halved at once: to find that out takes every solver. (+)
+MAX_ACCEPTED_STEPS = 10_000_000  # Accepted steps after which a run stops, after hours of them: its tolerance is out of reach.
+MISSED_TOLERANCE_FACTOR = 10  # Times what rtol allows: where errors add up to more than runs are held to, a warning says so. (+)
+LOOSENING_INTERVAL = 500  # Accepted steps after which what is allowed may grow: at once for all that C takes in a call. (+)
+INITIAL_ROW_CAPACITY = 4096  # Rows for which there is memory at first; it is doubled where it is full.
 
 
 class StepState(NamedTuple):
@@ -441,7 +450,7 @@ class ErrorControlledPropagator(SchemePropagator):
         """Whether every constraint is >= 0, to the rounding of evaluating it."""
         x, u = state[: len(self.model.names)], state[self.stepper.layout.inputs][self.problem.inputs :]
         c, J = (np.array(part) for part in self._c(t, x, u))
-        return bool((c.ravel() >= -4 * EPS * (np.abs(J) @ np.abs(x))).all())
+        return bool((c.ravel() >= -SUM_ERROR * EPS * (np.abs(J) @ np.abs(x))).all())
 
     def _row_with_state(self, at: StepState, trial: StepDoublingTrial, state: np.ndarray, gaps: np.ndarray | None) -> np.ndarray:
         """The second row with another state, and what follows from the state alone: gaps, velocities."""

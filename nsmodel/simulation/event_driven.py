@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from nsmodel.simulation.error_bounds import CertifiedRun
 
 PIECES_IN_C = "pieces in C, compiled for this model; one that C cannot make is interpreted"
-MAX_RUN_PIECES = 10_000_000  # Pieces after which a run stops.
+MAX_RUN_PIECES = 10_000_000  # Pieces after which a run stops: an hour of a small model, interpreted.
 
 
 class PieceBackend(NamedTuple):

@@ -79,10 +79,8 @@ def progress_bar(**options: Any) -> Any:
     return tqdm(delay=1.0, leave=False, dynamic_ncols=True, **options)
 
 
-MAX_STEPS_PER_CALL, QUICK_CALL_SECONDS = (
-    64,
-    0.01,
-)  # Steps between two looks at the clock: twice as many after those that took less than this.
+# So late comes Ctrl-C; the clock costs nothing beside.
+MAX_STEPS_PER_CALL, QUICK_CALL_SECONDS = 64, 0.01  # Steps between looks at the clock: twice as many after less than this.
 
 
 class RunInterrupted(KeyboardInterrupt):

@@ -24,7 +24,7 @@ from nsmodel.event_driven.multipliers import RowScales
 from nsmodel.event_driven.piece import Piece, StartEvent
 from nsmodel.event_driven.problem import ContinuousProblem
 
-HEAD_NUMBERS = 7  # t, tau, s, defect, whether an event begins it, within what its time is known, residual.
+HEAD_NUMBERS = 7  # Their count: t, tau, s, defect, whether an event begins it, within what its time is known, residual.
 
 
 class PieceLayout(NamedTuple):
@@ -177,11 +177,8 @@ class PieceBuffer:
 
 UNIQUENESS_VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
 STIFF_FIELDS = ("length", "failed", "wait", "pieces")  # Of `stiff.StiffIntegrator`, as C has it.
-PIECES_PER_REQUEST, MAX_PIECES_PER_CALL, MAX_CALL_BYTES = (
-    256,
-    1024,
-    8 << 20,
-)  # Pieces of a call, for each asked for and at most, and the memory that they may take.
+# Pieces of a call, and the memory that they may take: few calls, each short enough for Ctrl-C.
+PIECES_PER_REQUEST, MAX_PIECES_PER_CALL, MAX_CALL_BYTES = 256, 1024, 8 << 20  # For each asked for; at most; in all.
 
 
 class InterpretedPieces:

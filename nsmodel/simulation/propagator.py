@@ -31,6 +31,7 @@ from nsmodel.solvers.plan import Plan
 from nsmodel.solvers.step import RUNAWAY_LIMIT, RowLayout
 
 PERCENT_PROGRESS = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
+# CHUNK_BYTES: a crash loses no more.
 CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
 
 

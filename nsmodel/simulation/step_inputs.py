@@ -21,6 +21,7 @@ from nsmodel.modeling.time_grid import SAME_STEP_TOLERANCE, TimeGrid, count_equa
 from nsmodel.modeling.variants import block_input_entries, initial_inputs
 from nsmodel.simulation.trajectory import Trajectory
 
+# INPUT_BLOCK_STEPS: more cost less each, and memory.
 INPUT_BLOCK_STEPS, MAX_INPUT_BLOCK_STEPS = 4096, 65536  # Steps whose inputs are computed at a time: one by one, and in C at most.
 
 StateMap = Callable[[np.ndarray], np.ndarray]
@@ -237,7 +238,8 @@ class SpanInputs:
         return state
 
 
-LOOK_AHEAD_FACTOR = 2.0  # Times as far as steps have come: signals are looked at up to there.
+# LOOK_AHEAD_FACTOR: so that a stepper asks log2(steps) times.
+LOOK_AHEAD_FACTOR = 2.0  # Times as far as steps have come: signals are looked at up to there. (+)
 
 
 class FreeInput(ConstantSignal):

@@ -77,7 +77,7 @@ class CompiledSteps:
         return None if library is None else library.step(t, h, state, warm, layout)
 
 
-INITIAL_RECORD_ROWS = 1024  # Rows for which a record has memory at first.
+INITIAL_RECORD_ROWS = 1024  # Rows for which a record has memory at first; it is doubled where it is full.
 INF = np.inf
 
 

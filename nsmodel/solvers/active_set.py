@@ -14,20 +14,24 @@ from nsmodel._utils import EPS
 from nsmodel.solvers.residuals import NumericLaw
 from nsmodel.solvers.rounding_errors import INSIDE, SUM_ERROR, equilibrate_matrix
 
-MAX_INDEX_SETS = 20000  # More are not tried one by one.
-PRIMAL_DUAL_SWEEPS = 12  # Index sets that the primal-dual method tries.
+MAX_INDEX_SETS = 20000  # More are not tried one by one: 3^9 take two seconds.
+PRIMAL_DUAL_SWEEPS = 12  # Index sets that the primal-dual method tries; it settles or cycles soon, then others are tried. (+)
+# CANCELLED: 12 of 16 digits are lost.
 CANCELLED = 1e12  # Terms of a solution, beside its right-hand side, from which on a matrix seems singular.
-EQUILIBRATIONS = 8  # Sweeps of Ruiz' iteration before pivoting.
-NOUGHT = 8  # Times EPS: entries below this, of about 1, are round-off.
-REGULARISED = 1e-7  # Added to the diagonal of a W of about 1 where round-off makes a ray of it.
+EQUILIBRATIONS = 8  # Sweeps of Ruiz' iteration before pivoting: each takes roots, so that 1.2 is left of 1e20. (~)
+NOUGHT = 8  # Times EPS: entries below this, of about 1, are round-off of the units and of W. (+)
+# REGULARISED: less is round-off beside W after some pivots, more suggests another index set.
+REGULARISED = 1e-7  # Added to the diagonal of a W of about 1 where round-off makes a ray of it. (+)
+# PIVOTS_EACH: its path may be exponential, but is some rows long in practice.
 PIVOTS_EACH, PIVOTS_MORE = 20, 50  # The most pivots of Lemke's method: so many for each row, and so many more.
-GONE = 1e-13  # Part of the largest |q| from which on Lemke's artificial variable is 0.
-PREFERRED = 1e-13  # Part of the largest step within which it is that variable which leaves.
-PIVOT_ERROR = 64  # Times EPS: the part of its terms by which an entry of a pivot column may err.
-MIN_PIVOT = 1e-12  # Part of the largest entry of a pivot column below which none is a pivot.
-TIED = 1e-12  # Part of the largest value within which two are equal.
-RANK = 1e-12  # Singular values below this part of the largest are 0 where a regularised answer is polished.
-POLISHED = 1e-10  # Part of the sizes of the problem to which it then must be solved.
+GONE = 1e-13  # Part of the largest |q| from which on Lemke's artificial variable is 0: 450 EPS. (+)
+PREFERRED = 1e-13  # Part of the largest step within which it is that variable which leaves: 450 EPS. (+)
+PIVOT_ERROR = 64  # Times EPS: the part of its terms by which an entry of a pivot column may err: more of it refuses pivots. (+)
+# MIN_PIVOT: ten times as much, and Lemke's method ends without a solution on two models of tests.search.constants.
+MIN_PIVOT = 1e-12  # Part of the largest entry of a pivot column below which none is a pivot; less pivots on round-off.
+TIED = 1e-12  # Part of the largest value within which two are equal: then the next column decides, so that none cycles. (+)
+RANK = 1e-12  # Singular values below this part of the largest, round-off, are 0 where a regularised answer is polished. (+)
+POLISHED = 1e-10  # Part of the sizes of the problem to which it then must be solved; the certificate judges it. (+)
 
 
 def solve_on_index_set(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray) -> np.ndarray | None:

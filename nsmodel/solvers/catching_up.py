@@ -25,11 +25,11 @@ from nsmodel.solvers.rounding_errors import SUM_ERROR
 from nsmodel.solvers.step import RowLayout, StepResult, WarmStart
 from nsmodel.solvers.time_stepper import Stepper
 
-USED = 0.9  # Part of eps_k that an approximate projection on a box uses up.
-CUT_ITERATIONS = 60  # Outer polyhedra that are projected on, at most.
-CUT_TOLERANCE = 1e-10  # Residual to which that is done.
-ACTS = 1e-9  # A cut with |value| below this part of its size holds the foot.
-BISECTIONS = 80  # On the way from that foot into C.
+USED = 0.9  # Part of eps_k that an approximate projection on a box uses up: what is left is for its rounding.
+CUT_ITERATIONS = 60  # Outer polyhedra that are projected on, at most; then the step is refused, with its excess.
+CUT_TOLERANCE = 1e-10  # Residual to which that is done: a tenth of the default tolerance of a step, to which it is held. (+)
+ACTS = 1e-9  # A cut with |value| below this part of its size holds the foot; others are dropped, and come back if they act. (+)
+BISECTIONS = 80  # On the way from that foot into C, at most: rounding ends them before, but on the first 2^-30 of the way.
 
 
 class CatchingUpStepper:

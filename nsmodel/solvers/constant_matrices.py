@@ -30,8 +30,8 @@ from nsmodel.solvers.rounding_errors import UNIT_ROUND_OFF, equilibrate_matrix, 
 from nsmodel.solvers.step import extra_columns
 from nsmodel.solvers.structure import StepStructure, with_exact_unknowns
 
-MAX_UNKNOWN_ERROR = 1e-2  # Part of z that rounding may decide.
-ILL_CONDITIONED = 1e13  # Condition from which on a matrix counts as singular.
+MAX_UNKNOWN_ERROR = 1e-2  # Part of z that rounding may decide: then the step's matrix is called singular. (+)
+ILL_CONDITIONED = 1e13  # Condition from which on a matrix counts as singular: three digits of 16 are left. (+)
 MAX_CSE_SIZE = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
 
 

@@ -24,15 +24,18 @@ from nsmodel.solvers.step import RUNAWAY_LIMIT
 from nsmodel.solvers.structure import StepStructure, is_eigenvalue_nonnegative, least_eigenvalue
 
 JUMP_ADVICE = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
-MIN_OPPOSING_ANGLE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
-DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
+MIN_OPPOSING_ANGLE = 1e-7  # 1/gamma below which W, which has its square, holds too little of the angle between opposing rows.
+# DEPENDENCE_LIMIT: 4500 EPS.
+DEPENDENCE_LIMIT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell multipliers apart.
+# NEIGHBOURHOOD: it is looked for once in a run, where a step has failed.
 NEIGHBOURHOOD, ROOT_SAMPLES = 10, 64  # Times the state: where jumps are looked for, between so many points.
 MAX_NAMES = 12  # Contacts that a message names.
+# MODERATE: they are solved to 1e-7.
 MODERATE = 1e-4  # Of the largest: parts of W and friction beside which linear programmes tell what is infeasible.
-MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one.
+MAX_ACTING = 4  # Contacts whose choices of modes, four each, are looked at one by one: 256 linear programmes.
 OPEN, STICK, INFEASIBLE = "open", "stick", 2  # Modes of a contact, and the status of linprog where nothing is feasible.
 LIFTED = 1e12  # So many times what is violated a row that is farther off says nothing: contacts that do not act.
-FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
+FARKAS_TOLERANCE = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed: 45 EPS.
 
 
 def describe_overreach(name: str, ratio: float) -> str:

@@ -29,8 +29,9 @@ from nsmodel.modeling.laws import Box, Law
 from nsmodel.proof.verdict import suppress_output
 from nsmodel.solvers.one_step_problem import OneStepProblem
 from nsmodel.solvers.residuals import NumericLaw
+from nsmodel.solvers.rounding_errors import SUM_ERROR
 
-PARALLEL_TOLERANCE = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it.
+PARALLEL_TOLERANCE = 64 * EPS  # Part of a unit normal that is left outside the span of others where it lies in it: round-off. (+)
 
 
 def nearest_point_of_polyhedron(p: np.ndarray, N: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -47,7 +48,7 @@ def nearest_point_of_polyhedron(p: np.ndarray, N: np.ndarray, c: np.ndarray) -> 
     z, held, u = p.copy(), [], np.zeros(0)
     for _ in range(10 * len(N) + 50):
         slack = N @ z - c
-        unseen = 4 * EPS * (np.abs(N) @ (np.abs(z) + np.abs(z - p)) + np.abs(c))
+        unseen = SUM_ERROR * EPS * (np.abs(N) @ (np.abs(z) + np.abs(z - p)) + np.abs(c))
         slack[held] = 0.0
         worst = int(np.argmin(np.where(slack < -unseen, slack, 0.0)))
         if not slack[worst] < -unseen[worst]:
@@ -144,7 +145,7 @@ def _part_law(law: Law, rows: list[int]) -> Law:
     return Law(tuple(blocks))
 
 
-ABS_SMOOTHING = 1e-30  # Keeps the derivative of |y| finite at 0.
+ABS_SMOOTHING = 1e-30  # Keeps the derivative of |y| finite at 0: its root, 1e-15, is below what IPOPT is asked for.
 IPOPT_OPTIONS = {
     "print_time": False,
     "error_on_fail": False,

@@ -16,7 +16,7 @@ from nsmodel.modeling.laws import CoulombSet
 from nsmodel.solvers.active_set import lemke, solve_or_least_squares
 from nsmodel.solvers.residuals import NumericLaw
 
-MAX_MODES = 5000  # Choices of modes that are tried one by one: those of six contacts.
+MAX_MODES = 5000  # Choices of modes that are tried one by one: 4^6, those of six contacts.
 
 
 def solve_on_modes(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, y: np.ndarray, code: np.ndarray) -> np.ndarray:

@@ -30,12 +30,13 @@ from nsmodel.modeling.laws.base import SecondOrder
 from nsmodel.modeling.parts import Part
 from nsmodel.modeling.variants import initial_inputs
 
-PRODUCT_ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
-NEGLIGIBLE_RATE = 1e-9  # A rate is 0 below this part of the largest |y'|.
+PRODUCT_ROUNDING = 1e-12  # A sum is 0 below this part of its terms, 4500 EPS. (+)
+NEGLIGIBLE_RATE = 1e-9  # A rate is 0 below this part of the largest |y'|: steps are solved to as much. (+)
+# IMPACT_RATE_FACTOR: a smooth y' that comes to 0 is as large as its change then.
 IMPACT_RATE_FACTOR = 2.0  # A rate below so many times its change in a step is none of an impact.
 IMPACTS_GUIDE = "docs/guide.md, 2.7"
 MAX_NAMED_ROWS = 4  # Multipliers that a sentence names.
-SAMPLE_POINTS = 4  # States where rows are looked at: the start, and others around it.
+SAMPLE_POINTS = 4  # States where rows are looked at, the start, and others around it: an entry that is 0 at all of them is 0.
 
 
 @dataclass(frozen=True)

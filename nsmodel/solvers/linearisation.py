@@ -31,10 +31,10 @@ from nsmodel.solvers.rounding_errors import (
 from nsmodel.solvers.step import extra_columns
 from nsmodel.solvers.structure import StepStructure
 
-ENOUGH = 1e-2  # Part of the tolerance from which on nothing is improved;
-SUFFICIENT_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding.
+ENOUGH = 1e-2  # Part of the tolerance from which on nothing is improved; (~)
+SUFFICIENT_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding. (~)
 MAX_CSE_INPUTS = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
-MAX_ZEROS = 1000  # Entries without a value up to which a matrix is evaluated with them.
+MAX_ZEROS = 1000  # Entries without a value up to which a matrix is evaluated with them; else its entries are put in place.
 NOT_COMPUTED = object()  # Not computed yet.
 
 
@@ -354,15 +354,17 @@ class SparseMatrix:
         return flat.reshape(self.shape, order="F")
 
 
-MAX_INDEX_SET_CHANGES = 12  # Index sets that are tried on the whole system.
+MAX_INDEX_SET_CHANGES = 12  # Index sets that are tried on the whole system, beside two a row; then the best one is taken. (+)
+# MAX_CUT_LINEARISATIONS: after them Newton's method goes on with the rows that hold.
 MAX_CUT_LINEARISATIONS = 40  # Linearisations of curved constraints, of all of which the nearest point is found.
-REFINEMENTS = 5  # Of an affine step on an index set.
-LAST_NEWTON_STEP_SHARE = 1e-6  # Part of the unknowns: the size of a last step of Newton's method.
-HALVINGS = 20  # Of a step of Newton's method, at most.
+REFINEMENTS = 5  # Of an affine step on an index set: one solves it, each further one takes away rounding. (~)
+LAST_NEWTON_STEP_SHARE = 1e-6  # Part of the unknowns: the size of a last step of Newton's method: what is left is its square. (+)
+HALVINGS = 20  # Of a step of Newton's method, at most: a millionth of it is still tried. (+)
 MIN_STEP_FRACTION = 2.0**-HALVINGS  # Part of a step that is still tried.
-NEAREST = 1e-3  # Part of its way to 0 that y keeps in a step where slopes are infinite there.
-EARLY = 3  # Iterations up to which Newton's method on an index set goes on where a step brings nothing.
-NEWTON_ITERATIONS = 30  # Linearisations in a step.
+# NEAREST: on the other side sqrt|y| is a mirror image, and steps would go to and fro.
+NEAREST = 1e-3  # Part of its way to 0 that y keeps in a step where slopes are infinite there. (+)
+EARLY = 3  # Iterations up to which Newton's method on an index set goes on where a step brings nothing, as first ones may. (~)
+NEWTON_ITERATIONS = 30  # Linearisations in a step, at most; then the next solver is tried. (+)
 
 
 class IndexSetNewton(LinearisedStep):

@@ -82,14 +82,16 @@ def _build_conic_solver(name: str, n: int, rows: int) -> ca.Function:
     )  # fmt: skip
 
 
-SEMISMOOTH_ITERATIONS = 60  # Of Newton's method on curved sets.
-GAUSS_SEIDEL_SWEEPS = 400  # Projected gradient sweeps that give Newton's method a start.
-SWEPT = 1e-10  # Part of l: changes below this end the sweeps.
-CONVERGED = 1e-13  # The natural map, beside what it consists of, from which on an iteration that gains no factor 2 is the last.
-ACCEPTED = 1e-11  # The same up to which the last iteration is an answer.
-REGULARISATIONS = 14  # Decades through which a multiple of the identity, added to a singular W of contacts, falls.
-ARMIJO = 1e-4  # Part of the decrease that a step promises which it must bring; else it is halved.
-MIN_DAMPED_STEP = 1e-4  # Part of a step on curved sets below which it is not halved any more.
+SEMISMOOTH_ITERATIONS = 60  # Of Newton's method on curved sets, at most; then it starts from Gauss and Seidel's answer. (+)
+GAUSS_SEIDEL_SWEEPS = 400  # Projected gradient sweeps that give Newton's method a start, at most.
+SWEPT = 1e-10  # Part of l: changes below this end the sweeps: the start is as good as they make it. (+)
+# CONVERGED: 450 EPS.
+CONVERGED = 1e-13  # The natural map, beside its terms, from which on an iteration that gains no factor 2 is the last. (+)
+ACCEPTED = 1e-11  # The same up to which the last iteration is an answer; the certificate judges it. (+)
+REGULARISATIONS = 14  # Decades, to 1e-13, through which a multiple of the identity, added to a singular W of contacts, falls.
+ARMIJO = 1e-4  # Part of the decrease that a step promises which it must bring; else it is halved. Any small part does. (+)
+# MIN_DAMPED_STEP: then it is taken all the same.
+MIN_DAMPED_STEP = 1e-4  # Part of a step on curved sets below which it is not halved any more. (+)
 
 
 def block_scale(W: np.ndarray, law: NumericLaw) -> np.ndarray:
@@ -228,7 +230,7 @@ INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration",
 NEARBY = "semismooth nearby"  # Newton's method from the last multiplier alone: what polishes an answer of another solver.
 
 
-MAX_ENTRY_RATIO = 1e4  # Entries of W that differ by more are in units that pivoting feels.
+MAX_ENTRY_RATIO = 1e4  # Entries of W that differ by more are in units that pivoting feels: four digits of 16 are lost. (~)
 
 
 @dataclass(frozen=True)
@@ -359,7 +361,7 @@ def _solver_candidates(name, W, b, law, warm, index, symmetric):
     if l is None:
         return
     y = W @ l + b
-    y[np.abs(y) <= 4 * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))] = 0.0  # a tie: a row at its bound stays there
+    y[np.abs(y) <= SUM_ERROR * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))] = 0.0  # a tie: a row at its bound stays there
     code = active_set.estimate_index_set(l, y, law, active_set.row_scale(W))
     if (polished := active_set.solve_on_index_set(W, b, law, code)) is not None:
         yield polished, code

@@ -45,10 +45,11 @@ from nsmodel.solvers.rounding_errors import FRAGILE, SUM_ERROR, UNIT_ROUND_OFF, 
 from nsmodel.solvers.step import RowLayout, extra_columns
 from nsmodel.solvers.structure import StepStructure, least_eigenvalue, with_exact_unknowns
 
-UNSOLVED = 3  # Affine problems with friction that no solver solves, each by the whole chain, after which a step is given up.
-GAIN = 10  # Factor by which an iteration must better the residual for another one to follow.
-EXTRA_ROW_OPERATIONS = 4  # Operations of a row beside those with its unknowns.
-WORKING_SET_ABOVE = 24  # Rows of a symmetric complementarity law from which on only those that act are solved for.
+UNSOLVED = 3  # Affine problems with friction that no solver solves, each by the whole chain, after which a step is given up. (+)
+# GAIN: less is no Newton's method: another solver, or rounding, has the say.
+GAIN = 10  # Factor by which an iteration must better the residual for another one to follow. (+)
+EXTRA_ROW_OPERATIONS = 4  # Operations of a row beside those with its unknowns: of b, and of terms that are no products.
+WORKING_SET_ABOVE = 24  # Rows of a symmetric complementarity law from which on only those that act are solved for. (+)
 
 
 def uses_working_set(structure: StepStructure, law: NumericLaw) -> bool:
@@ -207,10 +208,12 @@ class NewtonSolver(IndexSetNewton):
             return False
 
 
+# MAX_GRAPH_UNKNOWNS: its size grows with their cube.
 MAX_GRAPH_UNKNOWNS = 20  # Unknowns and multipliers up to which a graph has the linear algebra of a step.
+# MAX_GRAPH_OPERATIONS: so many take 50 us an iteration; a step without a graph takes some 350.
 MAX_GRAPH_OPERATIONS = 12_000  # Operations of a graph from which on it is of no use.
-MAX_GRAPH_ITERATIONS = 6  # Of Newton's method that a graph has written out.
-ROUNDING_MARGIN = 1e3  # So many times its rounding a row must be on its side.
+MAX_GRAPH_ITERATIONS = 6  # Of Newton's method by a graph, at most: then the general way is gone. (+)
+ROUNDING_MARGIN = 1e3  # So many times its rounding a row must be on its side: where it is nearer the general way is gone. (+)
 
 
 @dataclass(frozen=True)
@@ -293,7 +296,7 @@ class LastIndexSetStep:
                 row = out[4] + 0.0  # a copy without -0
                 row[self._layout.newton] = iteration
                 return row, reach
-            if not residual < last / 10:
+            if not residual < last / GAIN:
                 return None
             last = residual
         return None
@@ -327,7 +330,7 @@ def _newton_iteration(
     zero = [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)]
     Y_0, E_0 = ca.substitute([p.Y, p.E], [p.z, p.l], zero)
     z = with_exact_unknowns(structure, free, z, E_0, Y_0, at.E_z)
-    y, noise = at.W @ l_next + b, 4 * EPS * (ca.fabs(at.W) @ ca.fabs(l_next) + ca.fabs(b))
+    y, noise = at.W @ l_next + b, SUM_ERROR * EPS * (ca.fabs(at.W) @ ca.fabs(l_next) + ca.fabs(b))
     multiplier_error, stays = ca.fabs(inverse) @ (free * noise), ca.SX(1)
     for i in range(m):
         off = ROUNDING_MARGIN * multiplier_error[i]

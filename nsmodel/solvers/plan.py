@@ -39,9 +39,9 @@ INTERNAL_SOLVERS = {
     "semismooth": mlcp.SEMISMOOTH,
 }
 STEP_SOLVERS = ("auto", *mlcp.QP_SOLVERS, IPOPT_SOLVER, *INTERNAL_SOLVERS)
-MAX_ENUMERATED_ROWS = 10  # Rows up to which all index sets are tried where the other solvers find none.
+MAX_ENUMERATED_ROWS = 10  # Rows up to which all index sets are tried where the other solvers find none: 1024 take 0.15 s.
 MIN_SPARSE_SIZE = 120  # Unknowns and multipliers of a sparse step: of a chain it takes as long as a dense one, preparing it half.
-MAX_SPARSE_FILL = 0.1  # Part of its matrix that may be nonzero.
+MAX_SPARSE_FILL = 0.1  # Part of its matrix that may be nonzero: factors of fuller ones fill in.
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,19 @@ from nsmodel.modeling.laws import CurvedSet, Law
 from nsmodel.modeling.laws.base import safe_norm
 from nsmodel.solvers.rounding_errors import INSIDE
 
-ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
-NEGLIGIBLE_MULTIPLIER = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
-UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
+# ROUNDING: E is of first order, and of one way to evaluate the row.
+ROUNDING = 8  # c: the part of E that a row may err by, in units of u. (~)
+# NEGLIGIBLE_MULTIPLIER: less asks for digits that rounding of the others takes, more forgives errors of small ones.
+NEGLIGIBLE_MULTIPLIER = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance. (+)
+UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers: a tolerance of 1e-28 of it is the least normal one.
+# REACH: a tenth of it refuses steps of two models of tests.search.constants that are right.
 REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
-GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
-UNSEEN = 1e-12  # Part of c s_y from which on the rounding of l counts as a distance from the graph of a curved set.
-CLEAR = 1e-2  # Part of the tolerance up to which a residual is told as it is; above, rounding may be excused.
-STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this.
+# GROWTH: more excuses steps that have no solution.
+GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b. (+)
+# UNSEEN: 4500 EPS.
+UNSEEN = 1e-12  # Part of c s_y from which on the rounding of l counts as a distance from the graph of a curved set. (+)
+CLEAR = 1e-2  # Part of the tolerance up to which a residual is told as it is; above, rounding may be excused. (+)
+STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this: E and Y add their own rounding. (~)
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,13 @@ UNIT_ROUND_OFF = EPS / 2  # u, relative: what one operation is rounded by, at mo
 MAX_BOUND_NODES = (
     10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
 )
-PROBES = 8  # Sign vectors by which it is told what the unknowns err by.
-FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system.
-WORTH = 1e8  # Condition up to which the rounding of the unknowns excuses a row: beyond, it could excuse any.
-INSIDE = 8  # Times EPS: the part of itself by which rounding may put an l out of its box.
-SUM_ERROR = 4  # Times EPS: the part of its terms by which a sum may err.
+PROBES = 8  # Sign vectors by which it is told what the unknowns err by, each a solve; of one alone terms may cancel. (+)
+# FRAGILE: three of 16 digits.
+FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system. (+)
+# WORTH: half of the digits are left.
+WORTH = 1e8  # Condition up to which the rounding of the unknowns excuses a row: beyond, it could excuse any. (+)
+INSIDE = 8  # Times EPS: the part of itself by which rounding may put an l out of its box: twice SUM_ERROR. (+)
+SUM_ERROR = 4  # Times EPS: the part of its terms by which a sum may err: nine of them, and most longer ones. (+)
 SPREAD, MIXED, STIRRED = 2654435769, 2246822519, 3266489917  # Factors of the hash whose bits are the signs of probes.
 EXACT_OPERATIONS = frozenset({
     ca.OP_ASSIGN, ca.OP_NEG, ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_TWICE,

@@ -39,9 +39,10 @@ from nsmodel.solvers.rounding_errors import INSIDE, UNIT_ROUND_OFF, rounding_err
 from nsmodel.solvers.step import extra_columns
 from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, MAX_STEP_SIZES, StepStructure
 
+# MAX_BANDWIDTH: of wider ones SuperLU uses the zeros inside.
 MAX_BANDWIDTH = 48  # Diagonals above or below the main one up to which a band is factored.
-SINGULAR_PIVOT = 1e-13  # Pivots below this, of entries of about 1, are round-off.
-MAX_KEPT_FACTORS = 3  # Index sets whose factors are kept, for each step size.
+SINGULAR_PIVOT = 1e-13  # Pivots below this, of entries of about 1, are round-off: 450 EPS. (+)
+MAX_KEPT_FACTORS = 3  # Index sets whose factors are kept, for each step size: chattering goes to and fro between a few.
 
 
 @dataclass(frozen=True)
@@ -198,9 +199,10 @@ def step_jacobian_function(p: OneStepProblem) -> Callable[[float], sp.csr_matrix
     return jacobian_at
 
 
-PIVOTED_SETS = 200  # Index sets that are tried in a step.
-PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer.
-SHIFT = 1e-8  # Added to the diagonal of Y_l where a pivot is round-off; refinement takes its effect away.
+PIVOTED_SETS = 200  # Index sets that are tried in a step; then solvers of dense parts are, where they are small enough. (+)
+PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer; then one row changes at a time (Murty). (+)
+# SHIFT: root EPS: as far from round-off of a pivot as from what it changes.
+SHIFT = 1e-8  # Added to the diagonal of Y_l where a pivot is round-off; refinement takes its effect away. (+)
 
 
 class SparseStepSolver:

@@ -24,7 +24,11 @@ import numpy as np
 from nsmodel.solvers.impacts import ImpactRow
 from nsmodel.solvers.step import StepResult, WarmStart
 
-NEGLIGIBLE_STATE_SHARE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
+# NEGLIGIBLE_STATE_SHARE: less asks for digits of what may be rounding.
+NEGLIGIBLE_STATE_SHARE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that. (+)
+
+# STEP_DOUBLING_LIMIT: more makes steps that are refused, less shorter ones.
+STEP_DOUBLING_LIMIT = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 
 
 class ErrorScale(NamedTuple):

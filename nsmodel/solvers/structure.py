@@ -21,8 +21,8 @@ if TYPE_CHECKING:  # SciPy is loaded by who uses it.
 MAX_STEP_SIZES = 8  # Step sizes whose matrices are kept: with more, dense steps go without, sparse ones and C drop the oldest.
 MAX_DENSE_UNKNOWNS = 1500  # Unknowns and multipliers up to which dense matrices are tried: to invert one takes 0.3 s.
 MAX_FULL_SPECTRUM_ROWS = 300  # Rows of an operator up to which all eigenvalues are computed: these take 5 ms.
-MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue.
-LANCZOS_ERROR = 1e-9  # Of an operator scaled to 1: what is nearer to 0 is not told from it.
+MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue; less calls a psd W indefinite. (+)
+LANCZOS_ERROR = 1e-9  # Of an operator scaled to 1: what is nearer to 0 is not told from it; less calls a psd W indefinite.
 
 
 @dataclass(frozen=True)

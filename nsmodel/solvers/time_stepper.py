@@ -30,8 +30,9 @@ from nsmodel.solvers.structure import MAX_DENSE_UNKNOWNS, read_step_structure
 if TYPE_CHECKING:
     from nsmodel.solvers.sparse import FactoredJacobian, SparseStepSolver
 
+# NEARBY_SETS: one of the last ways.
 NEARBY_SETS = 400  # Index sets around the last one that are tried where Newton's method does not settle.
-RANDOM_STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
+RANDOM_STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0: each is a whole solve, when all else has failed.
 
 
 class StepAttempt(NamedTuple):
@@ -435,7 +436,7 @@ def completed_start_state(problem: OneStepProblem, state: np.ndarray, h: float, 
         raise UsageError(str(error)) from None
 
 
-MAX_KEPT_MODES = 16  # Modes whose matrices are kept.
+MAX_KEPT_MODES = 16  # Modes whose matrices are kept; where inputs have more the step is linearised each time.
 
 
 class ModewiseStepper:
