@@ -388,8 +388,7 @@ def test_the_target_is_priced_with_the_quickest_line(half_line):
 
 
 def test_a_refined_reference_agrees_with_the_closed_form(half_line, load_case):
-    model = load_case("moving_half_line")
-    model._set(exact=None)
+    model = replace(load_case("moving_half_line"), exact=None)
     found = study(model, steps=[0.06, 0.03], solvers=[])
     assert found.reference.own["max"] < 2e-3
     for name in ("interpreted", "compiled"):
