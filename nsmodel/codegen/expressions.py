@@ -25,7 +25,7 @@ SOLVER_PREFIXES = ("s->", "AT.")  # How the names of what is read from the solve
 MAX_EXPRESSION_WIDTH = 110  # Characters of an expression from which on it gets a name of its own: a line of C that can be read.
 # Zeros from which on a sparse matrix is cleared before its other entries are set: one call for so many lines.
 MIN_CLEARED_ZEROS = 64
-TARGETS_PER_LINE = 8  # Entries set to one constant in a line, which stays below 120 characters.
+TARGETS_PER_LINE = 8  # Entries set to one constant in a line, of about a hundred characters.
 ATOM, UNARY, PRODUCT, SUM, COMPARISON, LOGICAL, CHOICE = range(7)  # How tightly a piece of C binds.
 
 
@@ -241,7 +241,7 @@ def c_number(value: float) -> CExpression:
     return CExpression(text, UNARY if text.startswith("-") else ATOM)
 
 
-TABLE_WIDTH = 120  # Characters of a line of a table in C: five numbers of 17 digits.
+TABLE_WIDTH = 120  # Characters of a line of a table in C: some five numbers of 17 digits.
 
 
 def c_table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:

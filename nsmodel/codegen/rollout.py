@@ -33,7 +33,8 @@ NO_ENTRIES = slice(0, 0)
 # Libraries that are kept loaded while no run has them, those used last:
 # each takes memory, and is loaded again where it is asked for.
 MAX_LOADED = 32
-CALL_SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C, which nobody notices, and calls cost nothing beside it.
+# A call takes about as long, and so late comes Ctrl-C: nobody notices, and the overhead of a call is nothing beside it.
+CALL_SECONDS = 0.05
 
 _TotalsStruct = structs.STEP_TOTALS.ctypes_structure()
 RestartFunction = Callable[[float, float, np.ndarray], np.ndarray]

@@ -34,7 +34,7 @@ ALIGNMENT = 64  # Bytes to which the memory of lanes is aligned: a line of the c
 # Unknowns and multipliers up to which steps are taken in lanes: their numbers, times the lanes, stay in the first cache.
 MAX_LANE_UNKNOWNS = 16
 LANE_WIDTHS = {40: 32, 400: 16}  # Numbers of a lane up to which so many are kept in step: they stay in the nearest memory.
-# Operations deep to which two expressions are compared; deeper ones count as different, which makes the code longer alone.
+# Operations deep to which two expressions are compared; deeper ones count as different, which only makes the code longer.
 COMPARISON_DEPTH = 20
 
 

@@ -301,7 +301,8 @@ def projection_tolerances(model: Model, grid: TimeGrid) -> tuple[float, ...]:
 
 
 DRAWS = 2000  # Values that are tried at a time, of any sign and size: one call of a vector function.
-MAX_CANDIDATES = 3  # Of those that seem right at a time, models that are made: what cannot be told of all at once may refuse one.
+# Of the values that seem right at a time, models that are made: some conditions only show on a model, which is then refused.
+MAX_CANDIDATES = 3
 
 
 def spec_for_all_values(model: Model, grid: TimeGrid, tolerance: float) -> StepSpec:

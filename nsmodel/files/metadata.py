@@ -215,7 +215,7 @@ def has_valid_checksum(manifest: Any) -> bool:
     return isinstance(checksum, str) and len(checksum) >= _MIN_CHECKSUM_LENGTH and document_digest(manifest).startswith(checksum)
 
 
-_MIN_CHECKSUM_LENGTH = 16  # Hexadecimal digits, at least: older formats have fewer than today, 64 bits.
+_MIN_CHECKSUM_LENGTH = 16  # Hexadecimal digits, at least, 64 bits: older formats have fewer than today.
 
 
 def read_manifest(folder: Path, fields: Any, *, what: str, afresh: str) -> dict[str, Any]:

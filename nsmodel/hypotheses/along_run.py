@@ -24,7 +24,7 @@ from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.solvers import impacts
 
-SUM_ROUNDING = 64 * EPS  # Relative rounding of a sum of some dozen terms: by less a run violates no bound.
+SUM_ROUNDING = 64 * EPS  # Relative rounding of a sum of some dozen terms: a run that exceeds a bound by less does not violate it.
 
 RESIDUAL_HYPOTHESIS = Hypothesis("run-residual", "every step solves its one-step problem: residual <= tolerance", "definition")
 FEASIBILITY_HYPOTHESIS = Hypothesis("run-feasible", "every constraint is >= 0 at every row", "definition of Q(t), of C, of dom g")

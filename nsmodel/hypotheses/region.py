@@ -41,7 +41,7 @@ from nsmodel.proof.extremum import samples
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
-# The box is this much wider than the runs: hypotheses are decided near them too. A wider box has fewer that hold.
+# The box is this much wider than the runs, so that hypotheses are decided near them, too; in a wider box fewer hold.
 BOX_GROWTH = 1.5
 
 
@@ -166,7 +166,7 @@ def domain_rows(phi: ca.SX, x: ca.SX, label: str) -> tuple[list[ca.SX], list[ca.
     return rows, equalities
 
 
-# Parameters up to which all corners of their box are looked at, 8: each is a check of the model; else ends alone.
+# Parameters up to which all 2^3 corners of their box are looked at, each by a check of the model; of more, each end by itself.
 MAX_CORNER_PARAMETERS = 3
 INNER_POINTS = 6  # Points inside the box, its middle among them, at each of which a model is checked.
 SPECIAL_VALUES = (0.0, 1.0, -1.0)  # Values at which ranks and signs of models tend to change: a term vanishes, or two cancel.

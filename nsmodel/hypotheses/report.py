@@ -17,7 +17,7 @@ from nsmodel.modeling.base import Model
 from nsmodel.modeling.pickling import Picklable
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
-MAX_VECTOR_ENTRIES = 6  # Entries of a vector that are shown: six of 5 digits fit on half a line of the terminal.
+MAX_VECTOR_ENTRIES = 6  # Entries of a vector that are shown: six numbers of five digits take half a line of the terminal.
 MAX_WITNESS_ENTRIES = 12  # Entries of a witness that are shown: as many names and values as fit on some three lines.
 START_FINDING_IDS = ("S-start", "5.x0", "O-steps")  # Said of one state, or of the steps: nowhere else.
 MAX_LABEL_WIDTH = 14  # A label longer than this stands on its own line: ids fit, names of consequences need not.

@@ -9,6 +9,7 @@ Where |x - z|' <= omega |x - z| + g, |x - z| is at most the r of r' = omega r + 
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import NamedTuple
 
 import casadi as ca
@@ -18,10 +19,10 @@ from nsmodel.hypotheses.region import Region, depends_on_symbol
 from nsmodel.modeling.laws import Law
 from nsmodel.proof import interval_bounds
 
-# Boxes between the start and the whole box, on each of which the speed is bounded by
-# itself: 16 prove 0.4 % less time than 256 for two genes, one 7 % less.
+# Boxes between the start and the whole box, on each of which the speed is bounded by itself: more prove longer times. Where
+# rates are constant one is enough; where x' = x, from 0.1 to 1, 16 prove 90 % of the true time, one 39 %.
 NESTED_BOXES = 16
-# A time is lowered by this. The logarithm of a quotient that differs from 1 by 1e-6 loses 2e-10; all else loses less.
+# A time is lowered by this factor. The logarithm of a quotient that differs from 1 by 1e-6 loses 2e-10; all else loses less.
 ROUNDED_DOWN = 1 - 1e-9
 
 Bounds = tuple[np.ndarray, np.ndarray]
@@ -75,7 +76,9 @@ def stay_in_ball(distance: float, omega: float, drive: float, radius: float) -> 
     """
     if not (distance < radius and np.isfinite([omega, drive]).all()):
         return 0.0
-    speed, end = omega * distance + drive, omega * radius + drive
+    if radius == math.inf:
+        return math.inf
+    speed, end = (float(Fraction(omega) * Fraction(r) + Fraction(drive)) for r in (distance, radius))  # exact: terms may cancel
     if speed <= 0 or (omega < 0 and end <= 0):
         return math.inf
     if abs(omega) * (radius - distance) < 1e-6 * speed:  # r' is at most the largest of the two

@@ -6,7 +6,7 @@ from typing import Any
 
 from nsmodel._utils import TEXT_WIDTH, format_number, join_within_width, truncate_text
 
-LABEL_COLUMNS = 14  # Columns of a label in a description, those of the longest and two before it.
+LABEL_COLUMNS = 14  # Columns of a label in a description: two before it, the 11 letters of the longest, and one.
 
 
 def model_facts(model: Any) -> dict[str, list[str]]:

@@ -22,9 +22,9 @@ from nsmodel.modeling.signals.schedule import InputSchedule
 # Relative: a length that is so near to a whole number of steps is that many: users write 0.1 for 1/10, and 0.333333333.
 WHOLE_STEPS = 1e-9
 HIT_TOLERANCE = 1e-9  # Relative: a step that ends so near to an edge ends there: given steps are sums of decimals.
-# Part of a run: rows of two runs that are nearer than this are at one time: times are sums of up to a million steps.
+# Part of a run: rows of two runs that are nearer than this are at one time: 4500 EPS, more than times of a usual run err by.
 SAME_TIME_SHARE = 1e-12
-# Lengths that differ by less than this part are one: of matrices, which change by as little; times stay as they are.
+# Lengths that differ by less than this part have one matrix, which changes by as little; times stay as they are.
 SAME_STEP_TOLERANCE = 1e-12
 
 

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from nsmodel.simulation.trajectory import Trajectory
 from nsmodel.plot.crowd import PRESSURE_COLOURS, CrowdArtists, plane_axis_labels
 
-MAX_GIF_FPS = 50  # Frames a second that a GIF is shown with: it counts hundredths, and viewers slow down what asks for one.
+# Frames a second that a GIF is shown with: it counts hundredths of a second, and viewers slow down frames of a single one.
+MAX_GIF_FPS = 50
 MAX_DEFAULT_SECONDS = 20.0  # A film left to itself lasts no longer, s: 300 pictures at 15 a second; a longer run is shown faster.
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MAX_ROWS = 30  # Bands of a strip; of more rows, those that change most: a name each fits beside a picture.
 MAX_BUCKETS = 800  # Columns of a map, each of some steps,
 MAX_MAP_ROWS = 600  # and rows: about a pixel each.
-NO_CODE = 127  # No code of an index set: the largest that a byte holds.
+NO_CODE = 127  # No code of an index set: the largest number of a signed byte.
 CHATTER_LABEL = "split band: changes within a pixel"
 
 ROLE_COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-MAX_TICK_VALUES = 10  # So few values, and no nearer than this part of their range, are themselves the ticks: labels do not touch.
+# So few values, none nearer to the next than a tenth of their range, are themselves the ticks: labels do not touch.
+MAX_TICK_VALUES = 10
 # Positive values whose largest is so many times the smallest have a logarithmic axis: on another most are at 0.
 LOG_SCALE_RATIO = 1e3
 

@@ -28,9 +28,10 @@ from nsmodel.proof.interval_arithmetic import IntervalPair, log
 from nsmodel.proof.interval_functions import OPERATIONS, constant_power
 from nsmodel.proof.verdict import not_none
 
-# exp u >= u^m/m! with u^m at least like t^4: enough to outgrow a square that it is compared with; a larger m has a larger m!.
+# exp u >= u^m/m!, with m so large that u^m grows like t^4 at least: faster than a square. A larger m has a larger m!.
 FAST_GROWTH_POWER = 4
-MAX_ORDER = 60  # Powers of t and of log t; of larger ones nothing is proved. It bounds m of u^m/m!, too: 60! is a double.
+# Powers of t and of log t; of higher ones nothing is proved. It bounds the m of u^m/m!, too: 60! = 8e81 is far from overflow.
+MAX_ORDER = 60
 ORDER_ROUNDING = 1e-11  # t^p with p rounded to a double is off by |p| 2^-53 log t, relatively: by 6e-13 for p = 120, t = 2^60.
 
 

@@ -65,7 +65,8 @@ def _import_clarabel() -> Any:
 
 
 SIMPLEX_FIRST_ENTRIES = 1000  # Entries of A up to which the exact simplex method goes first: there both methods take 0.1 s.
-MAX_SIMPLEX_ENTRIES = 20000  # Above it is not tried at all: 5000 entries of two decimals take 10 s already, and its numbers grow.
+# Above this it is not tried at all: 5000 entries of two decimals take 0.2 to 10 s, as the numbers in it grow.
+MAX_SIMPLEX_ENTRIES = 20000
 
 
 class ConicSystem(NamedTuple):

@@ -21,9 +21,9 @@ from nsmodel.proof import polynomial
 from nsmodel.proof.exact import round_down
 from nsmodel.proof.leading_terms import GrowthRank, LeadingTerm, LocalTerm, find_leading_term
 
-# Terms of a sum: its sign is found from those of as many derivatives as terms and degrees, each with more terms.
+# Terms of a sum. Its sign follows from those of derivatives: after d + 1 of them a term with a factor of degree d is gone.
 MAX_SUM_TERMS = 12
-MAX_DERIVATIVES = 60  # Derivatives in that chain; beyond these three a sign is left open.
+MAX_DERIVATIVES = 60  # Derivatives until one term is gone; beyond these three a sign is left open.
 MAX_SUM_DEGREE = 80  # Degree of the rational factors, which rises with each derivative.
 MAX_BISECTIONS = 160  # Of the place of a root; two roots that are nearer are not told apart. Three times the bits of a double.
 FLINT_PRECISION = 320  # Bits of numbers: twice the bisections, so that their values keep as many bits again.

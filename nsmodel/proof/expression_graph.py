@@ -162,7 +162,8 @@ class _RewrittenNode(NamedTuple):
 MAX_NUMBERS_AT_ONCE = 4_000_000  # Numbers kept at once while a program runs, two for each value and box: 32 MB.
 UNIT_FACTOR = Fraction(1)  # Of a power that is not multiplied by a number.
 POWER_OPERATIONS = {ca.OP_SQ, ca.OP_NEG, ca.OP_TWICE, ca.OP_MUL, ca.OP_ADD, ca.OP_SUB}
-MAX_POWER = 64  # Products that are seen as powers of one value, whose bounds are narrower; higher powers are bounded as products.
+# Highest power as which a product of one value is seen, whose bounds are narrower; higher ones are bounded as products.
+MAX_POWER = 64
 
 
 class Instruction(NamedTuple):

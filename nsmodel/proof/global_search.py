@@ -29,11 +29,11 @@ from nsmodel.proof.verdict import suppress_output
 
 # Relative gap between value and bound that ends a search: more digits than reports show. Tighter ones cut more boxes.
 RELATIVE_GAP = 1e-9
-# Boxes cut at once: bounds of 512 take 1.7 times as long as those of one. Of more, many would be cut that a better point drops.
+# Boxes cut at once: bounds of 512 take 1.7 times as long as those of one. Of more, a better point would make many needless.
 BOXES_PER_STEP = 512
 # A step counts as so many boxes at least: up to there it takes as long as with one, so that a count is about a time.
 MIN_STEP_COUNT = 32
-# A search is given up where twice the boxes leave more of the gap: five doublings from 512 to all boxes would take off a quarter.
+# A search is given up where twice the boxes leave more of the gap: five doublings, from 512 boxes to all, take a quarter off it.
 GAP_SHRINK_FACTOR = 0.95
 # So many constraints are bounded by their slopes too, a number for each row and coordinate; others by their values alone.
 MAX_SLOPE_ROWS = 8

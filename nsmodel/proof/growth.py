@@ -32,7 +32,7 @@ from nsmodel.proof import interval_bounds, polynomial
 from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import Instruction, Program, program
 
-# Terms of a bound; by longer ones nothing is proved. A product has as many as the numbers of its factors multiplied.
+# Terms of a bound; where there are more nothing is proved. A product has the terms of one factor times those of the other.
 MAX_BOUND_TERMS = 60
 AtomMonomial = tuple[tuple[int, Fraction], ...]  # ((atom, power), ...), atoms increasing, powers not 0
 MonomialSum = tuple[tuple[float, AtomMonomial], ...]

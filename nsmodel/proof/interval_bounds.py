@@ -32,7 +32,7 @@ from nsmodel.proof.interval_arithmetic import (
 )
 from nsmodel.proof.interval_functions import OPERATIONS
 
-# Boxes looked at before continuity is left unproved: with ten times fewer or more all cases have the same verdicts.
+# Boxes looked at before continuity is left unproved: those that hold a jump stay open, however small they get.
 MAX_CONTINUITY_BOXES = 4000
 # Cuts of each coordinate: a part of 2^-40 that is still open is at a jump, or where bounds never get narrow enough.
 MAX_CUT_DEPTH = 40

@@ -126,7 +126,7 @@ def find_jump(
     return ExpressionJump(x[k], float(size[k]), below[k], above[k])
 
 
-# Pairs of points at which a jump is to be proved, from the largest differences on, until none can be larger than what is proved.
+# Pairs of points at which a jump is to be proved, evenly chosen by size from the largest down to that of a proved jump.
 PAIRS_TRIED = 24
 # Combinations of values that switches take between two points, each a row of bounds; of more no jump is proved there.
 MAX_SWITCH_CASES = 64

@@ -24,7 +24,7 @@ MAX_NEWTON_STEPS = 30
 # Boxes that are tried: the last is 4^11 times or more as wide as the first, which is about as wide as rounding.
 MAX_WIDENINGS = 12
 WIDENING_GROWTH = 4.0  # Each has at least so many times the width of the last; it must hold its own image, and not be much wider.
-MAX_EQUATIONS = 60  # Equations; more are left alone. 60 take 0.07 s, and the time grows with their cube.
+MAX_EQUATIONS = 60  # Equations; more are left alone. 60 take 0.4 s where each holds a few unknowns, 3 s where each holds all.
 # Pivots below this part of the largest belong to a matrix that is singular to rounding: few digits of its inverse would be right.
 SINGULAR_PIVOT_RATIO = 1e-12
 

@@ -26,8 +26,9 @@ from nsmodel.proof.exact import zeros
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, is_double, is_same_expression, stack_column, symbol_hashes
 from nsmodel.proof.polynomial import Polynomial
 
-MAX_MATRIX_CORNERS = 256  # Corners of matrices that depend on parameters, those of 8; of more the hull is not formed.
-MAX_MATRIX_ENTRIES = 2000  # Entries of such matrices: 2000 at 256 corners take 6 s, in Fractions.
+# Corners of the box of parameters on which matrices depend, 2^8; where there are more the hull is not formed.
+MAX_MATRIX_CORNERS = 256
+MAX_MATRIX_ENTRIES = 2000  # Entries of such matrices; more are not formed: 2000 at 256 corners take 6 s, in Fractions.
 
 NodePolynomial = tuple[ca.SX, Polynomial | None]  # A node, and what it is in the numbers.
 
@@ -220,7 +221,7 @@ def _matrices_from_entries(entries: list[Fraction], matrices: Sequence[ca.SX]) -
     return found
 
 
-# Corners of what multiplies expressions free of p, those of 6; of more none are formed, as each is an expression of its own.
+# Corners of what multiplies expressions free of p, 2^6; of more none are formed, as each is an expression of its own.
 MAX_MIXTURE_CORNERS = 64
 KIND_NUMBER, KIND_PARAMETER, KIND_FREE, KIND_SCALED, KIND_AFFINE = range(5)  # What a node is made of, see `_MixtureNode`.
 MULTIPLICATIVE_OPERATIONS = (ca.OP_MUL, ca.OP_DIV, ca.OP_SQ, ca.OP_FABS)  # f(a u, b v) = f(a, b) f(u, v)

@@ -19,7 +19,7 @@ from nsmodel.proof.expression_graph import apply_operation, fold_graph, rewrite_
 
 Monomial = tuple[tuple[int, int], ...]  # ((variable, power), ...), variables increasing, powers > 0
 Polynomial = dict[Monomial, Fraction]  # without zeros
-# Terms of two factors multiplied; longer products are not read: None. 63 by 63 take 0.02 s, in Fractions.
+# Terms of one factor times those of the other; longer products are not read: None. 63 by 63 take some 0.03 s, in Fractions.
 MAX_POLYNOMIAL_TERMS = 4000
 MAX_POLYNOMIAL_DEGREE = 30  # Degree of a product, likewise: powers are multiplied out one by one.
 

@@ -21,7 +21,7 @@ from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 
 # Least eigenvalue of P, scaled to a unit diagonal, of which doubles show six digits; another Y is tried below it.
 MIN_SCALED_EIGENVALUE = 1e-10
-# From more states on the condition number is minimised on a coarser grid: each point of it solves systems of that size.
+# With more states the condition number is minimised on a coarser grid: each point of it solves systems of that size.
 LARGE_STATE_COUNT = 40
 
 

@@ -22,7 +22,7 @@ from nsmodel.proof.polynomial import Polynomial
 MAX_GRAM_MONOMIALS = 45
 # Times that the kernel of a Gram matrix, known in doubles, is taken out of it: each leaves a smaller one.
 MAX_KERNEL_REDUCTIONS = 4
-# Of the rational numbers that a Gram matrix in doubles is rounded to, where 20 are too few: the solver has no more right.
+# Of the rational numbers that a Gram matrix in doubles is rounded to, where 20 are too few: 2^-40 is below the solver's error.
 ROUNDING_BITS = 40
 MonomialPowers = tuple[int, ...]
 

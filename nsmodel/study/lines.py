@@ -19,7 +19,7 @@ ERROR_MEASURES = ("max", "end", "l2", "multipliers", "outputs")
 ROUNDING_ERROR = 1e-13  # Relative errors below this, 450 EPS, are rounding and have no order.
 # An error is extrapolated to this part of the least one: further, an order seen on a few points says little.
 EXTRAPOLATION_LIMIT = 100.0
-# An error that falls more slowly than h^STALLED_ORDER from some step on has met its floor: half of the lowest order, 1/2.
+# An error that falls more slowly than h^STALLED_ORDER from some step on has met its floor; the lowest order of a scheme is 1/2.
 STALLED_ORDER = 0.25
 
 

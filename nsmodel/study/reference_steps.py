@@ -126,7 +126,7 @@ EQUATION_TOLERANCE = LAW_TOLERANCE = 1e-8
 # Of the way moved: what a projection may be off by: its distance is the root of a duality gap, which keeps half of the digits.
 PROJECTION_TOLERANCE = 1e-6
 EVALUATION_ROUNDING = 64 * EPS  # Relative: of a number that takes a few dozen operations.
-UNDERFLOW_SIZE = 1e-290  # Smaller misfits are lost among the smallest doubles, which begin at 2e-308, and count as 0.
+UNDERFLOW_SIZE = 1e-290  # Smaller misfits may have lost digits near the least normal double, 2e-308, and count as 0.
 PROBE_LENGTHS = (1e-6, 1e-3, 1.0)  # Lengths of the probes, beside the velocity: a minimum that is missed shows at one of them.
 
 StepResiduals = dict[str, float]

@@ -32,8 +32,7 @@ from nsmodel.study.reference_steps import EVALUATION_ROUNDING, formula_residuals
 from nsmodel.study.stress_result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
 from nsmodel.study.units import in_units
 
-# Steps of a run of the stress test: enough for some switches; there are a few dozen runs, and more of each model.
-STEPS_PER_CELL = 24
+STEPS_PER_CELL = 24  # Steps of a run of the stress test: enough for some switches; there are 56 cells for each set of values.
 # Steps, in those of the model: from where rounding is all to where nothing is resolved.
 STEP_FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)
 # Units of states and of time, in those of the model: each alone and both against each other, nine orders either way.

@@ -436,6 +436,19 @@ def test_zero_is_on_the_boundary_where_a_slope_comes_up_to_the_radius(steep):
             assert ("finite from every start" in follows) == finite, g
 
 
+def test_a_slope_jumps_at_walls_and_not_where_it_is_steep():
+    """At a table 0 is interior to A(0) + dg, unless bodies rest above it, too; a smooth slope does not jump, however steep."""
+    q, s = ca.SX.sym("q"), ca.SX.sym("s")
+    tables = [(True, 0.5, 0.0), (True, 2.0, 0.0), (True, 2.0, 0.1), (False, 0.5, 0.1)]
+    scenes = [(finite, weight * q + bend * ca.exp(q), 0.3, {"table": q}) for finite, weight, bend in tables]
+    scenes += [(False, -ca.log(q) - ca.log(width - q), width / 2, {}) for width in (2e-3, 2e-6, 2e-7)]
+    scenes += [(False, 2 * ca.sqrt(q**2 + width**2), 0.3, {}) for width in (1e-6, 1e-9, 1e-12)]
+    for finite, g, x0, walls in scenes:
+        model = FrictionOscillator(x=q, s=s, friction=[s], potential=g, constraints=walls, x0=[x0], v0=[0], t_end=1.0, step=0.01)
+        follows = {item.name for item in nsmodel.check(model, runs=[], quick=True).consequences}
+        assert ("finite from every start" in follows) == finite, g
+
+
 def test_rest_points_of_a_quartic_and_of_a_wall():
     s, q = ca.SX.sym("s"), ca.SX.sym("q")
     model = FrictionOscillator(x=q, s=s, friction=4 * s, potential=q**4, x0=2, t_end=1, step=0.1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 import casadi as ca
+import mpmath
 import numpy as np
 import pytest
 from fuzz_models import COUNT, FULL
@@ -46,6 +47,24 @@ def test_a_ball_that_stays_small_or_begins_outside():
     assert stay_in_ball(1, -1, 1, 1.5) == np.inf  # r -> 1
     assert stay_in_ball(1, 0, 0, 1.5) == np.inf
     assert stay_in_ball(2, -1, 0, 1.5) == 0
+
+
+def test_the_time_of_a_ball_is_rounded_down_where_it_nearly_rests():
+    """At the radius the speed is some last digits of its terms, and the time its logarithm."""
+    rng = np.random.default_rng(0)
+    assert stay_in_ball(0.0, 0.0, 1.0, np.inf) == stay_in_ball(0.0, 1.0, 1.0, np.inf) == np.inf
+    for _ in range(200):
+        omega, radius = -rng.uniform(0.1, 3.0), rng.uniform(0.5, 2.0)
+        distance, drive = rng.uniform(0.0, 0.9) * radius, -omega * radius * (1 + 10.0 ** rng.uniform(-16, -9))
+        speed, end = (Fraction(omega) * Fraction(r) + Fraction(drive) for r in (distance, radius))
+        found = stay_in_ball(distance, omega, drive, radius)
+        if end <= 0:
+            assert found == np.inf
+        else:
+            quotient = speed / end
+            with mpmath.workdps(40):
+                exact = mpmath.log(mpmath.mpf(quotient.numerator) / quotient.denominator) / -mpmath.mpf(omega)
+                assert exact * (1 - 1e-8) <= found <= exact
 
 
 def test_rates_between_boxes_find_the_growth_of_an_exponential():
@@ -123,6 +142,13 @@ def test_the_box_of_a_nearly_singular_norm_holds_its_ball(gap, size):
         assert (reach >= true).all()
         assert (reach <= true * room**2).all()
     assert room < 1 + 1e-8 / min(gap, 1)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-16, 2e-15])
+def test_a_norm_that_is_singular_to_rounding_bounds_nothing(gap):
+    reach, room = unit_ball_box(np.array([[1.0, 1 - gap], [1 - gap, 1.0]]))
+    assert room == np.inf
+    assert (reach == np.inf).all()
 
 
 def left_before(name, seed):

@@ -27,7 +27,7 @@ from itertools import accumulate, pairwise, product
 from typing import Any
 
 FORMAT = 4  # Of the certificates that this file reads.
-BITS = 80  # Intervals are rounded outwards to so many bits: 27 more than doubles have, so that their bounds are proved.
+BITS = 80  # Intervals are rounded outwards to so many bits: 27 more than doubles have, so that stated doubles have room for it.
 CONTEXT = decimal.Context(prec=60)
 # BIG: larger numbers are rounded to infinity, smaller ones than 1/BIG to 0 or 1/BIG.
 ZERO, ONE, HALF, BIG, INF = Q(0), Q(1), Q(1, 2), Q(2) ** 1000, math.inf
@@ -44,8 +44,9 @@ NUMBER = re.compile(r"-?[0-9]{1,4000}(/[1-9][0-9]{0,3999})?", re.ASCII)
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,40}", re.ASCII)
 UP, DOWN = decimal.ROUND_CEILING, decimal.ROUND_FLOOR
 FIRST_UNIT, FIRST_ATOM = 10**5, 10**6  # Variables of polynomials: inputs 0, 1, ... below, units and atoms from here on.
-MAX_PARAMETERS = 1000  # Of a statement; units of functions of parameters are numbered from here on.
-MAX_CORNERS = 4096  # Of a box: each is a matrix decided by itself, those of 12 parameters; more are not checked.
+# Of a statement; more are not checked. Units of functions of parameters are numbered from FIRST_UNIT + 1000 on.
+MAX_PARAMETERS = 1000
+MAX_CORNERS = 4096  # Of a box, 2^12 of 12 parameters: at each a matrix is decided; more are not checked.
 
 
 class Unproved(Exception):

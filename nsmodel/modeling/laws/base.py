@@ -176,7 +176,7 @@ class InvalidLawRow(NamedTuple):
     text: str
 
 
-# Of the graphs in which an end is seen to be the negative of the other; deeper ones are two ends, which costs a length alone.
+# Of the graphs in which an end is seen to be the negative of the other; deeper ones are two ends, which only costs a length.
 NEGATION_DEPTH = 32
 
 

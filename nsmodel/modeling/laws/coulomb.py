@@ -39,7 +39,7 @@ SLIP_ROWS = (1, 2)  # Of a contact in the plane, and in space.
 MIN_DRAG = 1e-12  # |y_T|/|P_T| in slip, beside the largest entry of W: the least, slower slip being rounding,
 DRAG_DECADES = 30  # and how many factors of ten it is looked for above.
 MAX_CANCELLATION = 1e12  # Terms of W l beside b from which on W seems singular: four digits of 16 are left.
-# Of that interval, until its ends are neighbours: 53 are enough for a decade; at 0 they leave 2^-100 of it.
+# Of that interval, until its ends are neighbours: 56 are enough for a decade; where it begins at 0, 100 leave 2^-100 of it.
 DRAG_BISECTIONS = 100
 
 

@@ -67,7 +67,8 @@ class SignalJump(NamedTuple):
     after: np.ndarray
 
 
-NEAR_TOLERANCE = 16 * EPS  # Times that are nearer than this part of the larger are one: a product and a few sums of a period.
+# Times that are nearer than this part of the larger are one: each is a product with a period and a few sums.
+NEAR_TOLERANCE = 16 * EPS
 SLOPE_ROUND_UP = 1 + 16 * EPS  # More than a quotient and a few sums lose.
 
 

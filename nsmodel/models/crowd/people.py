@@ -91,9 +91,9 @@ class NoisyVelocity:
 MAX_PUSH_ROUNDS = 4000  # Of pushing apart, before `place` says that there is no room.
 # Rounds after which those who still overlap somebody placed before, who does not give way, are put elsewhere.
 WEDGED_ROUNDS = 200
-# What `place` leaves between people, m: so that none overlap after rounding, and no contact is closed at the start.
+# Radii are enlarged by it while `place` pushes people apart, m, and half of it is left: no contact is closed at the start.
 MIN_SEPARATION = 1e-3
-# How deep the place behind a door is in which people are taken away, m, if not twice a stride: nobody steps across it.
+# How deep the place behind a door is in which people are taken away, m, or two strides if these are longer: none steps over it.
 EXIT_ZONE_DEPTH = 1.0
 
 

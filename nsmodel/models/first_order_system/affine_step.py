@@ -27,7 +27,7 @@ from nsmodel.solvers.residuals import numeric_law
 
 # Index sets that are all decided, by exact elimination each: 3^6 are 729; of more, samples of states tell.
 MAX_STEP_INDEX_SETS = 750
-# A sign counts where the number is this part of its terms, or exactly 0: numbers of a model may be rounded by a few EPS.
+# A sign counts where the number is more than this part of its terms, or exactly 0: numbers of a model are rounded by a few EPS.
 SIGN_MARGIN = 1e-9
 
 
@@ -326,7 +326,7 @@ def _gives_same_state(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.nd
     return columns[-1] in conic.implied_zeros(conic.ConicSystem(A, tuple(columns)))
 
 
-# States that floating point looks at, in each of two ways: the report says how many; which fail is decided exactly.
+# States at which signs are looked at in doubles, drawn in each of two ways; one that seems to fail is decided exactly.
 STATE_SAMPLES = 3000
 LOST_PART = 1e-6  # A b smaller than this part of its size is none that was asked for: what is left of it is rounding.
 # Condition beyond which a block of W is left to exact arithmetic: half of the digits of doubles are lost.

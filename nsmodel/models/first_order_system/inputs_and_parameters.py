@@ -63,7 +63,7 @@ STEP_ROUNDING = 1e-9  # Relative: h |M^-1 G| is below 1 by more than it and its 
 # Step lengths that are decided one by one; of more the whole interval between the least and the largest at once.
 MAX_CORNER_STEPS = 5
 MAX_MLCP_STATES = 6  # States up to which W_mlcp is written out, by cofactors of M - h G,
-MAX_MLCP_ROWS = 6  # and multipliers, of which all principal minors are.
+MAX_MLCP_ROWS = 6  # and multipliers up to which all principal minors of it are.
 
 
 StepInterval = tuple[float, float]
@@ -306,7 +306,7 @@ STEP_DEPENDENT_IDS = (F_MLCP.id, F_UNIQUE.id)
 SHORTER_STEPS_TEXT = "Steps that end at an edge of an input may be shorter than the one looked at."
 # Of multipliers that neither K nor a run bounds: some values have to be looked at, and the finding says which.
 DEFAULT_RANGE = 1.0
-INPUT_JUMP_SAMPLES = 64  # Where a jump of h or g is looked for, at the edges of inputs; which jump, any point shows.
+INPUT_JUMP_SAMPLES = 64  # Where a jump of h or g is looked for, at the edges of inputs: at nearly any point each of them shows.
 
 
 def freeze_law(model: FirstOrderSystem) -> FirstOrderSystem:

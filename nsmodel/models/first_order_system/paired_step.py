@@ -42,7 +42,7 @@ from nsmodel.proof.polynomial import Monomial
 
 MAX_PAIRED_STATES = 6  # States of a model that is looked at: the box of all of them is cut,
 MAX_PAIRED_STEPS = 3  # and step sizes, for each of which it is; more are left open.
-# Terms of a sum beside the sum: more digits are not lost to rounding, of the 9 that the form leaves room for.
+# Terms of a sum beside the sum: rounding is then some 1e-12 of the sum, far below FORM_ROOM, by which the form is above 0.
 MAX_TERM_RATIO = 1e4
 
 

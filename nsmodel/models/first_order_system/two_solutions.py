@@ -31,7 +31,8 @@ TRIED_STATES = 12  # Of them, states at which all modes are tried,
 TRIED_ROWS = 4  # and of the runs.
 # Of Newton's method on a mode where a ball or a cone is touched: its equations are not affine, and have several roots.
 NEWTON_STARTS = 6
-MAX_NEWTON_RUNS = 2500  # Runs of Newton's method, in all: as many as one state of the most modes takes; then nothing was found.
+# Runs of Newton's method, in all, about as many as one state with MAX_STEP_MODES modes takes; after them none is begun.
+MAX_NEWTON_RUNS = 2500
 MAX_MODE_ITERATIONS = 14  # Of Newton's method on a mode: it squares the error, and a start that needs more is dropped.
 MODE_NEWTON_TOLERANCE = 1e-11  # Relative: its last step, whose square is below rounding.
 INEQUALITY_SLACK = 1e-7  # An inequality counts where it holds by this part of its size,

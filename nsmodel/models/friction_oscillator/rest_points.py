@@ -218,12 +218,12 @@ def _cell_bounds(elements: FrictionElements, middle: np.ndarray, half: np.ndarra
     return np.maximum(found, 0.0) - (64 + 8 * (n + rows)) * EPS * size
 
 
-# Beyond this, beside 1 and the minimum's place, no end is looked for: the slope there tells whether there is one.
+# No end is looked for farther from the minimum, beside 1 and its place: beyond, a slope is taken to stay as it is there.
 MAX_REST_DISTANCE = 1e12
 # Relative width of the intervals on which a slope is bounded: some 450 doubles, so that a kink is on one side.
 THIN_WIDTH = 1e-13
-SLACK_DISTANCES = 1e-6, 1e-12  # Before an end, beside 1 and its place: the second is ten times what ends are rounded by.
-# Beside 1 and the radius: a slope below the radius by more is so beyond rounding, of which a formula makes far less.
+SLACK_DISTANCE = 1e-12  # Before an end, beside 1 and its place, where the slope is looked at: ends are rounded by a tenth of it.
+# Beside 1 and the radius: a slope that is below the radius by more is so beyond rounding, of which a formula makes far less.
 SLOPE_MARGIN = 1e-9
 REAL_LINE = -np.inf, np.inf  # A box without bounds.
 
@@ -374,10 +374,10 @@ def rest_interval(
         strict = all(end < low or end > high for end in free)
     else:
         slope, ends, strict = ca.gradient(g, domain.x), [], True
-        for sign, hull in ((-1.0, low), (1.0, high)):
+        for sign, walls in ((-1.0, (high, low)), (1.0, (low, high))):
             end = _bisect_end(lambda d, sign=sign: _proved_end(slope, domain, centre, sign, d, radius), sign, centre)
             ends.append(end)
-            strict = strict and _has_slack(slope, domain, sign, centre, max(end, hull) if sign < 0 else min(end, hull), radius)
+            strict = strict and _has_slack(slope, domain.x, sign, centre, end, walls, radius)
         left, right = ends
     return RestInterval(max(left, low, box[0]), min(right, high, box[1]), strict)
 
@@ -439,18 +439,24 @@ def _bisect_end(proved: Callable[[float], float | None], sign: float, centre: fl
     return end
 
 
-def _has_slack(slope: ca.SX, domain: ConvexSet, sign: float, centre: float, end: float, radius: float) -> bool:
+def _has_slack(slope: ca.SX, x: ca.SX, sign: float, centre: float, end: float, walls: tuple[float, float], radius: float) -> bool:
     """Whether the slope, seen just before an end, is below the radius by more than rounding: it jumps beyond it there.
 
-    A slope that comes up to the radius without a jump is nearer to it at the nearer one of two points.
+    ``walls``: where dom g begins and ends on the way outwards, where its normal cone makes dg unbounded.
     """
-    if not np.isfinite(end):
-        return _far_slope(slope, domain, sign, centre) < radius - SLOPE_MARGIN * (1 + radius)
-    f = ca.Function("slope", [domain.x], [slope])
-    far, near = (radius - sign * float(f(end - sign * part * (1 + abs(end)))) for part in SLACK_DISTANCES)
-    return bool(near > max(SLOPE_MARGIN * (1 + radius), far / 2))
+    start, wall = walls
+    last = sign * min(sign * end, sign * wall)
+    if not np.isfinite(last):
+        return _far_slope(slope, x, sign, centre) < radius - SLOPE_MARGIN * (1 + radius)
+    f = ca.Function("slope", [x], [slope])
+    before = last - sign * SLACK_DISTANCE * (1 + abs(last))
+    if sign * (before - start) <= 0:
+        return sign * float(f(start)) > radius + SLOPE_MARGIN * (1 + radius)
+    if sign * end < sign * wall and proof.is_continuous(slope, x, *np.sort([[before], [last]], axis=0)):
+        return False
+    return sign * float(f(before)) < radius - SLOPE_MARGIN * (1 + radius)
 
 
-def _far_slope(slope: ca.SX, domain: ConvexSet, sign: float, centre: float) -> float:
-    value = float(ca.Function("slope", [domain.x], [slope])(centre + sign * MAX_REST_DISTANCE)) * sign
+def _far_slope(slope: ca.SX, x: ca.SX, sign: float, centre: float) -> float:
+    value = float(ca.Function("slope", [x], [slope])(centre + sign * MAX_REST_DISTANCE)) * sign
     return value if np.isfinite(value) else np.inf

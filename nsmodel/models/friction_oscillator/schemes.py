@@ -191,7 +191,7 @@ def derived_columns(model: FrictionOscillator, arrays: dict[str, np.ndarray], h_
     return {"energy": np.array(energy_function(model).map(len(w))(arrays["x"].T, w.T)).ravel()}
 
 
-SAMPLE_VALUE = 0.7  # A value of parameters like any other: where a formula fails at 0, 1 or whole numbers it does not fail here.
+SAMPLE_VALUE = 0.7  # A value of parameters like any other: formulas that fail at 0, 1 or other whole numbers do not fail here.
 
 
 def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:

@@ -356,7 +356,7 @@ def _has_moving_half_line(model: LureSystem, motion: InputBounds) -> bool:
     return any(not model.D[:, i].is_zero() for i in rows)
 
 
-# Relative: far more than a norm loses by a P in doubles that is not nearly singular; for others see `unit_ball_box`.
+# Relative: far more than a norm loses where P in doubles is well conditioned; what else it loses is in `unit_ball_box`.
 STAY_ROUNDING = 1e-9
 
 
@@ -397,6 +397,8 @@ def _stay_in_norm(
         return []
     P = np.array(rate.witness[P_OMEGA], float)
     reach, room = unit_ball_box(P)
+    if room == np.inf:
+        return []
     x, p, zero = model.x, model.p, np.zeros(len(model.names))
     y = ca.densify(model.C @ x + model.e)
     made = []
@@ -427,9 +429,12 @@ def unit_ball_box(P: np.ndarray) -> tuple[np.ndarray, float]:
     """Bounds (n,) of |x_i| where |x|_P <= 1, and a factor > 1 that such norms may err by: entries of P are rounded.
 
     Scaled to a unit diagonal, P + E with |E_ij| <= EPS has a relative error of the norm of n EPS / least eigenvalue at most.
+    Both are infinite where the least eigenvalue is no more than rounding: nothing is known then of a rational P.
     """
     unit, n = 1 / np.sqrt(np.diagonal(P)), len(P)
     scaled = P * np.outer(unit, unit)
-    least = float(np.linalg.eigvalsh(scaled)[0])
-    room = 1 + STAY_ROUNDING + (16 * n**2 * exact.MACHINE_EPSILON / least if least > 0 else np.inf)
+    least, rounding = float(np.linalg.eigvalsh(scaled)[0]), 16 * n**2 * exact.MACHINE_EPSILON
+    if not least > rounding:
+        return np.full(n, np.inf), np.inf
+    room = 1 + STAY_ROUNDING + rounding / least
     return unit * np.sqrt(np.abs(np.diagonal(np.linalg.inv(scaled)))) * room, room

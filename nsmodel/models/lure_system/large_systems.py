@@ -22,9 +22,9 @@ from nsmodel.models.lure_system.passivity import D_PSD_HYPOTHESIS, STORAGE_HYPOT
 from nsmodel.models.lure_system.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, H_71
 from nsmodel.proof.exact import MACHINE_EPSILON
 
-# States and multipliers up to which dense matrices are decided, in seconds; of more the structure alone is looked at.
+# States and multipliers together, up to which dense matrices are decided, in seconds; of more the structure alone is looked at.
 MAX_DENSE_SIZE = 250
-FORCE_SAMPLES = 200  # Times at which f is looked at, for one where it is not 0.
+FORCE_SAMPLES = 200  # Times at which f is looked at, to find one at which it is not 0.
 
 
 def is_large(model: LureSystem) -> bool:

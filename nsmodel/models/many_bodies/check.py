@@ -55,8 +55,7 @@ from nsmodel.proof.global_search import searches_are_quick
 from nsmodel.proof.verdict import HypothesisPart
 from nsmodel.simulation.trajectory import Trajectory
 
-# Bodies times steps of a run that a check makes, which takes as long as the run;
-# up to the second, also of the runs with the steps 2h and 4h.
+# Bodies times steps of the run that a check makes; up to the second number it makes those with the steps 2h and 4h, too.
 MAX_BODY_STEPS = 100_000, 20_000
 
 

@@ -37,7 +37,7 @@ MAX_LEMKE_ROWS = 60  # Rows of a group up to which Lemke's pivoting is the robus
 MAX_DENSE_SOLVER_ROWS = 3000  # Rows of a group that a solver of dense problems takes: a matrix of 72 MB; more are refused.
 # Changes of the active set without fewer wrong rows, after which it is given up: it may go round in circles.
 ACTIVE_SET_PATIENCE = 10
-# Times that rows which the solution violates are added to a group, each of which joins bodies; then the residual decides.
+# Passes in each of which rows that the last answer violates are added, so that groups join; after them the residual decides.
 MAX_GROUP_PASSES = 100
 # Added to a diagonal of 1, and taken back by refinement: so that rows that depend on others have factors.
 DIAGONAL_REGULARISATION = 1e-11

@@ -93,9 +93,9 @@ class BodiesRecord:
         return arrays | {"contact_row": row} | {f"contact_{k}": v for k, v in zip(Contacts._fields, parts, strict=True)}
 
 
-# Contacts of a body for which memory is planned: discs that are packed in the plane have 6, each of two.
+# Contacts of a body for which memory is planned: discs that are packed in the plane touch 6 others, and two share a contact.
 PLANNED_CONTACTS_PER_BODY = 3
-# A gap below 0 by more than so many times the rounding of the positions is told, some 1e-11 of them: less is the solver's error.
+# A gap is reported that is below 0 by more than so many times its rounding, some 2e-10 of positions: less is the solver's error.
 OVERRUN_FACTOR = 1e5
 
 

@@ -34,7 +34,8 @@ from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import stack_column
 from nsmodel.proof.jumps import jump_lower_bound, jump_nodes, jump_sizes
 
-MAX_BODY_JUMP_PROOFS = 64  # Jumps that are to be proved, the nearest first; where none of them is, the finding is sampled.
+# Jumps that are to be proved, the nearest first; where none of them is, the finding is sampled, or open.
+MAX_BODY_JUMP_PROOFS = 64
 MAX_TRIED_BODIES = 8  # Bodies, of different numbers, whose velocity is searched for jumps, evenly chosen.
 MAX_REST_CHECKS = 64  # Times, or bodies taken away, for which all others are looked at: each looks at all pairs that are near.
 # Parts of the box by which a body is moved for a difference quotient: a jump shows at the least, slopes at the largest.

@@ -71,10 +71,11 @@ EXISTENCE_SOURCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at e
 KAPPA = "kappa"
 # Orders of 4 in which a speed is looked for above the least that it may be; beyond 4^5 of it the bound is left open.
 SPEED_QUADRUPLINGS = 6
-# Part of the least c in the box down to which a point is beside the edge of C: far inside the edge's speed says nothing.
+# Of the least c in the box, which is < 0: points with c from there to 0 are just outside of C; farther out c_t is not its edge's.
 SHELL_PART = 0.02
-TIME_PARTS = 64  # Parts of the time that a bound is sought on, where one on all of it fails,
-MAX_BOX_PARTS = 256  # and of the time and all else together, each with searches; more are left open.
+# Parts of the time, and of all else that C depends on, on each of which a bound is sought where one on all of it fails,
+TIME_PARTS = 64
+MAX_BOX_PARTS = 256  # and of both together, each with searches; more are left open.
 EMPTY_SET_SAMPLES = 9  # Times, with values of all else, at which C is looked at: one at which it is proved empty is enough.
 MAY_BE_EMPTY = HypothesisPart(UNKNOWN, "C(t) is not shown to have a point at all times", {}, {})
 JUMP_SAMPLES = 256  # Where a point is looked for that a jump of an input puts outside of C: one that is proved is enough.
@@ -387,7 +388,7 @@ def uniform_consequences(model: MonotoneInclusion, region: Region, own: Sequence
 
 DRIVEN_FIELDS = {"field": ("field",), "operator": ("operator", "sign_arguments"), "set": ("lower", "upper", "constraints")}
 START_CONSEQUENCES = ("well posed", "convergence of the scheme")
-START_TOLERANCE = 1e-10  # Of the start, by which it may be outside: runs ask for no more.
+START_TOLERANCE = 1e-10  # Of the start, by which it may be outside: runs allow as much.
 ALL_DRIVEN_FIELDS = tuple(field for fields in DRIVEN_FIELDS.values() for field in fields)
 
 

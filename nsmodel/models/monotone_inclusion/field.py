@@ -195,8 +195,8 @@ def _align_multiplier(B: ca.SX, u: ca.SX, x: ca.SX, lower: float, upper: float, 
     return AlignedMultiplier(exact.doubles(matrix), c, float(beta), float(lower), float(upper), text)
 
 
-FACE_SAMPLES = 8  # Points of each face of a box, down to corners: each state makes them three times as many,
-MAX_FACE_STATES = 4  # so that faces of the first states alone are looked at.
+FACE_SAMPLES = 8  # Points of each face of a box, down to corners: with each state there are three times as many,
+MAX_FACE_STATES = 4  # so that only faces of the first states are looked at.
 EDGE_STEP = 2.0**-44  # Of the way inwards from a boundary: 256 doubles, so that rounding leaves the point inside,
 EDGE_JUMPS = 8  # and the largest differences there, which are tried as jumps.
 # Pairs of points are looked for up to this distance from 0 where C is not bounded: one that is proved is enough.

@@ -43,7 +43,8 @@ from nsmodel.proof.leading_terms import LeadingTerm
 from nsmodel.proof.sectors import sector
 from nsmodel.proof.verdict import HypothesisPart
 
-NEAR_TIME = 2.0**10  # Where the growth along a curve is looked at in doubles: a power of t larger by one grows a thousandfold,
+# Where the growth along a curve is looked at in doubles: up to FAR_TIME a power larger by one grows a thousandfold more,
+NEAR_TIME = 2.0**10
 FAR_TIME = 2.0**20  # and its fifth power is still far from overflow; what grows is then proved.
 MAX_CURVES = 8  # Curves on which a proof is tried, those that grow most.
 # Powers of t, and factors of them, by which curves bend that are tried: into sets that narrow, and past terms with large factors.

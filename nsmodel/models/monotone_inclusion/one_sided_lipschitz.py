@@ -20,7 +20,7 @@ from nsmodel.proof.expression_graph import rewrite_nodes
 from nsmodel.proof.jumps import SWITCH_OPERATIONS
 from nsmodel.proof.verdict import HypothesisPart
 
-ATTAINED_GAP = 1e-3  # A bound of L that is attained but for this is not sought anew: no search can lower it by more.
+ATTAINED_GAP = 1e-3  # A bound of L that is above an attained value by no more is not sought anew: no search can lower it further.
 
 
 def one_sided_lipschitz(

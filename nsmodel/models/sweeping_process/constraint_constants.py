@@ -42,7 +42,8 @@ from nsmodel.proof.jumps import jump_nodes, prove_jump
 from nsmodel.proof.ray_expansion import growth_exponent
 from nsmodel.proof.verdict import not_none
 
-RATE_PROBE_LENGTH = 1e-6  # How far from a time, beside the interval, a rate is looked at that grows without bound towards it,
+# How far from a time, beside the interval or 1, a rate is looked at that grows without bound towards it,
+RATE_PROBE_LENGTH = 1e-6
 MAX_RATE_STATES = 16  # and at how many states, and times: one that is proved is enough.
 
 

@@ -182,7 +182,7 @@ ENOUGH_SUB_BOXES = 700  # and so many where the bound is within a factor of 2 of
 INSTRUCTION_BUDGET = 250  # With more instructions in the gradients fewer parts are looked at, so that the time stays as it is.
 SUB_BOXES_PER_ROUND = 512  # Parts that are cut at once, those with the largest bounds: arrays pay, and few are cut in vain.
 MAX_HALVINGS = 12  # Halvings of each coordinate after which a part without bound is not cut any further,
-MAX_HALVINGS_ACTIVE = 40  # and for rho = 0, where a part that is too wide is near to active constraints alone when it is tiny.
+MAX_HALVINGS_ACTIVE = 40  # and the same for rho = 0: there only a tiny part is near to no other constraints than the active ones.
 # Where so large a constant is attained, a smaller rho is the better question: what follows from it is useless.
 HOPELESS_GAMMA = 1e3
 

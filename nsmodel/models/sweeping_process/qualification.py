@@ -137,7 +137,7 @@ def _forbidden_points(
     return [point for worst_value, point in found[:2] if worst_value < 0]
 
 
-# Of the reach: the rho that is tried first. Larger ones have larger gamma, smaller ones allow shorter steps alone.
+# Of the reach: the rho that is tried first. Larger ones have larger gamma, smaller ones allow only shorter steps.
 RHO_FRACTION = 0.1
 # Values of rho that are tried, each a quarter of the last, a decision each; three times as many where rho = 0 is not violated.
 RHO_TRIES = 3

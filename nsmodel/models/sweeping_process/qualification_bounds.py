@@ -43,7 +43,7 @@ from nsmodel.proof.exact import ROUND_UP_FACTOR
 from nsmodel.proof.expression_graph import program, stack_column
 from nsmodel.proof.verdict import not_none
 
-MAX_PAIR_CONSTRAINTS = 60  # Constraints whose pairs are all looked at, 1770; of more, pairs are left out as a proof.
+MAX_PAIR_CONSTRAINTS = 60  # Constraints whose pairs are all looked at, 1770; with more this proof is not tried.
 PAIRS_DESCRIPTION = "balls and half-spaces: the angles between their normals where two of them meet"
 
 
@@ -229,12 +229,12 @@ def _height_scale(ball: BallComplement, plane: AffineForm) -> float:
 
 
 MAX_PLANES = 12  # Planes whose sets that can be active are looked at one by one, 2^12; of more, all of them together.
-# Constraints between whose spaces of gradients all angles are looked at, 1770; of more, they are left out as a proof.
+# Constraints between whose spaces of gradients all angles are looked at, 1770; with more this proof is not tried.
 MAX_INDEPENDENT = 60
 ORTHONORMAL_ROUNDING = 1e-8  # More than what products of orthonormal vectors err by, half of the digits.
 INITIAL_SLICES = 8  # Of the interval of time, where planes move: each is a linear program,
-MAX_SLICES = 200  # as are those that they are cut into; then planes count as active together, which is safe,
-MIN_SLICE_FRACTION = 1e-9  # and so they do on a slice of this part of it.
+MAX_SLICES = 200  # Slices in all, as these are cut further; beyond, planes count as active together, which is safe,
+MIN_SLICE_FRACTION = 1e-9  # and so they do on a slice that is this part of the interval.
 
 OffsetBounds = Callable[[float, float], tuple[np.ndarray, np.ndarray]]
 

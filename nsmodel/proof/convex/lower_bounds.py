@@ -197,7 +197,7 @@ def descent_direction(
     return found.x[:n]
 
 
-# Points of the box of a curved set at which g is looked at, as IPOPT may fail there: one call of a vector function.
+# Points of the box of a curved set at which g is looked at, all in one call: along its boundary IPOPT may run away.
 BOUNDARY_SAMPLES = 512
 MINIMISER_OPTIONS = {
     "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "ipopt.print_level": 0, "ipopt.sb": "yes",

@@ -18,8 +18,7 @@ from nsmodel.proof.exact import MACHINE_EPSILON
 from nsmodel.proof.expression_graph import additive_terms, is_same_expression, rewrite_nodes
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, HypothesisPart
 
-# An eigenvalue of a matrix that is not above this part of the largest is
-# not told from 0: what formulas of some dozen operations lose.
+# A negative eigenvalue of at most this part of the largest is not told from 0: a formula of some dozen operations loses as much.
 EIGENVALUE_ROUNDING = 64 * MACHINE_EPSILON
 # Directions of a potential that are looked at together: the box of all of them is cut. Of more, convexity is left open.
 MAX_DIRECTIONS = 12
