@@ -30,7 +30,7 @@ $(STAMP): $(RUNS) # And what tests, linters and pages need.
 demo: $(RUNS) ## set up what runs need, run a rectifier, a crowd and a friction oscillator, pictures into results/: a minute
 	$(BIN)/nsmodel run $(SCENES) --plot --out results --force
 
-test: $(STAMP) ## set up and run the tests, of random models one in twenty-five: twelve minutes on two cores
+test: $(STAMP) ## set up and run the tests, of random models one in twenty-five: nine minutes on two cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 test-long: $(STAMP) ## set up and run all tests, long ones and all random models: two hours on two cores

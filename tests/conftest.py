@@ -50,9 +50,9 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 }  # fmt: skip
 
 
-HALVES = {  # Where few random models are tried, these files take every second case: steps, their C and hypotheses still see each.
-    "test_compiled_runs": 0, "test_codegen_cases": 1, "test_schemes": 1, "test_check_cases": 0, "test_check_golden": 1,
-    "test_check_report": 0, "test_rich": 1, "test_pickle": 0,
+THIRDS = {  # Of the cases, which these files take where few random models are tried: steps, their C and hypotheses see each.
+    "test_compiled_runs": "02", "test_codegen_cases": "1", "test_schemes": "2", "test_check_cases": "0", "test_check_golden": "12",
+    "test_check_report": "0", "test_rich": "1", "test_pickle": "2",
 }  # fmt: skip
 LEFT_OUT = pytest.StashKey[int]()
 
@@ -68,17 +68,17 @@ def pytest_ignore_collect(collection_path, config):
     return signals or (config.option.markexpr == "fast" and bool(kinds_of(collection_path))) or None
 
 
-def in_other_half(item):
+def in_other_third(item):
     """The test is of a case that its file leaves to `make test-long`."""
     case = item.callspec.params.get("case_file") if hasattr(item, "callspec") else None
-    return case is not None and item.path.stem in HALVES and CASES.index(case) % 2 != HALVES[item.path.stem]
+    return case is not None and str(CASES.index(case) % 3) not in THIRDS.get(item.path.stem, "012")
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night.
 
-    Where few random models are tried, long tests are left out, some files take half of the cases, and of the parameters of other
+    Where few random models are tried, long tests are left out, some files take a third of the cases, and of the parameters of other
     tests that are not fast one is taken. All pages are.
     """
     many, left = defaultdict(list), set()
@@ -86,7 +86,7 @@ def pytest_collection_modifyitems(config, items):
         kinds = kinds_of(item.path)
         for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
             item.add_marker(kind)
-        if COUNT < FULL and (item.get_closest_marker("long") or in_other_half(item)):
+        if COUNT < FULL and (item.get_closest_marker("long") or in_other_third(item)):
             left.add(item)
         elif COUNT < FULL and kinds and not {"case_file", "block"} & set(getattr(item, "fixturenames", ())):
             many[item.nodeid.partition("[")[0]].append(item)

@@ -203,9 +203,9 @@ def define_line(module: str, constant: str) -> str:
     owner = import_module(f"nsmodel.{module}")
     value = getattr(owner, name)
     text = _short_float(value) if isinstance(value, float) else str(value) if value < 2**31 else f"{value}UL"
-    comment = re.search(rf"^(?:\w+, )*{name}\b[^#\n]*(?:# (.*))?$", inspect.getsource(owner), re.MULTILINE)
-    about = f" /* {comment[1]} */" if comment and comment[1] else ""
-    return f"#define {in_c or name} {text}{about}\n"
+    line = re.search(rf"^((?:#.*\n)*)(?:\w+, )*{name}\b[^#\n]*(#.*)?$", inspect.getsource(owner), re.MULTILINE)
+    comment = re.sub(r"\s*#\s*|\s*\([+~]\)$", " ", (line[2] or line[1]).strip()).strip() if line else ""
+    return f"#define {in_c or name} {text}" + (f" /* {comment} */" if comment else "") + "\n"
 
 
 def _short_float(value: float) -> str:
