@@ -51,8 +51,8 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 
 
 THIRDS = {  # Of the cases, which these files take where few random models are tried: steps, their C and hypotheses see each.
-    "test_compiled_runs": "02", "test_codegen_cases": "1", "test_schemes": "2", "test_check_cases": "0", "test_check_golden": "12",
-    "test_check_report": "0", "test_rich": "1", "test_pickle": "2",
+    "test_compiled_runs": "02", "test_codegen_cases": "1", "test_schemes": "2", "test_rich": "1", "test_pickle": "2",
+    "test_check_cases": "0", "test_check_golden": "12", "test_check_report": "0",
 }  # fmt: skip
 LEFT_OUT = pytest.StashKey[int]()
 
@@ -78,8 +78,8 @@ def in_other_third(item):
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night.
 
-    Where few random models are tried, long tests are left out, some files take a third of the cases, and of the parameters of other
-    tests that are not fast one is taken. All pages are.
+    Where few random models are tried, long tests are left out, some files take a third of the cases, and of the parameters of
+    other tests that are not fast one is taken. All pages are.
     """
     many, left = defaultdict(list), set()
     for item in items:
