@@ -44,7 +44,7 @@ NUMBER = re.compile(r"-?[0-9]{1,4000}(/[1-9][0-9]{0,3999})?", re.ASCII)
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.]{0,40}", re.ASCII)
 UP, DOWN = decimal.ROUND_CEILING, decimal.ROUND_FLOOR
 FIRST_UNIT, FIRST_ATOM = 10**5, 10**6  # Variables of polynomials: inputs 0, 1, ... below, units and atoms from here on.
-MAX_PARAMETERS = 1000  # Of a statement, from which on units of functions of parameters are numbered; more are not checked.
+MAX_PARAMETERS = 1000  # Of a statement; more are not checked. Units of functions of parameters begin at FIRST_UNIT + 1000.
 MAX_CORNERS = 4096  # Of a box, 2^12 of 12 parameters: at each a matrix is decided; more are not checked.
 
 
