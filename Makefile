@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 RUNS   := $(VENV)/.runs
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
+PIP    := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --editable # Modules are compiled when first imported.
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-long quick nightly lint bench bench-large bench-events bench-sweeps study docs clean
