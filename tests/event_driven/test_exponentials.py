@@ -137,6 +137,13 @@ def test_random_expressions_keep_their_values() -> None:
 
 
 @pytest.mark.fast
+def test_logarithms_of_powers_of_sums() -> None:
+    y = ca.SX.sym("y")
+    value = ca.Function("f", [x, y], [rewrite_without_overflow(ca.log((exp(x) + exp(y)) ** 1.5) / exp(x - y))])
+    assert float(value(800, 799)) == pytest.approx(1.5 * np.logaddexp(800, 799) / math.e, rel=1e-14)
+
+
+@pytest.mark.fast
 def test_sums_of_three_exponentials_with_different_exponents() -> None:
     y = ca.SX.sym("y", 2)
     terms = [exp(1e3 * y[0]), exp(2e3 * y[1]), exp(-(y[0] ** 2))]
