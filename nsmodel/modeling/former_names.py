@@ -139,6 +139,15 @@ CLASSES = {
 }
 
 
+class FormerModule(ModuleType):
+    """A former module, whose names stay what they are when a module in it is imported that is called as one of them."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set it, but for such a module, which the import of it sets."""
+        if not (isinstance(value, ModuleType) and hasattr(self, name)):
+            super().__setattr__(name, value)
+
+
 class FormerModules(MetaPathFinder, Loader):
     """Finds a former module as one whose names are those of the module that has them now."""
 
@@ -148,6 +157,10 @@ class FormerModules(MetaPathFinder, Loader):
         if package != PACKAGE or name not in MODULES:
             return None
         return ModuleSpec(fullname, self, is_package=name in PACKAGES)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """Return a module without names."""
+        return FormerModule(spec.name)
 
     def exec_module(self, module: ModuleType) -> None:
         """Let the module find its names in the one that has them now, when they are asked for."""
