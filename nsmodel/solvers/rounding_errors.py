@@ -21,9 +21,8 @@ from nsmodel._utils import EPS
 from nsmodel.proof.expression_graph import apply_operation, fold_graph, operation_codes, stack_column, symbol_hashes
 
 UNIT_ROUND_OFF = EPS / 2  # u, relative: what one operation is rounded by, at most.
-MAX_BOUND_NODES = (
-    10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
-)
+# Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
+MAX_BOUND_NODES = 10_000
 PROBES = 8  # Sign vectors by which it is told what the unknowns err by, each a solve; of one alone terms may cancel. (+)
 # FRAGILE: three of 16 digits.
 FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system. (+)
