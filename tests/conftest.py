@@ -50,7 +50,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 }  # fmt: skip
 
 
-THIRDS = {  # Of the cases, which these files take where few random models are tried: steps, their C and hypotheses see each.
+THIRDS = {  # Which thirds of the cases these files take where few random models are tried: steps, C and hypotheses see all three.
     "test_compiled_runs": "02", "test_codegen_cases": "1", "test_schemes": "2", "test_rich": "1", "test_pickle": "2",
     "test_check_cases": "0", "test_check_golden": "12", "test_check_report": "0",
 }  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import REPOSITORY
 from search.changed import Changed, numbers
-from search.constants import Outcome, difference
+from search.constants import Outcome, difference, main
 
 MODULE = '''
 """A module."""
@@ -86,3 +86,19 @@ def test_a_number_that_matters_and_one_that_does_not():
     assert set(found) == {f"step_size.{name} {way}" for name in ("LOCAL", "LONGEST") for way in ("up", "down")}
     assert found["step_size.LOCAL down"].startswith("1 of 1 differ, by up to ")
     assert found["step_size.LONGEST up"].startswith("same bits")
+
+
+def test_what_compares_nothing_is_refused(capsys, monkeypatch):
+    """Nor are numbers said to change nothing where no run looked at them."""
+    monkeypatch.chdir(REPOSITORY)
+    for given, words in (
+        (["nsmodel/nosuch"], "nsmodel/nosuch is no module or package that is here; expected one as nsmodel/solvers"),
+        (["tests/search"], "tests/search is no module or package"),
+        (["nsmodel/plot", "--only", "ZZZ"], "nsmodel/plot has no number with 'ZZZ' in its name at the top of a module"),
+        (["nsmodel/solvers/mlcp.py", "--cases", "zzz"], "with 'zzz' in its name came to an end: nothing can be compared"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main(given)
+        output = capsys.readouterr()
+        assert words in output.err
+        assert output.out == ""

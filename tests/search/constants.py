@@ -127,8 +127,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cases", default="", help="runs with this in their names")
     given, steady = parser.parse_args(arguments), True
     for path in given.paths:
+        if path.parts[:1] != ("nsmodel",) or len(path.parts) < 2 or not path.exists():
+            parser.error(f"{path} is no module or package that is here; expected one as nsmodel/solvers")
+        if not any(given.only in one.name for one in numbers(path)):
+            parser.error(f"{path} has no number with {given.only!r} in its name at the top of a module")
+    for path in given.paths:
         package = path.parts[1]
         (before, seconds), (again, _) = (outcomes(package, given.cases) for _ in range(2))
+        if not before:
+            parser.error(f"no run of {path} with {given.cases!r} in its name came to an end: nothing can be compared")
         steady &= (text := difference(before, again)) == "same bits"
         print(f"{path}: {len(before)} runs, {seconds:.1f} s; once more: {text}", flush=True)
         for number in (one for one in numbers(path) if given.only in one.name):
